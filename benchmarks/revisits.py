@@ -68,19 +68,19 @@ def revisits(log: LogData, poses: FloatArray) -> Revisits:
     middles = chunk_middles(keys, config.maps, config.maps.hop)
     path = Trajectory(poses[keys.first_event], np.zeros(ERRORS))
     maps = cut_chunks(keys, path, config.maps, middles, data.max_range)
-    return _matched(maps, path.poses[middles], config)
+    return _matched(maps, path.poses[middles])
 
 
-def _matched(maps: list[LocalMap], poses: FloatArray, config: GraphConfig) -> Revisits:
+def _matched(maps: list[LocalMap], poses: FloatArray) -> Revisits:
     shifts, turns, pairs = [], [], 0
     for first, chunk in enumerate(maps):
         others = _visits(maps, poses, first)
         pairs += len(others)
-        grid = search_grid(chunk, _REACH[0], config.matching)
+        grid = search_grid(chunk, _REACH[0])
         for second in others:
             guess = se2.between(poses[first], poses[second])
             window = Window(*_REACH, _TURN_STEP)
-            found = match(grid, maps[second].points, guess, window, config.matching, _SCORE)
+            found = match(grid, maps[second].points, guess, window, _SCORE)
             if found.score > _SCORE:
                 shifts.append(np.hypot(*(found.pose - guess)[:2]))
                 turns.append(abs(float(se2.wrap_angle(found.pose[2] - guess[2]))))

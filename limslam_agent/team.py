@@ -18,6 +18,8 @@ from limslam_agent.status.status import Level, Status, worst
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import Observation, RobotSpec
 
+_NEWS = 50  # cells that teammates discover, after which a robot that had finished looks for frontiers again
+
 
 @dataclass(frozen=True, eq=False)
 class Snapshot(MapSnapshot):
@@ -240,7 +242,7 @@ class LimSlamTeam:
         for number, policy in enumerate(self.policies):
             if policy.stop_reason is None:
                 self._known_at_stop.pop(number, None)
-            elif known - self._known_at_stop.setdefault(number, known) > self.config.team.news:
+            elif known - self._known_at_stop.setdefault(number, known) > _NEWS:
                 self.policies[number] = self._new_policy(number)
                 self._known_at_stop[number] = known
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.bounds import Bounded, Bounds, CountOrNone
-from limslam_agent.config.tables import SettingsError, Table, read_toml, table_of, updated, write_toml
+from limslam_agent.config.tables import SettingsError, Table, known_settings, read_toml, table_of, updated, write_toml
 from limslam_agent.logs.limits import DEFAULT_LIMITS
 
 if TYPE_CHECKING:
@@ -25,6 +25,7 @@ _Std = Annotated[float, Bounds(0.0, 1e3)]
 _MAX_WHEEL_STD = 1.0  # m, after 1 m
 _Time = Annotated[float, Bounds(1e-3, 1e6)]
 
+_MOST_NAMED = 5  # settings in a warning
 _TIME_PER_GROUND = 10.0  # s for each m^2 of a world: twice what an exploration needs
 
 # These say where results go, not how they are made.
@@ -200,9 +201,11 @@ class Given:
         table = self._table_without("agent", {"noise": "range_std"} if "noise" in self.options else {})
         if isinstance(policy := table.get("policy"), Mapping) and "until" in policy:
             raise SettingsError(f"{self.path}: agent.policy.until: is set as until, outside of all tables")
+        in_file = base if base.preset == preset_in_file else self._preset_in_file(preset_in_file, base)
+        table = dict(known_settings(in_file, table)[0])
         if base.preset != preset_in_file:
             # A mistake in the file is a mistake, even if the table is not used.
-            updated(self._preset_in_file(preset_in_file, base), table, f"{self.path}: agent", fixed={"preset"})
+            updated(in_file, table, f"{self.path}: agent", fixed={"preset"})
             table = {name: value for name, value in table.items() if name not in _OF_PRESET}
         return updated(base, table, f"{self.path}: agent", fixed={"preset"})
 
@@ -215,13 +218,18 @@ class Given:
         return _with_calibration(agent, enabled=told["calibration"]) if "calibration" in told else agent
 
     def warnings(self, preset: str) -> list[str]:
-        """One line for tables of the file that are not used, because the run has another preset than the file."""
+        """A line for settings that this version lacks, and one for tables of the file that are for another preset."""
+        from limslam_agent.config.presets import AgentConfig
+
         in_file, table = self.table.get("preset", preset), self.table.get("agent", {})
+        old = known_settings(self._preset_in_file(in_file, AgentConfig()), table)[1] if table else []
+        names = ", ".join(old[:_MOST_NAMED]) + (f" and {len(old) - _MOST_NAMED} more" if old[_MOST_NAMED:] else "")
+        lacking = [f"{self.path}: left out, since this version has no such settings: {names}"] if old else []
         unused = ", ".join(f"[agent.{name}]" for name in _OF_PRESET if name in table)
         if in_file == preset or not unused:
-            return []
+            return lacking
         words = f"{self.path}: the settings of {unused} are for the preset {in_file} and not used"
-        return [f"{words}: the preset is {preset}"]
+        return [*lacking, f"{words}: the preset is {preset}"]
 
     def _preset_in_file(self, name: str, base: "AgentConfig") -> "AgentConfig":
         from limslam_agent.config.presets import preset

@@ -22,14 +22,10 @@ class TeamConfig(Bounded):
         A beam is dropped if it may have hit a teammate whose pose errs by this many standard deviations. Ours.
     slack
         Length that is added to that distance, m. Ours: the covariance of the published filter is too small.
-    news
-        A robot that had finished looks for frontiers again when its teammates have discovered more cells than
-        this. Ours.
     """
 
     sigmas: NonNegative = 3.0
     slack: NonNegative = 0.05
-    news: CountOrNone = 50
 
 
 @dataclass(frozen=True)
@@ -64,12 +60,8 @@ class PolicyConfig(Bounded):
         no wall.
     speed
         Cruising speed while exploring, m/s. A slower robot measures more points on each metre of wall.
-    lap_speed
-        Cruising speed on laps, m/s.
     turn_rate
         Fastest turn, rad/s.
-    lookahead
-        Distance ahead, on the path, of the point that the robot steers for, m.
     clearance
         Distance that the planner keeps between the robot's rim and occupied cells where there is enough space, m.
     margin
@@ -84,49 +76,30 @@ class PolicyConfig(Bounded):
         Free distance ahead of the rim below which the robot only turns, m.
     min_frontier
         Least number of cells of a frontier: smaller ones are mostly gaps between beams.
-    min_last_frontier
-        Least number of cells of a frontier when no larger frontiers are left. A corridor that is twice as wide as
-        the robot has a frontier of two cells.
     view_distance
         A frontier cell counts as reached when the path to it is this short, m.
-    far_view_distance, small_frontier
-        A frontier of at most ``small_frontier`` cells counts as reached from ``far_view_distance``, m, if nothing
-        stands between the robot and the frontier.
-    replan_period
-        Number of steps between two plans.
+    small_frontier
+        A frontier of at most this number of cells counts as reached from 1 m, if nothing stands between the robot and
+        the frontier.
     patience
         Number of steps for which the robot waits in front of an obstacle before it tries another way. Three times as
         many steps without progress end the approach of a goal.
-    back_steps
-        Number of steps for which the robot then drives backwards.
-    aside_steps
-        Number of steps for which a goal that could not be reached is ignored.
-    min_stretch
-        Least length of a stretch without a wall that the robot looks at, m.
     looks, min_stretch_again
         Largest number of looks at one stretch, and least length of a stretch that is looked at more than once, m.
     """
 
     until: str = "seen"
     speed: Positive = 0.20
-    lap_speed: Positive = 0.25
     turn_rate: Annotated[float, Bounds(0.01, 100.0)] = 2.0
-    lookahead: NonNegative = 0.25
     clearance: NonNegative = 0.15
     margin: NonNegative = 0.05
     large_map: NonNegative = 12.0
     longest_excursion: NonNegative = 8.0
     stop_distance: NonNegative = 0.06
     min_frontier: Count = 3
-    min_last_frontier: Count = 2
     view_distance: NonNegative = 0.35
-    far_view_distance: NonNegative = 1.0
     small_frontier: CountOrNone = 6
-    replan_period: Count = 5
     patience: Count = 30
-    back_steps: CountOrNone = 8
-    aside_steps: CountOrNone = 300
-    min_stretch: NonNegative = 0.15
     looks: Count = 2
     min_stretch_again: NonNegative = 0.35
 

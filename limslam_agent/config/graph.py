@@ -1,21 +1,12 @@
 """Settings of the graph of local maps, one frozen dataclass for each stage. One setting serves all logs; m and rad.
 
-Those of the search for loops are in :mod:`limslam_agent.config.graph_loops`.
+Numbers that nothing sets are constants beside the code (:mod:`limslam_agent.slam.graph`).
 """
 
 import math
 from dataclasses import dataclass, field
 
 from limslam_agent.config.bounds import Angle, Bounded, Count, CountOrNone, NonNegative, Positive
-from limslam_agent.config.graph_loops import (
-    AgreementConfig,
-    ChunkGraphConfig,
-    LocalMapConfig,
-    LoopConfig,
-    MatchConfig,
-    UnionConfig,
-    WideSearchConfig,
-)
 
 _DEGREE = math.pi / 180.0
 
@@ -81,81 +72,32 @@ class MotionConfig(Bounded):
 
 
 @dataclass(frozen=True)
-class LinkConfig(Bounded):
-    """Normals of points, and links from points to the lines through other points.
-
-    Attributes
-    ----------
-    normal_radius, normal_travel
-        Neighbours of a point within this distance (m) and this distance driven (m) determine its normal.
-    min_neighbours, min_spread, max_thickness, max_ratio, min_incidence
-        Fewest neighbours; least standard deviation along and largest across the line (m); largest ratio of the two
-        variances; least sine of the angle between beam and wall.
-    radius, min_travel, travel
-        Points are linked within this distance (m) and between these distances driven (m).
-    bands
-        Inner borders of the bands of distance driven, m; the nearest point of each band is linked.
-    min_cosine, max_offset
-        Least cosine between the normals, and largest distance from the line as a share of ``radius``.
-    std, kernel
-        Standard deviation of a link (m), and the scale of the Geman-McClure kernel in standard deviations.
-    cross_travel, cross_min_cosine
-        Links between visits: least distance driven between the points (m), and least cosine between the normals.
-    """
-
-    normal_radius: Positive = 0.4
-    normal_travel: Positive = 3.0
-    min_neighbours: Count = 5
-    min_spread: NonNegative = 0.07
-    max_thickness: NonNegative = 0.05
-    max_ratio: NonNegative = 0.15
-    min_incidence: NonNegative = 0.17
-    radius: Positive = 0.35
-    min_travel: NonNegative = 0.4
-    travel: Positive = 10.0
-    bands: tuple[float, float] = (1.2, 3.0)
-    min_cosine: NonNegative = 0.85
-    max_offset: NonNegative = 0.7
-    std: Positive = 0.08
-    kernel: Positive = 2.0
-    cross_travel: NonNegative = 8.0
-    cross_min_cosine: NonNegative = 0.8
-
-
-@dataclass(frozen=True)
 class WallLineConfig(Bounded):
     """Straight walls, found by a Hough transform in windows of distance driven.
 
     Attributes
     ----------
-    window, first_window
-        Length of a window (m), and length of the windows of the first iteration (m); windows overlap by half.
+    window
+        Length of a window, m; windows overlap by half.
     tolerance
         Largest distance of a point from its line, m.
-    offset_bin, angle_bin, spread
-        Bins of the Hough space (m, rad), and the number of angle bins on either side that a point votes for.
-    min_points, min_length, max_gap, max_angle
-        Fewest points, least length (m), largest gap along the line (m), largest angle between normals (rad).
+    angle_bin, spread
+        Bin of the Hough space, rad, and the number of these bins on either side that a point votes for.
+    min_points, min_length, max_gap
+        Fewest points, least length and largest gap along the line, m.
     max_lines, max_tries
         Largest number of lines in a window, and largest number of peaks that are tested.
-    std, inflation
-        Standard deviation of a point about its line (m), and its inflation factor.
     """
 
     window: Positive = 10.0
-    first_window: Positive = 4.0
     tolerance: NonNegative = 0.12
-    offset_bin: Positive = 0.08
     angle_bin: Positive = 3.0 * _DEGREE
     spread: Count = 4
     min_points: Count = 10
     min_length: NonNegative = 0.8
     max_gap: NonNegative = 1.5
-    max_angle: Angle = 20.0 * _DEGREE
     max_lines: Count = 25
     max_tries: Count = 60
-    std: Positive = 0.06
-    inflation: NonNegative = 2.0
 
 
 @dataclass(frozen=True)
@@ -167,30 +109,23 @@ class SmoothingConfig(Bounded):
 
 
 @dataclass(frozen=True)
-class BundleConfig(Bounded):
-    """The least-squares problem of all key poses, walls, loops and links between visits.
+class LocalMapConfig(Bounded):
+    """Local maps: chunks of driving drawn into small grids.
 
     Attributes
     ----------
-    radius, last_radius
-        Points of other visits are linked within this distance in the first and in the last iteration, m.
-    link_inflation, cross_inflation
-        Factors of the standard deviations of links along the way and of links between visits.
-    max_turn
-        A step that turns a pose by more than this (rad) is scaled down.
-    damping
-        Share of the diagonal that is added to the diagonal.
-    tolerance
-        Iteration stops when no pose turns by more than this, rad.
+    half
+        Distance driven on either side of a chunk's middle, m.
+    hop
+        Distance driven between the middles of successive chunks, m.
+    cell, hit_radius
+        Side of a cell, and radius around a point in which cells are occupied, m.
     """
 
-    radius: Positive = 0.4
-    last_radius: Positive = 0.2
-    link_inflation: NonNegative = 1.5
-    cross_inflation: NonNegative = 2.0
-    max_turn: Angle = 0.3
-    damping: NonNegative = 1e-6
-    tolerance: NonNegative = 1e-3
+    half: Positive = 3.5
+    hop: Positive = 2.5
+    cell: Positive = 0.1
+    hit_radius: NonNegative = 0.15
 
 
 @dataclass(frozen=True)
@@ -246,43 +181,16 @@ class RoundConfig(Bounded):
         The hop between chunks in each round, as a share of ``LocalMapConfig.hop``.
     iterations
         Number of iterations of the bundle in each round.
-    wide_search
-        Number of rounds with a wide search. Some places can be found only after other places have been found.
     orientations
         First headings of the log in the frames of the searches, rad: they decide the bins of the Hough transforms.
-    tried, trial
-        Number of searches with the highest scores after the first round that are continued, up to round ``trial``.
-    finished, hopeless
-        Number of these searches that do all rounds. Their scores are the highest, and none is worse than the best score
-        by ``hopeless``.
-    tie
-        Scores within this distance of the best score are considered equal; the last such round is taken.
-    settled
-        Rounds end when the last two rounds together have raised the score by less than this.
-    same_path
-        Two searches have found the same path if 90 % of their key poses lie within this distance, m.
-    synchronisations, synchronous
-        Largest number of times that the delay of the ranges is estimated and corrected before the search; a correction
-        of less than ``synchronous`` s is the last.
-    restart, restarts
-        If odometry misses at least this much heading per metre, rad/m, its errors are corrected and the log is
-        smoothed again, at most this number of times. The result is kept if its score is higher.
+    restarts
+        If odometry misses much of its heading, its errors are corrected and the log is smoothed again, at most this
+        number of times. The result is kept if its score is higher.
     """
 
     hops: tuple[float, ...] = (1.0, 0.8) * 5
     iterations: tuple[int, ...] = (6, 6, 6, 8, 8, 8, 8, 8, 8, 8)
-    wide_search: Count = 10
     orientations: tuple[float, ...] = (0.0, 20.0 * _DEGREE, 45.0 * _DEGREE, 70.0 * _DEGREE)
-    tried: Count = 3
-    finished: Count = 2
-    trial: Count = 2
-    hopeless: NonNegative = 0.02
-    tie: NonNegative = 0.003
-    settled: NonNegative = 0.002
-    same_path: NonNegative = 0.5
-    synchronisations: Count = 3
-    synchronous: NonNegative = 0.02
-    restart: Angle = 3.0 * _DEGREE
     restarts: CountOrNone = 3
 
 
@@ -293,15 +201,7 @@ class GraphConfig(Bounded):
     reversing: ReversingConfig = field(default_factory=ReversingConfig)
     keys: KeyPoseConfig = field(default_factory=KeyPoseConfig)
     motion: MotionConfig = field(default_factory=MotionConfig)
-    links: LinkConfig = field(default_factory=LinkConfig)
     lines: WallLineConfig = field(default_factory=WallLineConfig)
     smoothing: SmoothingConfig = field(default_factory=SmoothingConfig)
     maps: LocalMapConfig = field(default_factory=LocalMapConfig)
-    matching: MatchConfig = field(default_factory=MatchConfig)
-    loops: LoopConfig = field(default_factory=LoopConfig)
-    chunks: ChunkGraphConfig = field(default_factory=ChunkGraphConfig)
-    wide: WideSearchConfig = field(default_factory=WideSearchConfig)
-    union: UnionConfig = field(default_factory=UnionConfig)
-    bundle: BundleConfig = field(default_factory=BundleConfig)
-    agreement: AgreementConfig = field(default_factory=AgreementConfig)
     rounds: RoundConfig = field(default_factory=RoundConfig)

@@ -9,7 +9,7 @@ from scipy import ndimage
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.grid.planner import routes
-from limslam_agent.policies.targets import coast_of, open_frontier
+from limslam_agent.policies.targets import LAST_FRONTIER, coast_of, open_frontier
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 
@@ -38,7 +38,7 @@ def frontiers_of(grid: GridView, poses: Sequence[FloatArray], robot: RobotSpec, 
 
     Frontiers that the policy ignores, because it could not see anything new there, are among them.
     """
-    cells = open_frontier(grid, config.min_last_frontier, np.zeros(grid.values.shape, dtype=bool), robot)
+    cells = open_frontier(grid, LAST_FRONTIER, np.zeros(grid.values.shape, dtype=bool), robot)
     labels, count = ndimage.label(cells, structure=np.ones((3, 3), dtype=int))
     if not count:
         return []

@@ -37,7 +37,7 @@ from limslam_agent.places.rays import moved, rays_of
 from limslam_agent.places.revisions import BEGUN_ANEW, NOT_CONFIRMED
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.monitor import UNIFORM_HEADING, StatusMonitor
+from limslam_agent.status.monitor import StatusMonitor, covariance_of_lost
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, transform_points
@@ -121,10 +121,8 @@ class Recovery:
         """
         if self.absence is None or self.absence.is_placed:
             return self._offset
-        limits, driven = self._agent.status.recovery, self.absence.driven
-        position = self.absence.jump + min(limits.position_growth * driven, limits.position_limit)
-        heading = UNIFORM_HEADING if self.absence.is_carried else min(limits.heading_growth * driven, UNIFORM_HEADING)
-        return self._offset + np.diag([position**2, position**2, heading**2])
+        absence = self.absence
+        return self._offset + covariance_of_lost(absence.jump, absence.driven, knows_heading=not absence.is_carried)
 
     def note(self, step: LoggedStep, slam: LineSlam, grid: OccupancyGrid) -> None:
         """Keep a step of the robot, and now and then a copy of its estimate after it."""

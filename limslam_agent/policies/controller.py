@@ -14,6 +14,11 @@ _FRONT = math.radians(60.0)
 _BODY_MARGIN = 0.03
 _TURN_IN_PLACE = math.radians(40.0)
 _TURN_GAIN = 2.5
+_LOOKAHEAD = 0.25  # m
+REPLAN_PERIOD = 5
+"""Number of steps between two plans."""
+BACK_STEPS = 8
+"""Number of steps for which a robot drives backwards that could not go on."""
 
 
 def steer(
@@ -32,14 +37,14 @@ def steer(
     return wheel_speeds(speed, _turn_rate(error, config), robot)
 
 
-def point_ahead(path: FloatArray, away: FloatArray, lookahead: float) -> tuple[int, FloatArray]:
+def point_ahead(path: FloatArray, away: FloatArray) -> tuple[int, FloatArray]:
     """Which point of a path (k, 2), m, is nearest, and the point (2,) to steer for.
 
-    The latter is the first point after the nearest one that is farther away than ``lookahead`` (m), or the last one.
+    The latter is the first point after the nearest one that is farther away than 25 cm, or the last one.
     ``away`` (k,) has the distances of the points from the robot, m.
     """
     nearest = int(away.argmin())
-    is_ahead = away[nearest:] > lookahead
+    is_ahead = away[nearest:] > _LOOKAHEAD
     first = int(is_ahead.argmax())
     return nearest, path[nearest + first] if is_ahead[first] else path[-1]
 

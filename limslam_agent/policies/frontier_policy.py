@@ -11,18 +11,37 @@ from limslam_agent.grid.frontier import group_places, sight_begins
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.grid.planner import wall_distance
 from limslam_agent.policies.collision_guard import CollisionGuard
-from limslam_agent.policies.controller import back_off, nearest_beam, point_ahead, steer, turn_by, wheel_speeds
+from limslam_agent.policies.controller import (
+    BACK_STEPS,
+    REPLAN_PERIOD,
+    back_off,
+    nearest_beam,
+    point_ahead,
+    steer,
+    turn_by,
+    wheel_speeds,
+)
 from limslam_agent.policies.excursion import Excursion
 from limslam_agent.policies.goal_memory import GoalMemory
 from limslam_agent.policies.policy import NO_PLAN, NOT_EXPLORED, MapExplorer
 from limslam_agent.policies.right_of_way import RightOfWay
 from limslam_agent.policies.simple_policies import WallFollower
-from limslam_agent.policies.targets import Target, has_seen_little, is_walled_in, islands, next_target, open_frontier
+from limslam_agent.policies.targets import (
+    LAST_FRONTIER,
+    Target,
+    has_seen_little,
+    is_walled_in,
+    islands,
+    next_target,
+    open_frontier,
+)
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.messages import counted
 
 _ARRIVED = 0.08
+_FAR_VIEW = 1.0  # m, from which a small frontier counts as reached
+_ASIDE_STEPS = 300  # for which a goal that could not be reached is ignored
 _POINTED = math.radians(4.0)
 # The robot counts as standing when its wheel speeds sum to less than this.
 _CREEP = 0.05
@@ -93,7 +112,7 @@ class FrontierPolicy(MapExplorer):
         super().__init__()
 
     def _forget_map(self) -> None:
-        self._memory = GoalMemory(self._config.aside_steps)
+        self._memory = GoalMemory(_ASIDE_STEPS)
         self._rounds = 0  # number of rounds on the spot
 
     def _plan_anew(self) -> None:
@@ -163,7 +182,7 @@ class FrontierPolicy(MapExplorer):
         return self._follow(belief, self._pursuit)
 
     def _replan(self, belief: Belief) -> None:
-        self._until_plan = self._config.replan_period
+        self._until_plan = REPLAN_PERIOD
         target = self._target(belief)
         while (target is None or (self._pursuit is None and not target.is_reachable)) and self._memory.release():
             target = self._target(belief)
@@ -211,7 +230,7 @@ class FrontierPolicy(MapExplorer):
         """Distance (m) from the end of the path at which the robot may look. A small frontier must not be hidden from
         there.
         """
-        near, far = self._config.view_distance, self._config.far_view_distance
+        near, far = self._config.view_distance, _FAR_VIEW
         if len(target.group) > self._config.small_frontier or far <= near:
             return near
         seen_from = sight_begins(grid, target.path, far)
@@ -222,13 +241,13 @@ class FrontierPolicy(MapExplorer):
         away = np.sqrt(off[:, 0] ** 2 + off[:, 1] ** 2)
         if away[-1] < _ARRIVED or len(self.plan) == 1:
             return self._look(belief, pursuit)
-        nearest, aim = point_ahead(self.plan, away, self._config.lookahead)
+        nearest, aim = point_ahead(self.plan, away)
         action = steer(belief.pose, aim, belief.ranges, self.robot, self._config, self._config.speed)
         left = float(away[nearest]) + (len(self.plan) - nearest) * belief.grid.cell
         if self._is_stuck(belief.grid, pursuit, left, action):
             self._set_aside(pursuit)
             self._excursion.end()
-            self._backing = self._config.back_steps
+            self._backing = BACK_STEPS
         return action
 
     def _is_stuck(self, grid: GridView, pursuit: _Pursuit, left: float, action: FloatArray) -> bool:
@@ -285,7 +304,7 @@ class FrontierPolicy(MapExplorer):
     def _reason(self, belief: Belief) -> str:
         grid = belief.grid
         ignored = self._memory.settled_cells(grid) | islands(grid, belief.pose)
-        places = group_places(grid, open_frontier(grid, self._config.min_last_frontier, ignored, self.robot))
+        places = group_places(grid, open_frontier(grid, LAST_FRONTIER, ignored, self.robot))
         if not len(places):
             return "explored: no frontier is left"
         named = [f"({x:.1f}, {y:.1f})" for x, y in places[:_MOST_NAMED]]

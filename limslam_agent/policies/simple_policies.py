@@ -16,6 +16,8 @@ from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
 
 _ARRIVED = 0.08
+LAP_SPEED = 0.25
+"""Cruising speed on laps, m/s."""
 # The robot counts as standing when its wheel speeds sum to less than this. It stops after this many such steps.
 _CREEP = 0.05
 _PATIENCE = 40
@@ -66,9 +68,7 @@ class Laps:
             self.stop_reason = "all laps driven"
         if self.stop_reason is not None:
             return np.zeros(2)
-        action = steer(
-            belief.pose, self._corners[self._next], belief.ranges, self._robot, self._config, self._config.lap_speed
-        )
+        action = steer(belief.pose, self._corners[self._next], belief.ranges, self._robot, self._config, LAP_SPEED)
         self._standing = self._standing + 1 if abs(float(action.sum())) < _CREEP else 0
         if self._standing > _PATIENCE:
             self.stop_reason = f"stopped: something is in the way to corner {self._next + 1} of the loop"

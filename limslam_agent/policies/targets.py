@@ -16,6 +16,9 @@ from limslam_agent.policies.right_of_way import cells_near_robots, separation_co
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 
+LAST_FRONTIER = 2
+"""Least number of cells of a frontier when no larger frontiers are left: in a corridor twice as wide as the robot."""
+
 # Up to this share of the beams' reach, a wall beside the robot is in sight of more than one beam.
 _SIGHT_SHARE = 0.7
 # Unknown regions of fewer cells cannot hide an obstacle.
@@ -133,7 +136,7 @@ def next_target(
     grid, searches = belief.grid, _searches(belief, robot)
     # A search without a result has covered the whole grid, so one search of each kind is enough.
     whole: list[Routes | None] = [None for _ in searches]
-    for size in (config.min_frontier, config.min_last_frontier):
+    for size in (config.min_frontier, LAST_FRONTIER):
         cells = open_frontier(grid, size, ignored, robot)
         for wanted in (_beside(grid, cells, old_goal), cells):
             if not wanted.any():

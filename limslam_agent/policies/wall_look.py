@@ -148,7 +148,7 @@ class Look:
         if away[-1] < _ARRIVED or len(self.path) == 1:
             self._sweep, self._idle = sweep_along(self.view, belief.pose, self._robot, self._std), 0
             return np.zeros(2)
-        nearest, aim = point_ahead(self.path, away, self._config.lookahead)
+        nearest, aim = point_ahead(self.path, away)
         self._count_idle(float(away[nearest]) + (len(self.path) - nearest) * belief.grid.cell)
         return steer(belief.pose, aim, belief.ranges, self._robot, self._config, self._config.speed)
 
@@ -162,7 +162,7 @@ class Look:
         """Plan the path anew, and end if the stretch has got its wall or there is no path any more."""
         self._until_check = _CHECK_PERIOD
         path = path_to(belief, self.view.stand, self._robot, self._config)
-        self.is_needless = not is_unfinished(belief, self.view, self._config)
+        self.is_needless = not is_unfinished(belief, self.view)
         self.is_over = self.is_needless or path is None
         self.path = self.path if path is None else path
 

@@ -5,7 +5,7 @@ import numpy as np
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import AgentConfig, PolicyConfig
 from limslam_agent.policies.collision_guard import CollisionGuard
-from limslam_agent.policies.controller import back_off
+from limslam_agent.policies.controller import BACK_STEPS, back_off
 from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.policies.policy import NO_PLAN, NOT_EXPLORED, MapExplorer, Policy
 from limslam_agent.policies.right_of_way import RightOfWay
@@ -148,5 +148,5 @@ class WallPolicy(MapExplorer):
     def _end(self, look: Look) -> None:
         if not look.is_needless:
             self._memory.add(look.view.faces, look.view.stand)
-        self._backing = self._config.back_steps if look.is_stuck else 0
+        self._backing = BACK_STEPS if look.is_stuck else 0
         self._look = None

@@ -27,6 +27,7 @@ from limslam_env.interface import RobotSpec
 
 # A stretch is looked at in parts. This is the largest distance (m) of a face from the middle of its part.
 _PART = 0.4
+_SHORTEST = 0.15  # m of border without a wall that the robot looks at
 # Faces this close (m), that look the same way, are one place of the border.
 _SAME_FACE = 0.12
 # Cosine of the least steep angle at which a beam may meet the middle of a part, and the other faces of the part.
@@ -111,22 +112,22 @@ class LookMemory:
         return used
 
 
-def unfinished_border(belief: Belief, config: PolicyConfig) -> Faces:
+def unfinished_border(belief: Belief) -> Faces:
     """The faces without a wall around the ground that the robot can reach, in stretches that are long enough."""
     grid = belief.grid
     faces = border_faces(grid, reachable_ground(grid, belief.pose[:2]))
     faces = faces.select(unfinished_faces(faces, belief.segments, grid.cell))
-    return faces.select(in_long_stretches(faces, config.min_stretch, grid.cell))
+    return faces.select(in_long_stretches(faces, _SHORTEST, grid.cell))
 
 
-def is_unfinished(belief: Belief, view: View, config: PolicyConfig) -> bool:
+def is_unfinished(belief: Belief, view: View) -> bool:
     """Whether any of a view's faces is still part of the unfinished border."""
-    return bool(_same(view.faces, unfinished_border(belief, config)).any())
+    return bool(_same(view.faces, unfinished_border(belief)).any())
 
 
 def next_view(belief: Belief, memory: LookMemory, robot: RobotSpec, config: PolicyConfig) -> View | None:
     """The cheapest view of a part of the border that was looked at least often. None if there is no part left."""
-    border = unfinished_border(belief, config)
+    border = unfinished_border(belief)
     tries = memory.tries(border)
     if not len(border):
         return None
@@ -134,7 +135,7 @@ def next_view(belief: Belief, memory: LookMemory, robot: RobotSpec, config: Poli
     for number in range(config.looks):
         open_border = border.select(tries <= number)
         # A second look at a short stretch shows no more than the first one.
-        least = config.min_stretch if number == 0 else config.min_stretch_again
+        least = _SHORTEST if number == 0 else config.min_stretch_again
         open_border = open_border.select(in_long_stretches(open_border, least, belief.grid.cell))
         found = _cheapest(belief, ways, open_border, memory, robot, least) if len(open_border) else None
         if found is not None:

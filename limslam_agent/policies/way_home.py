@@ -7,7 +7,7 @@ import numpy as np
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.policies.collision_guard import CollisionGuard
-from limslam_agent.policies.controller import back_off, point_ahead, steer
+from limslam_agent.policies.controller import BACK_STEPS, REPLAN_PERIOD, back_off, point_ahead, steer
 from limslam_agent.policies.policy import NO_PLAN, Policy
 from limslam_agent.policies.wall_views import path_to
 from limslam_env.geometry import FloatArray
@@ -119,12 +119,12 @@ class WayHome:
         if self.stop_reason is not None:
             return np.zeros(2)
         away = np.hypot(*(self.plan - belief.pose[:2]).T)
-        nearest, aim = point_ahead(self.plan, away, self._config.lookahead)
+        nearest, aim = point_ahead(self.plan, away)
         self._count_idle(float(away[nearest]) + (len(self.plan) - nearest) * belief.grid.cell)
         return steer(belief.pose, aim, belief.ranges, self._robot, self._config, self._config.speed)
 
     def _plan(self, belief: Belief) -> None:
-        self._until_plan = self._config.replan_period
+        self._until_plan = REPLAN_PERIOD
         path = path_to(belief, self._home, self._robot, self._config)
         if path is None and not len(self.plan):
             self.stop_reason = f"{self._why}; the map shows no way back to the start"
@@ -137,6 +137,6 @@ class WayHome:
         if self._idle <= self._config.patience:
             return
         self._idle, self._left, self._tries = 0, math.inf, self._tries + 1
-        self._backing, self._until_plan = self._config.back_steps, 0
+        self._backing, self._until_plan = BACK_STEPS, 0
         if self._tries > _MOST_TRIES:
             self.stop_reason = f"{self._why}; something is in the way back to the start"

@@ -91,7 +91,7 @@ def joined_by_lines(replays: tuple[Replay, Replay]) -> JoinedLines | NotJoined:
     )
     status = smoothed_status(
         smoothed.contradictions, filtered, found,
-        one.config.status.smoothed, while_driving=LEVELS[int(max(each.levels.max() for each in replays))],
+        while_driving=LEVELS[int(max(each.levels.max() for each in replays))],
     )  # fmt: skip
     shifts = [_shift(smoothed.poses[:count, number], run.poses[:, number]) for number, count in enumerate(counts)]
     reason = _contradiction(status, frame, matched, max(shifts)) or _ambiguity(

@@ -69,7 +69,7 @@ class LocalViews:
         maps = self.config.maps
         grid = draw_grid(places, origins, grid_size(maps, self.data.max_range), maps)
         chunk = LocalMap(event, float(self.travel[event]), places, origins, places, grid, maps.cell)
-        return search_grid(chunk, self.window.shift, self.config.matching)
+        return search_grid(chunk, self.window.shift)
 
     def last_event(self, event: int, metres: float) -> int:
         """The last event of some metres after an event."""
@@ -80,7 +80,7 @@ class LocalViews:
         events = np.arange(event, event + len(moves) + 1)
         places, _ = self._seen(events, integrate(np.zeros(3), moves))
         points = thinned(places, self.config.maps.cell)
-        found = match(known, points, np.zeros(3), self.window, self.config.matching, NO_MATCH)
+        found = match(known, points, np.zeros(3), self.window, NO_MATCH)
         cells = _cells_at(known, se2.transform_points(found.pose, points))
         return Fit(found.score, float(np.mean(cells < 0)) if len(cells) else 0.0)
 

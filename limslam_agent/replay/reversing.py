@@ -18,6 +18,7 @@ import numpy as np
 from limslam_agent.config.graph import GraphConfig, ReversingConfig
 from limslam_agent.replay.local_views import LocalViews, moves_of
 from limslam_agent.slam.graph.key_poses import LogData, integrate
+from limslam_agent.slam.graph.loop_search import TURN_STEP
 from limslam_agent.slam.graph.matching import NO_MATCH, Window
 from limslam_env.geometry import FloatArray, IntArray
 
@@ -31,7 +32,7 @@ def with_reversing(data: LogData, config: GraphConfig) -> LogData:
     settings = config.reversing
     if data.max_range < settings.reach:
         return data
-    views = LocalViews(data, config, Window(settings.window, settings.turn_window, config.loops.turn_step))
+    views = LocalViews(data, config, Window(settings.window, settings.turn_window, TURN_STEP))
     if not _is_unsigned(views, settings):
         return data
     drive = _Drive(views, settings)

@@ -156,7 +156,7 @@ def _in_all_frames(judged: _Judged, config: GraphConfig) -> _Judged:
 def _judged(found: GraphResult, config: GraphConfig, data: LogData) -> _Judged:
     """A path with the walls through its points, and with what speaks for or against it."""
     keys, trajectory = found.keys, found.trajectory
-    landmarks = draw_walls(point_cloud(keys, trajectory, config.links, data.range_std), data.range_std)
+    landmarks = draw_walls(point_cloud(keys, trajectory, data.range_std), data.range_std)
     loops = sum(verdict.kept for verdict in found.verdicts)
     visits = visit_counts(keys, trajectory, config, data.max_range)
     times = data.time[keys.first_event] - data.time[0]
@@ -263,7 +263,7 @@ def smoothed_by_lines(
     else:
         status = smoothed_status(
             found.contradictions, (run.poses, run.covariances), (found.poses, found.covariances),
-            replay.config.status.smoothed, while_driving=LEVELS[int(replay.levels.max())],
+            while_driving=LEVELS[int(replay.levels.max())],
         )  # fmt: skip
     if status.level == "ok":
         status = places.doubt

@@ -157,7 +157,7 @@ def reach_of_agreement(keys: KeyPoses, trajectory: Trajectory, config: GraphConf
     # The score compares few points of each cell; here each point needs its range.
     counts = [len(each.places) for each in maps]
     score = replace(
-        MapScore.of(maps, config.agreement),
+        MapScore.of(maps),
         points=np.concatenate([each.places for each in maps]),
         starts=np.cumsum([0, *counts]),
     )

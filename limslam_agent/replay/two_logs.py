@@ -203,7 +203,7 @@ def _signals(
 ) -> tuple[list[Landmark], PathSignals]:
     """The walls of both logs, and what speaks for or against their paths."""
     std = max(each.config.range_std for each in replays)
-    landmarks = draw_walls(point_cloud(joint.keys, joint.trajectory, config.links, std), std)
+    landmarks = draw_walls(point_cloud(joint.keys, joint.trajectory, std), std)
     reaches = joint.first.data.max_range, joint.second.data.max_range
     visits = visit_counts(joint.keys, joint.trajectory, config, max(reaches))
     bent = joint.hop_keys[joint.hop_errors > MOST_BENT]

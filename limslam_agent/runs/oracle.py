@@ -17,7 +17,7 @@ from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.policies.controller import bearing_of, wheel_speeds
 from limslam_agent.policies.learned.learned import LearnedPolicy
 from limslam_agent.policies.policy import NO_PLAN, Policy
-from limslam_agent.policies.simple_policies import Laps, RandomPolicy, WallFollower
+from limslam_agent.policies.simple_policies import LAP_SPEED, Laps, RandomPolicy, WallFollower
 from limslam_agent.policies.wall_policy import explorer
 from limslam_agent.runs.policy_file import file_and_name, file_policies, is_file_policy
 from limslam_env.bounds.tours import GOAL, Speeds, closed_tour, coverage_tour, top_speeds
@@ -218,7 +218,7 @@ def _privileged_policy(
     if policy == "oracle":
         return Oracle(robot, top_speeds(robot), _coverage_planner(world, robot), _MOST_TOURS, GOAL)
     # The speeds do not depend on the preset, so that all estimators listen to the same drive.
-    speeds = Speeds(PolicyConfig().lap_speed, PolicyConfig().turn_rate)
+    speeds = Speeds(LAP_SPEED, PolicyConfig().turn_rate)
     return Oracle(robot, speeds, lambda pose, _: closed_tour(world, robot, pose, laps or 1))
 
 

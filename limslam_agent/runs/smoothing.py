@@ -116,7 +116,7 @@ def final_status(episode: "Episode") -> dict[str, str]:
         filtered = revised(episode.estimated, episode.covariances, places.revisions)
         status = smoothed_status(
             smoothed.contradictions, filtered, (smoothed.poses, smoothed.covariances),
-            episode.config.agent.status.smoothed, while_driving=LEVELS[int(episode.levels.max())],
+            while_driving=LEVELS[int(episode.levels.max())],
         )  # fmt: skip
     if status.level == "ok" and NOT_YET_CONFIRMED in online_statuses:
         status = NOT_YET_CONFIRMED

@@ -11,13 +11,23 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from limslam_agent.config.status import ContradictionConfig, LateBeamConfig
+from limslam_agent.config.status import ContradictionConfig
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 
 if TYPE_CHECKING:
     from limslam_agent.kernels.crossings import Predicted
+
+_WINDOW = 12.0  # s of which the readings are tested
+_LONGEST_DELAY = 2.0  # s
+_SIGMAS = 2.0  # the largest residual that counts, in standard deviations: it limits the effect of a single reading
+# A beam is late if the ranges that the map predicts for the poses of a while ago fit its readings better than those for
+# the present poses, by at least this sum of squared residuals in variances.
+_EVIDENCE = 40.0
+_BEYOND_END = 1.0  # m: how far beyond a wall's known end a reading may show it
+# m and rad: if the estimator corrects the pose by more than this in one step, the readings before are not used.
+_MAX_CORRECTION, _MAX_TURN_CORRECTION = 0.05, math.radians(2.0)
 
 _MOST_BEAMS = 8
 """Number of beams of one search; robots with more beams search among them in turn."""
@@ -82,8 +92,6 @@ class LateBeams:
     ----------
     robot
         Body and beams.
-    config
-        The delays that are tested, and the evidence that is needed.
     contradictions
         Which walls a beam should end at.
 
@@ -94,11 +102,11 @@ class LateBeams:
         not late.
     """
 
-    def __init__(self, robot: RobotSpec, config: LateBeamConfig, contradictions: ContradictionConfig) -> None:
-        self._robot, self._config, self._walls = robot, config, contradictions
-        longest = max(round(config.longest_delay / robot.control_period), 1)
+    def __init__(self, robot: RobotSpec, contradictions: ContradictionConfig) -> None:
+        self._robot, self._walls = robot, contradictions
+        longest = max(round(_LONGEST_DELAY / robot.control_period), 1)
         self._delays = np.unique(np.linspace(min(2, longest), longest, 10).round().astype(int))
-        self._most = max(round(config.window / robot.control_period), longest + 2)
+        self._most = max(round(_WINDOW / robot.control_period), longest + 2)
         self._steps = _Steps.none(len(robot.beams))
         self._first_beam, self._lag, self._since = 0, 0, 0
         self.found: LateBeam | None = None
@@ -111,14 +119,14 @@ class LateBeams:
         from limslam_agent.kernels.crossings import last_correction
 
         poses, increments, ranges, measured = (np.array(each) for each in zip(*looks, strict=True))
-        known, config = self._steps, self._config
+        known = self._steps
         clipped = np.minimum(ranges, self._robot.max_ranges)
         variances = np.empty((len(poses), 2))
         variances[:] = covariance[0, 0] + covariance[1, 1], covariance[2, 2]
         joined = np.concatenate((known.poses, poses))
         moves = np.concatenate((np.zeros_like(known.poses[-1:]), increments))
         tail = joined[len(joined) - len(moves) :]
-        corrected = last_correction(tail, moves, float(config.max_correction), float(config.max_turn_correction))
+        corrected = last_correction(tail, moves, _MAX_CORRECTION, _MAX_TURN_CORRECTION)
         first = max(len(joined) - len(moves) + corrected if corrected else 0, len(joined) - self._most)
         self._steps = _Steps(
             joined[first:],
@@ -141,7 +149,7 @@ class LateBeams:
         if self.found is not None:
             seen = self._compared(segments, sensor, np.array([self.found.beam]))
             gained = sum_gains(seen, 0, self._lag, max(self._since, 1), *self._limits)
-            if gained < -_COUNTER_EVIDENCE * self._config.evidence:
+            if gained < -_COUNTER_EVIDENCE * _EVIDENCE:
                 self.found = None
             return
         count = len(self._robot.beams)
@@ -151,7 +159,7 @@ class LateBeams:
         delays = self._delays[self._delays < len(self._steps.poses) - 2]
         evidence = np.empty((len(delays), len(beams)))
         evidence_of_delays(seen, delays, *self._limits, _BOTH_SIGNS, evidence)
-        if evidence.size and evidence.max() > self._config.evidence:
+        if evidence.size and evidence.max() > _EVIDENCE:
             row, column = np.unravel_index(evidence.argmax(), evidence.shape)
             self._lag, self._since = int(delays[row]), 0
             delay, std = self._delay(seen, int(column), self._lag)
@@ -165,7 +173,7 @@ class LateBeams:
         poses, ranges, usable, variances = self._steps
         walls, table = self._walls, np.array(self._robot.beam_table[beams])
         ranges, usable = np.take(ranges, beams, axis=1), np.take(usable, beams, axis=1)
-        rules = np.array([walls.inset, walls.least_cosine, *self._limits, self._config.beyond_end])
+        rules = np.array([walls.inset, walls.least_cosine, *self._limits, _BEYOND_END])
         seen = Predicted.of(ranges, usable)
         scratch = np.empty((len(segments), WALL_COLUMNS))
         compare_steps(poses, variances, segments, table, sensor.numbers, rules, scratch, seen)
@@ -174,7 +182,7 @@ class LateBeams:
     @property
     def _limits(self) -> tuple[float, float]:
         """Number of standard deviations within which a reading fits, and the largest squared residual that counts."""
-        return float(self._walls.sigmas), float(self._config.sigmas**2)
+        return float(self._walls.sigmas), _SIGMAS**2
 
     def _delay(self, seen: "Predicted", column: int, lag: int) -> tuple[float, float]:
         """The delay of a beam and its standard deviation, s: by the derivative of the predicted range with time."""

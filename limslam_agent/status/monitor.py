@@ -11,7 +11,7 @@ from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.contradictions import KnownMap, Sight, compared
 from limslam_agent.status.late_beams import LateBeams
 from limslam_agent.status.status import LEVELS, Level, Status
-from limslam_agent.status.sudden_changes import LASTING, Moment, SuddenChanges, Suspicion
+from limslam_agent.status.sudden_changes import LASTING, UNSURE, Moment, SuddenChanges, Suspicion
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec
@@ -19,6 +19,22 @@ from limslam_env.interface import RobotSpec
 UNIFORM_HEADING = math.pi / math.sqrt(3.0)
 """Standard deviation of a heading of which nothing is known, rad: that of a uniform distribution over the circle."""
 
+# The readings are compared with the map when the robot has moved by ``SPACING``, m, and the estimator extracts lines in
+# the same step, or when it has moved by ``LONGEST_SPACING``, m. A turn by one radian counts like ``TURN_LENGTH``, m.
+SPACING, LONGEST_SPACING, TURN_LENGTH = 0.10, 0.30, 0.40
+_WINDOW = 3.0  # m: the last part of the drive that counts
+_FEWEST, _FEWEST_PLACES = 25, 8  # readings that give a share, and the places from which they are
+_UNSURE_SHARE, _LOST_SHARE = 0.03, 0.06  # of the readings contradict the map
+# Contradicting readings of a lost estimate. They must be of two beams, and two of them must be this far apart, m.
+_FEWEST_CONTRADICTIONS, _APART = 3, 0.3
+_UNSURE_HEADING = math.radians(4.0)  # rad: standard deviation of the heading
+_SEARCH_EVERY = 2  # comparisons: late beams are searched for at each one with this number
+# A lost robot is found again after this distance, m, over which at least so many readings should have ended at walls of
+# the earlier map, if at least this share of them did so.
+RECOVERY_WINDOW, _FEWEST_EXPECTED, _FITTING = 10.0, 150, 0.95
+# Standard deviations that the position of a lost robot gains with each metre, m, at most, m, and those of its heading,
+# rad.
+POSITION_GROWTH, POSITION_LIMIT, _HEADING_GROWTH = 2.0, 10.0, 1.0
 _MOST_SIGHTS = 100
 _FEWEST_BEAMS = 2
 _RATES = 0.02, 0.12  # shares of readings that contradict the map at the right pose, and at a wrong one
@@ -84,11 +100,11 @@ class StatusMonitor:
         self._sights: deque[tuple[int, Sight]] = deque(maxlen=_MOST_SIGHTS)
         self._checks: deque[_Check] = deque()
         self._count = 0
-        self._late_beams = LateBeams(robot, config.late_beams, config.contradictions)
+        self._late_beams = LateBeams(robot, config.contradictions)
         self._reference: KnownMap | None = None
         self._jump, self._driven, self._since = 0.0, 0.0, 0.0
         self._doubted, self._contradicted = 0, 0
-        self._sudden_changes = SuddenChanges(robot, config.sudden_changes, config.contradictions)
+        self._sudden_changes = SuddenChanges(robot, config.contradictions)
         self.status = Status()
 
     def observe(self, sight: Sight, *, is_busy: bool) -> bool:
@@ -113,10 +129,10 @@ class StatusMonitor:
         is_jump = distance > self._config.max_jump
         if is_jump:
             self._jump, distance = self._jump + distance, 0.0
-        self._place += distance + self._config.turn_length * abs(turn)
+        self._place += distance + TURN_LENGTH * abs(turn)
         self._driven += distance
         self._sights.append((self._step, sight))
-        spacing = self._config.spacing if is_busy else self._config.longest_spacing
+        spacing = SPACING if is_busy else LONGEST_SPACING
         return is_jump or self._place - self._checked >= spacing
 
     def check(self, covariance: FloatArray, present: KnownMap) -> None:
@@ -134,8 +150,7 @@ class StatusMonitor:
             self._look_for_sudden_changes(covariance, present, usable)
         self._compare(covariance, self._reference or present, usable)
         self._look_for_late_beams(covariance, present.segments)
-        longest = max(self._config.window, self._config.recovery.window)
-        while self._place - self._checks[0].place > longest:
+        while self._place - self._checks[0].place > RECOVERY_WINDOW:
             self._checks.popleft()
         if self._reference is None:
             self._judge(float(covariance[2, 2]), present)
@@ -152,10 +167,7 @@ class StatusMonitor:
         """What has to be added to the covariance (3, 3) of the pose; zero if the robot is not lost."""
         if self._reference is None:
             return np.zeros((3, 3))
-        limits, driven = self._config.recovery, self._driven
-        position = self._jump + min(limits.position_growth * driven, limits.position_limit)
-        heading = min(limits.heading_growth * driven, UNIFORM_HEADING)
-        return np.diag([position**2, position**2, heading**2])
+        return covariance_of_lost(self._jump, self._driven)
 
     @property
     def doubted(self) -> int:
@@ -189,7 +201,7 @@ class StatusMonitor:
 
     def _likeliest_change(self) -> int:
         """The step at which the share of contradictions has most likely changed. One long before it says nothing."""
-        recent = self._recent(self._config.window)
+        recent = self._recent(_WINDOW)
         sums = np.cumsum([_contradiction_evidence(check) for check in reversed(recent)])[::-1]
         return recent[int(sums.argmax())].step
 
@@ -238,7 +250,7 @@ class StatusMonitor:
         late.note([(each.pose, each.increment, each.ranges, each.measured) for each in sights], covariance)
         self._sights.clear()
         self._count += 1
-        if self._reference is None and self._count % self._config.late_beams.every == 0:
+        if self._reference is None and self._count % _SEARCH_EVERY == 0:
             late.search(segments, self.sensor)
 
     def _judge(self, heading_variance: float, present: KnownMap) -> None:
@@ -267,9 +279,9 @@ class StatusMonitor:
     def _doubt(self, heading_std: float) -> Status:
         """The status of a robot whose readings fit the map."""
         suspicion = self._sudden_changes.strongest
-        if suspicion is not None and suspicion.evidence >= self._config.sudden_changes.unsure:
+        if suspicion is not None and suspicion.evidence >= UNSURE:
             return Status("unsure", suspicion.words)
-        if heading_std > self._config.unsure_heading:
+        if heading_std > _UNSURE_HEADING:
             return Status("unsure", f"the heading's standard deviation is {math.degrees(heading_std):.1f} deg")
         return Status()
 
@@ -279,7 +291,7 @@ class StatusMonitor:
         Contradictions make a robot lost only when it is known whether the readings changed suddenly before: that says
         when the robot was carried away, and which map was right.
         """
-        recent = self._recent(self._config.window)
+        recent = self._recent(_WINDOW)
         found = self._by_share(recent)
         if found.level == "lost":
             weighed = [check for check in recent if check.step <= self._sudden_changes.weighed]
@@ -292,34 +304,40 @@ class StatusMonitor:
         # A few wrong readings are no proof, however few there are in all. A beam alone may be broken, and at a single
         # place a short wall may be missing.
         is_proof = (
-            contradicting >= self._config.fewest_contradictions
+            contradicting >= _FEWEST_CONTRADICTIONS
             and len(beams) >= min(_FEWEST_BEAMS, len(self._robot.beams))
-            and _has_places(np.concatenate([check.points for check in recent]), self._config.apart)
+            and _has_places(np.concatenate([check.points for check in recent]), _APART)
         )
-        limits = (0.0, self._config.unsure_share, self._config.lost_share if is_proof else math.inf)
-        is_enough = count >= self._config.fewest and len(recent) >= self._config.fewest_places
+        limits = (0.0, _UNSURE_SHARE, _LOST_SHARE if is_proof else math.inf)
+        is_enough = count >= _FEWEST and len(recent) >= _FEWEST_PLACES
         share = contradicting / count if is_enough else 0.0
         level: Level = LEVELS[max(number for number, limit in enumerate(limits) if share >= limit)]
         if level == "ok":
             return Status()
         alone = ""
-        if len(beams) == 1 and contradicting >= self._config.fewest_contradictions:
+        if len(beams) == 1 and contradicting >= _FEWEST_CONTRADICTIONS:
             alone = f", all of the beam at {math.degrees(self._robot.beam_angles[beams[0]]):.0f} deg"
         return Status(level, f"{contradicting} of {count} readings contradict the map{alone}")
 
     def _fits_again(self) -> bool:
         """Whether the readings of the last metres fit the map of the moment when the robot became lost."""
-        limits = self._config.recovery
-        count, contradicting, expected, fitting = _sums(self._recent(limits.window))
+        count, contradicting, expected, fitting = _sums(self._recent(RECOVERY_WINDOW))
         return (
-            self._place - self._since >= limits.window
-            and expected >= limits.fewest
-            and fitting >= limits.fitting * expected
-            and contradicting < self._config.unsure_share * count
+            self._place - self._since >= RECOVERY_WINDOW
+            and expected >= _FEWEST_EXPECTED
+            and fitting >= _FITTING * expected
+            and contradicting < _UNSURE_SHARE * count
         )
 
     def _recent(self, window: float) -> list[_Check]:
         return [check for check in self._checks if self._place - check.place <= window]
+
+
+def covariance_of_lost(jump: float, driven: float, *, knows_heading: bool = True) -> FloatArray:
+    """What is added to the covariance (3, 3) of a lost robot, by jumps of the odometry and the distance since, m."""
+    position = jump + min(POSITION_GROWTH * driven, POSITION_LIMIT)
+    heading = min(_HEADING_GROWTH * driven, UNIFORM_HEADING) if knows_heading else UNIFORM_HEADING
+    return np.diag([position**2, position**2, heading**2])
 
 
 def _sums(checks: list[_Check]) -> tuple[int, ...]:

@@ -4,10 +4,17 @@ import math
 
 import numpy as np
 
-from limslam_agent.config.status import SmoothedStatusConfig
 from limslam_agent.status.status import LEVELS, Level, Status
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
+
+# The result is unsure or lost if this share of the readings contradicts the smoothed map. From a smaller share on, a
+# robot that was unsure or lost while it drove remains so.
+_UNSURE_SHARE, _LOST_SHARE, _DOUBTED_SHARE = 0.01, 0.03, 0.0025
+# It is unsure if the smoother moved a pose by more than this, m, and the mean NEES / 3 of the filter against the
+# smoothed path exceeds this.
+_MOVED, _MOVED_NEES = 0.30, 5.0
+_UNSURE_HEADING = 4.0  # deg: standard deviation of the smoothed heading at any step
 
 _LEAST_VARIANCES = np.diag([1e-3**2, 1e-3**2, 1e-3**2])
 """Added to the covariances of the filter, m^2 and rad^2: the start is known exactly."""
@@ -17,7 +24,6 @@ def smoothed_status(
     contradictions: float,
     filtered: tuple[FloatArray, FloatArray],
     smoothed: tuple[FloatArray, FloatArray],
-    config: SmoothedStatusConfig,
     *,
     while_driving: Level,
 ) -> Status:
@@ -37,17 +43,17 @@ def smoothed_status(
         The worst level of the status while the robots drove.
     """
     share = f"{100.0 * contradictions:.2g} % of the readings contradict the smoothed map"
-    if contradictions >= config.lost_share:
+    if contradictions >= _LOST_SHARE:
         return Status("lost", share)
-    if contradictions >= config.doubted_share and while_driving != "ok":
+    if contradictions >= _DOUBTED_SHARE and while_driving != "ok":
         return Status(while_driving, f"{share}, and the robot was {while_driving} while it drove")
-    if contradictions >= config.unsure_share:
+    if contradictions >= _UNSURE_SHARE:
         return Status("unsure", share)
     moved, excess = _moved(filtered, smoothed)
-    if moved > config.moved and excess > config.moved_nees:
+    if moved > _MOVED and excess > _MOVED_NEES:
         return Status("unsure", f"smoothing moved poses by up to {moved:.2f} m, of which the filter was too certain")
     heading = math.degrees(math.sqrt(max(float(smoothed[1][..., 2, 2].max()), 0.0)))
-    if heading > math.degrees(config.unsure_heading):
+    if heading > _UNSURE_HEADING:
         return Status("unsure", f"the smoothed heading's standard deviation reaches {heading:.1f} deg")
     return Status()
 

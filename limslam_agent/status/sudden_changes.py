@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.config.status import ContradictionConfig, SuddenChangeConfig
+from limslam_agent.config.status import ContradictionConfig
 from limslam_agent.kernels.tables import NOTHING
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.contradictions import Comparison, ExpectedRanges, KnownMap, Sight, compared
@@ -26,6 +26,18 @@ from limslam_env.interface import RobotSpec
 LASTING = 4
 """Number of steps in succession in which a beam has to see nothing, so that it is no dropout of the sensor."""
 
+_BEGIN = 1.0  # evidence of a step that begins a suspicion
+_MOST = 3  # suspicions at the same time
+LONGEST = 4.0
+"""Distance after which a suspicion ends, m. Turns count as in :mod:`limslam_agent.status.monitor`."""
+# Evidence of a place that contradicts the map of the time before the step, and loss of evidence by a wall of that map
+# which a reading fits. Each wall, and each place of a size, m, counts once.
+_CONTRADICTION, _FIT, _PLACE = 4.0, 1.0, 0.3
+UNSURE, LOST = 8.0, 12.0
+"""Evidence with which the estimate is unsure or lost."""
+_LOST_CONTRADICTED = 10.0  # this suffices to be lost if a place contradicts the map
+CLEAR = 6.0
+"""With less evidence by the change itself, the next comparison must confirm that the robot is lost."""
 _MAPS, _LATEST = 4, 8
 _SHARP = 1.5  # a reading fits sharply if the map makes it so much likelier, as a logarithm
 
@@ -111,8 +123,6 @@ class SuddenChanges:
     ----------
     robot
         Body and beams.
-    config
-        The evidence that is needed.
     contradictions
         Which walls a beam should end at.
 
@@ -126,8 +136,8 @@ class SuddenChanges:
         Number of the latest step in which a sudden change would have been noticed; -1 before the first one.
     """
 
-    def __init__(self, robot: RobotSpec, config: SuddenChangeConfig, contradictions: ContradictionConfig) -> None:
-        self._robot, self._config, self._walls = robot, config, contradictions
+    def __init__(self, robot: RobotSpec, contradictions: ContradictionConfig) -> None:
+        self._robot, self._walls = robot, contradictions
         self._sights: list[tuple[int, Sight]] = []
         self.weighed, self._was_found = -1, False
         # The map at the latest calls. A wrong pose soon changes it.
@@ -148,7 +158,7 @@ class SuddenChanges:
         more.
         """
         found = self.probable
-        return found if found is None or found.change >= self._config.clear or self._was_found else None
+        return found if found is None or found.change >= CLEAR or self._was_found else None
 
     @property
     def probable(self) -> Suspicion | None:
@@ -156,12 +166,12 @@ class SuddenChanges:
 
         What follows a change speaks for every suspicion of the last steps.
         """
-        config, strongest = self._config, self.strongest
+        strongest = self.strongest
         if strongest is None:
             return None
-        if strongest.evidence < (config.lost_contradicted if strongest.contradicted else config.lost):
+        if strongest.evidence < (_LOST_CONTRADICTED if strongest.contradicted else LOST):
             return None
-        return max((each for each in self.suspicions if each.evidence >= config.unsure), key=lambda each: each.change)
+        return max((each for each in self.suspicions if each.evidence >= UNSURE), key=lambda each: each.change)
 
     def note(self, sights: list[tuple[int, Sight]], moment: Moment) -> None:
         """Follow the suspicions through the steps since the last call, with their numbers, and look for new ones."""
@@ -171,14 +181,14 @@ class SuddenChanges:
             self._weigh(each, sights[-1][1], moment)
         self._known.append((sights[-1][0], moment.known.frozen))
         self._look_for_new(sights, moment)
-        self.suspicions = sorted(self.suspicions, key=lambda each: -each.evidence)[: self._config.most]
+        self.suspicions = sorted(self.suspicions, key=lambda each: -each.evidence)[:_MOST]
 
     def forget(self) -> None:
         """Forget the steps so far, after which a step is missing."""
         self._sights.clear()
 
     def _is_open(self, suspicion: Suspicion, place: float) -> bool:
-        return suspicion.evidence > 0.0 and place - suspicion.begin <= self._config.longest
+        return suspicion.evidence > 0.0 and place - suspicion.begin <= LONGEST
 
     def _look_for_new(self, sights: list[tuple[int, Sight]], moment: Moment) -> None:
         """Begin a suspicion at the steps in which the readings changed suddenly.
@@ -192,7 +202,7 @@ class SuddenChanges:
         if len(steps) <= LASTING + 1:
             return
         evidence, usable = self._evidence([sight for _, sight in steps], moment)
-        for row in np.flatnonzero(evidence.sum(axis=1) > self._config.begin).tolist():
+        for row in np.flatnonzero(evidence.sum(axis=1) > _BEGIN).tolist():
             number, sight = steps[row + 2]
             if number > self.weighed:
                 self._suspect(number, sight, usable[row], evidence[row], moment)
@@ -215,7 +225,7 @@ class SuddenChanges:
         known, robot = earlier[-1] if earlier else self._known[0][1], self._robot
         outcome, expected = compared(robot, sight, usable, known, moment.covariance, moment.sensor, self._walls)
         change = float(np.minimum(evidence, self._unexplained(sight, outcome, expected)).sum())
-        if change <= self._config.begin:
+        if change <= _BEGIN:
             return
         places = {cell for number, points in moment.seen if number < step for cell in self._cells(points)}
         changed = int(np.count_nonzero(evidence > 1.0))
@@ -249,7 +259,7 @@ class SuddenChanges:
             if wall not in suspicion.walls:
                 suspicion.walls.add(wall)
                 sharp = float(_sharpness(expected.stds[0, beam], self._robot.max_ranges[beam]))
-                suspicion.evidence -= self._config.fit * min(max(sharp, 0.0), _SHARP) / _SHARP
+                suspicion.evidence -= _FIT * min(max(sharp, 0.0), _SHARP) / _SHARP
 
     def _count_contradiction(
         self, suspicion: Suspicion, sight: Sight, beam: int, outcome: Comparison, expected: ExpectedRanges
@@ -264,12 +274,12 @@ class SuddenChanges:
             return
         suspicion.places.add((row, column))
         # A beam alone may be broken: what it says again counts half as much each time.
-        suspicion.evidence += self._config.contradiction / 2.0 ** suspicion.beams[beam]
+        suspicion.evidence += _CONTRADICTION / 2.0 ** suspicion.beams[beam]
         suspicion.beams[beam] += 1
 
     def _cells(self, points: FloatArray) -> list[tuple[int, int]]:
         """The places of points (k, 2) on a coarse grid."""
-        return [tuple(cell) for cell in np.floor(points / self._config.place).astype(int).tolist()]
+        return [tuple(cell) for cell in np.floor(points / _PLACE).astype(int).tolist()]
 
 
 def change_evidence(

@@ -9,7 +9,7 @@ from limslam_agent.slam.core.ekf import LineEKF
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.core.teammates import may_hit_others
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.team import LimSlamTeam
+from limslam_agent.team import _NEWS, LimSlamTeam
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.geometry.line import to_frame
 from limslam_env.geometry.se2 import compose
@@ -231,7 +231,7 @@ def test_who_had_nothing_left_to_do_looks_again_once_for_each_piece_of_news():
         seen[id(team.policies[1])] = team.policies[1]
         team.policies[1].stop_reason = "explored: for a test"
     known = np.count_nonzero(team.snapshot().grid.values)
-    assert 2 <= len(seen) <= 2 + known / team.config.team.news
+    assert 2 <= len(seen) <= 2 + known / _NEWS
 
 
 def test_a_team_needs_a_start_for_each():

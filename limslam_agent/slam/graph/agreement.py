@@ -4,6 +4,7 @@ Scores of right and wrong matches overlap, so that no threshold separates them. 
 separate them.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,8 +12,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.config.graph_loops import AgreementConfig, LoopConfig
-from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Hops, Loop, Strain, refine, solve_annealed
+from limslam_agent.slam.graph.chunk_graph import (
+    KEPT_WEIGHT,
+    ChunkSolution,
+    Hops,
+    Loop,
+    Strain,
+    refine,
+    solve_annealed,
+)
 from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory
 from limslam_agent.slam.graph.local_maps import LocalMap, chunk_middles, cut_chunks
 from limslam_env.compilation import entry_of
@@ -27,6 +35,21 @@ NOT_ADDED = "the map does not agree better with itself with it"
 CONTRADICTED = "visits contradict each other where it joins them"
 OUTVOTED = "its weight in the graph of chunks is too low"
 KEPT = "kept"
+
+# Two loops agree if one predicts the other within these tolerances, m and rad. A loop is supported by loops that begin
+# and end so far from it, m driven.
+_AGREE_DISTANCE, _AGREE_TURN = 0.6, math.radians(9.0)
+_SUPPORT_FROM, _SUPPORT_TO = 2.2, 7.8
+# Tolerances of agreement within a group, m and rad, and largest distance between its loops, in chunks.
+_GROUP_DISTANCE, _GROUP_TURN, _GROUP_CHUNKS = 0.7, math.radians(10.0), 3
+_MIN_TRAVEL, _MAX_DISTANCE = 13.5, 13.0  # m: visits are compared from this distance driven on, up to this distance
+_MAX_GROUPS, MAX_GROUP = 40, 8  # groups that are tried, and loops in a group
+_MOST_DOUBTS = 8  # groups whose removal is tried in a pass
+PRUNE_GAIN = 0.002
+"""A group of loops is removed if its removal raises the score by this."""
+DOUBTFUL_SHARE = 0.12
+"""A group of loops is refused if visits contradict a larger share of the points that are judged because of it, and much
+more than is usual."""
 
 _MUCH_MORE = 8.0
 """A stretch is wrong rather than cluttered if it is contradicted this many times as often as the rest of the log."""
@@ -71,7 +94,7 @@ def agreements(loops: Sequence[Loop], poses: FloatArray) -> tuple[FloatArray, Fl
     return np.hypot(apart[..., 0], apart[..., 1]), np.abs(apart[..., 2])
 
 
-def supported(loops: Sequence[Loop], poses: FloatArray, travel: FloatArray, config: LoopConfig) -> BoolArray:
+def supported(loops: Sequence[Loop], poses: FloatArray, travel: FloatArray) -> BoolArray:
     """Which loops (k,) are supported by another nearby loop that agrees and belongs to another chunk.
 
     ``travel`` (c,) is the distance driven up to each chunk, m.
@@ -82,19 +105,19 @@ def supported(loops: Sequence[Loop], poses: FloatArray, travel: FloatArray, conf
     first = travel[[loop.first for loop in loops]]
     second = travel[[loop.second for loop in loops]]
     gap = np.abs(second[:, None] - second[None])
-    near = (gap >= config.support_from) & (gap <= config.support_to)
-    near &= np.abs(first[:, None] - first[None]) <= config.support_to
-    agree = (distance < config.agree_distance) & (angle < config.agree_turn)
+    near = (gap >= _SUPPORT_FROM) & (gap <= _SUPPORT_TO)
+    near &= np.abs(first[:, None] - first[None]) <= _SUPPORT_TO
+    agree = (distance < _AGREE_DISTANCE) & (angle < _AGREE_TURN)
     return np.asarray((near & agree).any(axis=0))
 
 
-def groups_of(loops: Sequence[Loop], poses: FloatArray, config: LoopConfig) -> list[list[int]]:
+def groups_of(loops: Sequence[Loop], poses: FloatArray) -> list[list[int]]:
     """Groups of loops that agree, directly or through other loops. The first loop of the group comes first."""
     distance, angle = agreements(loops, poses)
     first, second = np.array([loop.first for loop in loops]), np.array([loop.second for loop in loops])
-    near = np.abs(first[:, None] - first[None]) <= config.group_chunks
-    near &= np.abs(second[:, None] - second[None]) <= config.group_chunks
-    joined = near & (distance < config.group_distance) & (angle < config.group_turn)
+    near = np.abs(first[:, None] - first[None]) <= _GROUP_CHUNKS
+    near &= np.abs(second[:, None] - second[None]) <= _GROUP_CHUNKS
+    joined = near & (distance < _GROUP_DISTANCE) & (angle < _GROUP_TURN)
     label = np.arange(len(loops))
     for row in range(len(loops)):
         for column in np.nonzero(joined[row] | joined[:, row])[0]:
@@ -125,8 +148,6 @@ class MapScore:
         Points (p, 2) of all chunks, m, sorted by chunk; and the index (c + 1,) of each chunk's first point.
     travel
         Distance (c,) driven up to each chunk, m.
-    config
-        The settings.
     strain
         What is subtracted because the path bends away from the local smoothing. None for nothing.
     """
@@ -137,11 +158,10 @@ class MapScore:
     points: FloatArray
     starts: IntArray
     travel: FloatArray
-    config: AgreementConfig
     strain: Strain | None = None
 
     @classmethod
-    def of(cls, maps: Sequence[LocalMap], config: AgreementConfig) -> "MapScore":
+    def of(cls, maps: Sequence[LocalMap]) -> "MapScore":
         """The score of these chunks."""
         return cls(
             grids=np.stack([each.grid for each in maps]),
@@ -150,7 +170,6 @@ class MapScore:
             points=np.concatenate([each.points for each in maps]),
             starts=np.cumsum([0, *[len(each.points) for each in maps]]),
             travel=np.array([each.travel for each in maps]),
-            config=config,
         )
 
     def verdicts(self, poses: FloatArray) -> tuple[BoolArray, BoolArray]:
@@ -158,7 +177,7 @@ class MapScore:
 
         At a confirmed point more other visits have seen a wall than free space, at a contradicted point fewer.
         """
-        far = np.array([self.config.min_travel, self.config.max_distance])
+        far = np.array([_MIN_TRAVEL, _MAX_DISTANCE])
         hits, frees = _votes(
             self.grids, self.low, self.cell, self.points, self.starts, np.ascontiguousarray(poses), self.travel, far
         )
@@ -257,7 +276,7 @@ def visit_counts(keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, ma
     The chunks have middles that are ``config.maps.half`` apart.
     """
     middles = chunk_middles(keys, config.maps, config.maps.half)
-    score = MapScore.of(cut_chunks(keys, trajectory, config.maps, middles, max_range), config.agreement)
+    score = MapScore.of(cut_chunks(keys, trajectory, config.maps, middles, max_range))
     points = np.diff(score.starts)
     owner = np.repeat(np.arange(len(middles)), points)
     verdicts = score.verdicts(trajectory.poses[middles])
@@ -314,26 +333,26 @@ class Decision:
     dropped: list[Loop]
 
 
-def prune_groups(poses: FloatArray, hops: Hops, loops: list[Loop], score: MapScore, config: GraphConfig) -> Decision:
+def prune_groups(poses: FloatArray, hops: Hops, loops: list[Loop], score: MapScore) -> Decision:
     """Remove small groups of loops if the score of the map rises without them.
 
     The groups with the largest share of contradicted points around them are tried. The loops are grouped by ``poses``
     (c, 3), the poses of the chunks in the trajectory.
     """
-    agreement, dropped = config.agreement, []
-    solution = solve_annealed(poses[0], hops, loops, config.chunks)
+    dropped = list[Loop]()
+    solution = solve_annealed(poses[0], hops, loops)
     value = score(solution.poses)
     for _ in range(3):
-        groups = [each for each in groups_of(loops, poses, config.loops) if len(each) <= agreement.max_group]
+        groups = [each for each in groups_of(loops, poses) if len(each) <= MAX_GROUP]
         doubts = _contradictions(groups, loops, score, solution.poses)
         best: tuple[float, list[int], ChunkSolution] | None = None
-        for place in np.argsort(-doubts, kind="stable")[: agreement.doubtful]:
+        for place in np.argsort(-doubts, kind="stable")[:_MOST_DOUBTS]:
             rest = [loop for number, loop in enumerate(loops) if number not in groups[place]]
             if not rest:
                 continue
-            trial = solve_annealed(poses[0], hops, rest, config.chunks)
+            trial = solve_annealed(poses[0], hops, rest)
             gained = score(trial.poses)
-            if gained > (best[0] if best else value + agreement.prune_gain):
+            if gained > (best[0] if best else value + PRUNE_GAIN):
                 best = gained, groups[place], trial
         if best is None:
             break
@@ -363,7 +382,6 @@ def plausible_groups(
     placed: Decision,
     new: Sequence[Sequence[Loop]],
     score: MapScore,
-    config: GraphConfig,
 ) -> tuple[list[list[Loop]], list[Loop]]:
     """New groups of loops that may be right, and the loops of the other groups.
 
@@ -375,11 +393,11 @@ def plausible_groups(
         return [], []
     before = _evidence(score, placed.solution.poses)
     kept, refused = list[list[Loop]](), list[Loop]()
-    for members in groups_of(found, chain[0], config.loops):
+    for members in groups_of(found, chain[0]):
         group = [found[number] for number in members]
-        chosen = sorted(group, key=lambda loop: -loop.score)[: config.agreement.max_group]
-        trial = solve_annealed(chain[0][0], chain[1], [*placed.loops, *chosen], config.chunks)
-        if _evidence(score, trial.poses).adds_contradictions(before, config.agreement.doubtful_share):
+        chosen = sorted(group, key=lambda loop: -loop.score)[:MAX_GROUP]
+        trial = solve_annealed(chain[0][0], chain[1], [*placed.loops, *chosen])
+        if _evidence(score, trial.poses).adds_contradictions(before, DOUBTFUL_SHARE):
             refused += group
         else:
             kept.append(group)
@@ -399,7 +417,6 @@ def accept_groups(
     loops: list[Loop],
     new: Sequence[Sequence[Loop]],
     score: MapScore,
-    config: GraphConfig,
     gain: float,
     *,
     near: bool,
@@ -409,16 +426,16 @@ def accept_groups(
     Groups that agree are merged. ``poses`` (c, 3) are the poses of the chunks in the trajectory. With ``near``, each
     trial starts from the current solution with narrower kernels, which is faster.
     """
-    waiting = _ranked([loop for group in new for loop in group], poses, config)
-    solution = solve_annealed(poses[0], hops, loops, config.chunks)
+    waiting = _ranked([loop for group in new for loop in group], poses)
+    solution = solve_annealed(poses[0], hops, loops)
     value = score(solution.poses) if waiting else 0.0
     for _ in range(2):
         rest = []
         for group in waiting:
-            problem = hops, [*loops, *group], config.chunks
+            problem = hops, [*loops, *group]
             trial = refine(solution.poses, *problem) if near else solve_annealed(poses[0], *problem)
             gained = score(trial.poses)
-            if gained > value + gain and trial.weights[len(loops) :].mean() > config.chunks.kept:
+            if gained > value + gain and trial.weights[len(loops) :].mean() > KEPT_WEIGHT:
                 loops, solution, value = [*loops, *group], trial, gained
             else:
                 rest.append(group)
@@ -428,17 +445,17 @@ def accept_groups(
     return Decision(loops, solution, [loop for group in waiting for loop in group])
 
 
-def _ranked(loops: list[Loop], poses: FloatArray, config: GraphConfig) -> list[list[Loop]]:
+def _ranked(loops: list[Loop], poses: FloatArray) -> list[list[Loop]]:
     """Groups of loops in the order of their evidence, with at most one loop for each pair of chunks."""
     if not loops:
         return []
     ranked = []
-    for group in groups_of(loops, poses, config.loops):
+    for group in groups_of(loops, poses):
         pairs: dict[tuple[int, int], Loop] = {}
         for number in sorted(group, key=lambda each: -loops[each].score):
             loop = loops[number]
             pairs.setdefault((min(loop.first, loop.second), max(loop.first, loop.second)), loop)
-        chosen = list(pairs.values())[: config.agreement.max_group]
+        chosen = list(pairs.values())[:MAX_GROUP]
         ranked.append((len(group) * float(np.mean([loop.score for loop in chosen])), chosen))
     ranked.sort(key=lambda each: -each[0])
-    return [chosen for _, chosen in ranked[: config.agreement.max_groups]]
+    return [chosen for _, chosen in ranked[:_MAX_GROUPS]]

@@ -7,12 +7,19 @@ Steps are added to the poses directly: the chunk graph has given initial poses t
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
+from limslam_agent.slam.graph.chunk_graph import LOOP_KERNEL
 from limslam_agent.slam.graph.key_poses import ERRORS, KeyPoses, Trajectory
 from limslam_agent.slam.graph.least_squares import add_links, add_relations
-from limslam_agent.slam.graph.local_smoothing import line_std, link_std, local_equations
+from limslam_agent.slam.graph.local_smoothing import LINK_INFLATION, LINK_KERNEL, line_std, link_std, local_equations
 from limslam_agent.slam.graph.point_links import PointCloud, links_across, point_cloud
 from limslam_agent.slam.graph.wall_lines import add_lines, find_lines
 from limslam_env.geometry import FloatArray, IntArray, se2
+
+_RADIUS, _LAST_RADIUS = 0.4, 0.2  # m, within which other visits are linked in the first and in the last iteration
+_CROSS_INFLATION = 2.0  # factor of the standard deviations of links between visits
+_MAX_TURN = 0.3  # rad: a step that turns a pose by more is scaled down
+_DAMPING = 1e-6  # share of the diagonal that is added to it
+_TOLERANCE = 1e-3  # rad: iteration stops when no pose turns by more
 
 Relations = tuple[IntArray, FloatArray, FloatArray]
 """Loops between key poses: their ends (f, 2), relative poses (f, 3) and information (f, 3, 3)."""
@@ -27,13 +34,12 @@ def bundle(
     iterations: int,
 ) -> Trajectory:
     """Solve the whole problem in a given number of iterations."""
-    settings = config.bundle
     for number in range(iterations):
         progress = number / max(1, iterations - 1)
-        radius = settings.radius * (settings.last_radius / settings.radius) ** progress
-        cloud = point_cloud(keys, trajectory, config.links, range_std)
+        radius = _RADIUS * (_LAST_RADIUS / _RADIUS) ** progress
+        cloud = point_cloud(keys, trajectory, range_std)
         trajectory, largest = _iterate(keys, trajectory, cloud, relations, config, range_std, radius)
-        if largest < settings.tolerance and progress == 1.0:
+        if largest < _TOLERANCE and progress == 1.0:
             break
     return trajectory
 
@@ -48,20 +54,20 @@ def _iterate(
     radius: float,
 ) -> tuple[Trajectory, float]:
     """Do one Gauss-Newton step with new associations, and return the largest turn of a pose in this step, rad."""
-    settings, std = config.bundle, link_std(config, range_std)
+    std = link_std(range_std)
     lines = find_lines(cloud, config.lines, config.lines.window, config.lines.tolerance)
-    equations = local_equations(keys, trajectory, cloud, config, settings.link_inflation * std, len(lines.angles))
-    across = links_across(cloud, radius, config.links)
-    cross_std = std * settings.cross_inflation * max(1.0, radius / settings.last_radius)
-    add_links(equations, trajectory.poses, cloud.geometry, across, cross_std, config.links.kernel)
-    add_lines(equations, trajectory.poses, cloud, lines, line_std(config, range_std), config.lines.inflation)
+    equations = local_equations(keys, trajectory, cloud, config, LINK_INFLATION * std, len(lines.angles))
+    across = links_across(cloud, radius)
+    cross_std = std * _CROSS_INFLATION * max(1.0, radius / _LAST_RADIUS)
+    add_links(equations, trajectory.poses, cloud.geometry, across, cross_std, LINK_KERNEL)
+    add_lines(equations, trajectory.poses, cloud, lines, line_std(range_std))
     ends, relative, information = relations
-    add_relations(equations, trajectory.poses, ends, (relative, information), config.chunks.loop_kernel)
-    step = equations.solve(settings.damping)
+    add_relations(equations, trajectory.poses, ends, (relative, information), LOOP_KERNEL)
+    step = equations.solve(_DAMPING)
     count = len(keys)
     by_pose = step[: 3 * count].reshape(-1, 3)
     largest = float(np.abs(by_pose[:, 2]).max())
-    share = min(1.0, settings.max_turn / max(largest, 1e-9))
+    share = min(1.0, _MAX_TURN / max(largest, 1e-9))
     poses = trajectory.poses + share * by_pose
     poses[:, 2] = se2.wrap_angle(poses[:, 2])
     return Trajectory(poses, trajectory.bias + share * step[3 * count : 3 * count + ERRORS]), largest

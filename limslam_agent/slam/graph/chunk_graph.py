@@ -5,13 +5,13 @@ scaling, so that a wrong loop loses its weight. Both kernels start wide and beco
 from the start, the graph would stay at the odometry poses, and right loops would be rejected.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.config.graph_loops import ChunkGraphConfig
 from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory, integrate
 from limslam_agent.slam.graph.least_squares import relation_factor
 from limslam_env.compilation import entry_of
@@ -21,6 +21,19 @@ from limslam_env.geometry import FloatArray, IntArray, se2
 kernel = entry_of(__name__)
 
 PlaceArray = NDArray[np.int32]
+
+# The covariance of a hop is the local graph's covariance times the first number, plus the squares of these standard
+# deviations, m and rad.
+_HOP_INFLATION, _HOP_POSITION, _HOP_TURN = 6.0, 0.03, math.radians(1.0)
+HOP_KERNEL = 9.0
+"""Scale of the Cauchy kernel of the hops, as a chi-square."""
+LOOP_KERNEL = 3.0
+"""The parameter of dynamic covariance scaling of the loops."""
+# Successive factors of both kernels: from the chain of hops, and from a solution that is nearly right.
+_ANNEALING, _REFINING = (1e4, 1e3, 300.0, 100.0, 30.0, 10.0, 3.0, 1.0), (10.0, 3.0, 1.0)
+_ITERATIONS, _TOLERANCE = 8, 1e-3  # for each factor: at most, and the step (m, rad) below which they stop
+KEPT_WEIGHT = 0.3
+"""Loops with a lower weight are not used further."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,37 +78,36 @@ class ChunkSolution:
     weights: FloatArray
 
 
-def hops_between(poses: FloatArray, covariances: FloatArray, config: ChunkGraphConfig) -> Hops:
+def hops_between(poses: FloatArray, covariances: FloatArray) -> Hops:
     """Hops along poses (c, 3), with inflated covariances (c - 1, 3, 3) of the local graph."""
-    return Hops(se2.between(poses[:-1], poses[1:]), inflated(covariances, config))
+    return Hops(se2.between(poses[:-1], poses[1:]), inflated(covariances))
 
 
-def inflated(covariances: FloatArray, config: ChunkGraphConfig) -> FloatArray:
+def inflated(covariances: FloatArray) -> FloatArray:
     """Covariances (c, 3, 3) of motions by the local graph, as the graph of chunks uses them.
 
     The local graph trusts its associations. With its original covariances, right loops would be outweighed by the hops.
     """
-    return config.hop_inflation * covariances + np.diag([config.hop_position**2] * 2 + [config.hop_turn**2])
+    return _HOP_INFLATION * covariances + np.diag([_HOP_POSITION**2] * 2 + [_HOP_TURN**2])
 
 
-def solve_annealed(start: FloatArray, hops: Hops, loops: Sequence[Loop], config: ChunkGraphConfig) -> ChunkSolution:
+def solve_annealed(start: FloatArray, hops: Hops, loops: Sequence[Loop]) -> ChunkSolution:
     """Solve with wide kernels first and narrow kernels last, from the chain of hops that begins at ``start`` (3,)."""
     poses = integrate(start, hops.motions)
     if not loops:
         return ChunkSolution(poses, np.zeros(0))
-    return solve(poses, hops, loops, config, config.annealing, config.iterations)
+    return solve(poses, hops, loops, _ANNEALING, _ITERATIONS)
 
 
-def refine(poses: FloatArray, hops: Hops, loops: Sequence[Loop], config: ChunkGraphConfig) -> ChunkSolution:
+def refine(poses: FloatArray, hops: Hops, loops: Sequence[Loop]) -> ChunkSolution:
     """Solve from poses (c, 3) that are nearly right, with narrower first kernels."""
-    return solve(poses, hops, loops, config, config.refining, config.iterations)
+    return solve(poses, hops, loops, _REFINING, _ITERATIONS)
 
 
 def solve(
     poses: FloatArray,
     hops: Hops,
     loops: Sequence[Loop],
-    config: ChunkGraphConfig,
     annealing: Sequence[float],
     iterations: int,
 ) -> ChunkSolution:
@@ -105,15 +117,13 @@ def solve(
     kinds = len(poses) - 1
     for factor in annealing:
         for _ in range(iterations):
-            blocks, gradient, _ = _edge_blocks(
-                poses, *edges, kinds, config.hop_kernel * factor, config.loop_kernel * factor
-            )
+            blocks, gradient, _ = _edge_blocks(poses, *edges, kinds, HOP_KERNEL * factor, LOOP_KERNEL * factor)
             step = equations.solve(blocks, gradient)
             poses = poses + step
             poses[:, 2] = se2.wrap_angle(poses[:, 2])
-            if np.abs(step).max() < config.tolerance:
+            if np.abs(step).max() < _TOLERANCE:
                 break
-    weights = _edge_blocks(poses, *edges, kinds, config.hop_kernel, config.loop_kernel)[2]
+    weights = _edge_blocks(poses, *edges, kinds, HOP_KERNEL, LOOP_KERNEL)[2]
     return ChunkSolution(poses, weights[kinds:])
 
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.config.graph_loops import LocalMapConfig
+from limslam_agent.config.graph import LocalMapConfig
 from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory, points_in_keys, to_world
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import FloatArray, IntArray, se2

@@ -22,6 +22,13 @@ from limslam_agent.slam.graph.point_links import PointCloud, links_along, point_
 from limslam_agent.slam.graph.wall_lines import add_lines, find_lines
 from limslam_env.geometry import FloatArray, IntArray
 
+_LINK_STD, _LINE_STD = 0.08, 0.06  # m
+_FIRST_WINDOW = 4.0  # m, in which lines are found in the first iteration
+LINK_KERNEL = 2.0
+"""Scale of the Geman-McClure kernel of links, in standard deviations."""
+LINK_INFLATION = 1.5
+"""Factor of the standard deviations of links along the way, where more than the local trajectory follows from them."""
+
 
 def smooth_locally(keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, range_std: float) -> Trajectory:
     """Smooth along the way, first with links alone, then with lines in windows of growing length.
@@ -37,14 +44,14 @@ def smooth_locally(keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, 
     return trajectory
 
 
-def link_std(config: GraphConfig, range_std: float) -> float:
+def link_std(range_std: float) -> float:
     """Standard deviation of a link, m, from the model error and the range noise."""
-    return float(np.hypot(config.links.std, range_std))
+    return float(np.hypot(_LINK_STD, range_std))
 
 
-def line_std(config: GraphConfig, range_std: float) -> float:
+def line_std(range_std: float) -> float:
     """Standard deviation of a point about its line, m."""
-    return float(np.hypot(config.lines.std, range_std))
+    return float(np.hypot(_LINE_STD, range_std))
 
 
 def local_equations(
@@ -56,8 +63,8 @@ def local_equations(
     """
     equations = NormalEquations(3 * len(keys) + ERRORS + 2 * lines)
     add_odometry(equations, keys, trajectory, config.motion)
-    links = links_along(cloud, config.links)
-    add_links(equations, trajectory.poses, cloud.geometry, links, std, config.links.kernel)
+    links = links_along(cloud)
+    add_links(equations, trajectory.poses, cloud.geometry, links, std, LINK_KERNEL)
     return equations
 
 
@@ -72,8 +79,8 @@ def cautious_equations(
     keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, range_std: float
 ) -> NormalEquations:
     """Normal equations of a smoothed trajectory, with the larger standard deviation of links of the bundle."""
-    cloud = point_cloud(keys, trajectory, config.links, range_std)
-    std = config.bundle.link_inflation * link_std(config, range_std)
+    cloud = point_cloud(keys, trajectory, range_std)
+    std = LINK_INFLATION * link_std(range_std)
     return local_equations(keys, trajectory, cloud, config, std)
 
 
@@ -98,8 +105,8 @@ def chained(trajectory: Trajectory, step: FloatArray) -> Trajectory:
 def _with_links(
     keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, range_std: float, widening: float
 ) -> Trajectory:
-    cloud = point_cloud(keys, trajectory, config.links, range_std)
-    equations = local_equations(keys, trajectory, cloud, config, widening * link_std(config, range_std))
+    cloud = point_cloud(keys, trajectory, range_std)
+    equations = local_equations(keys, trajectory, cloud, config, widening * link_std(range_std))
     return chained(trajectory, equations.solve())
 
 
@@ -107,10 +114,10 @@ def _with_lines(
     keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, range_std: float, progress: float
 ) -> Trajectory:
     """Do one iteration with lines; windows grow and tolerances shrink as ``progress`` goes from 0 to 1."""
-    cloud = point_cloud(keys, trajectory, config.links, range_std)
-    window = config.lines.first_window + (config.lines.window - config.lines.first_window) * progress
+    cloud = point_cloud(keys, trajectory, range_std)
+    window = _FIRST_WINDOW + (config.lines.window - _FIRST_WINDOW) * progress
     widening = 1.8 - 0.8 * progress
     lines = find_lines(cloud, config.lines, window, widening * config.lines.tolerance)
-    equations = local_equations(keys, trajectory, cloud, config, link_std(config, range_std), len(lines.angles))
-    add_lines(equations, trajectory.poses, cloud, lines, widening * line_std(config, range_std), config.lines.inflation)
+    equations = local_equations(keys, trajectory, cloud, config, link_std(range_std), len(lines.angles))
+    add_lines(equations, trajectory.poses, cloud, lines, widening * line_std(range_std))
     return chained(trajectory, equations.solve())

@@ -4,6 +4,7 @@ The search processes the chunks in order, as in online operation. The joint cova
 which earlier chunks can be near, and how wide the window of a match must be. Each accepted loop reduces the covariance.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 
@@ -23,6 +24,17 @@ from limslam_agent.slam.graph.matching import (
 )
 from limslam_env.geometry import FloatArray, IntArray, se2
 
+_MIN_TRAVEL = 10.0  # m driven between the chunks of a loop
+# Chunks are matched if their distance, m, is below a gate plus some standard deviations, and below another gate.
+_GATE, _GATE_SIGMAS, _MAX_DISTANCE = 2.5, 2.5, 12.0
+_WINDOW, _TURN_WINDOW = 4.0, math.radians(35.0)  # of a match at most, m and rad
+_LEAST_WINDOW, _LEAST_TURN = 0.6, math.radians(8.0)  # the part that does not depend on the uncertainty, m and rad
+TURN_STEP = math.radians(3.0)
+"""Step of the turns of a match, rad."""
+LEAST_SCORE = 0.60
+"""Least score of a match."""
+_BACKWARD_SCORE = 0.50  # of the match in the opposite direction
+_BEST = 3  # loops from one chunk
 _BACKWARD_SHIFT, _BACKWARD_TURN = 0.3, np.radians(4.0)
 _EARLY_ANNEALING, _EARLY_ITERATIONS = (5.0, 1.0), 3
 # The covariance is computed anew if the weight of a loop has changed by more than this.
@@ -60,25 +72,22 @@ class Chunks:
     def grid(self, number: int) -> SearchGrid:
         """The search grid of a chunk, with the window size of loops along the way."""
         if number not in self._grids:
-            self._grids[number] = search_grid(self.maps[number], self.config.loops.window, self.config.matching)
+            self._grids[number] = search_grid(self.maps[number], _WINDOW)
         return self._grids[number]
 
     def match(self, first: int, second: int, guess: FloatArray, shift: float, turn: float, least: float) -> Match:
         """Match the points of the second chunk with the grid of the first chunk, in a window about a guess (3,)."""
-        window = Window(shift, turn, self.config.loops.turn_step)
-        return match(self.grid(first), self.maps[second].points, guess, window, self.config.matching, least)
+        window = Window(shift, turn, TURN_STEP)
+        return match(self.grid(first), self.maps[second].points, guess, window, least)
 
     def matches_backward(self, first: int, second: int, pose: FloatArray) -> bool:
         """Whether the chunks also match in the opposite direction, near the relative pose that was found."""
-        least = self.config.loops.backward_score
-        return self.match(second, first, se2.inverse(pose), _BACKWARD_SHIFT, _BACKWARD_TURN, least).score >= least
+        found = self.match(second, first, se2.inverse(pose), _BACKWARD_SHIFT, _BACKWARD_TURN, _BACKWARD_SCORE)
+        return found.score >= _BACKWARD_SCORE
 
     def loop(self, first: int, second: int, found: Match, source: str, grid: SearchGrid | None = None) -> Loop:
         """A loop with the covariance of its match, from the first chunk's grid or another grid in its frame."""
-        step = self.config.loops.turn_step
-        mean, covariance = match_covariance(
-            grid or self.grid(first), self.maps[second].points, found.pose, step, self.config.matching
-        )
+        mean, covariance = match_covariance(grid or self.grid(first), self.maps[second].points, found.pose, TURN_STEP)
         return Loop(first, second, mean, np.asarray(np.linalg.inv(covariance)), found.score, source)
 
 
@@ -94,25 +103,25 @@ def loops_along_the_way(chunks: Chunks) -> list[Loop]:
 
 
 def loops_of_newest(chunks: Chunks, belief: "Belief") -> list[Loop]:
-    """Loops from the newest chunk of the belief to at most ``best`` earlier chunks, the best matches first."""
-    config, newest = chunks.config.loops, belief.count - 1
+    """Loops from the newest chunk of the belief to some earlier chunks, the best matches first."""
+    newest = belief.count - 1
     candidates: list[tuple[int, Match]] = []
-    old = np.nonzero(chunks.travel[newest] - chunks.travel[: newest - 1] >= config.min_travel)[0]
+    old = np.nonzero(chunks.travel[newest] - chunks.travel[: newest - 1] >= _MIN_TRAVEL)[0]
     if not len(old):
         return []
     guesses, position_std, turn_std = belief.seen_from(old)
     distance = np.hypot(guesses[:, 0], guesses[:, 1])
-    reach = np.minimum(config.max_distance, config.gate + config.gate_sigmas * position_std)
+    reach = np.minimum(_MAX_DISTANCE, _GATE + _GATE_SIGMAS * position_std)
     for row in np.nonzero(distance <= reach)[0]:
-        shift = min(config.window, config.least_window + config.gate_sigmas * position_std[row])
-        turn = min(config.turn_window, config.least_turn + config.gate_sigmas * turn_std[row])
-        found = chunks.match(int(old[row]), newest, guesses[row], shift, turn, config.score)
-        if found.score > config.score:
+        shift = min(_WINDOW, _LEAST_WINDOW + _GATE_SIGMAS * position_std[row])
+        turn = min(_TURN_WINDOW, _LEAST_TURN + _GATE_SIGMAS * turn_std[row])
+        found = chunks.match(int(old[row]), newest, guesses[row], shift, turn, LEAST_SCORE)
+        if found.score > LEAST_SCORE:
             candidates.append((int(old[row]), found))
     candidates.sort(key=lambda each: -each[1].score)
     return [
         chunks.loop(first, newest, found, "along the way")
-        for first, found in candidates[: config.best]
+        for first, found in candidates[:_BEST]
         if chunks.matches_backward(first, newest, found.pose)
     ]
 
@@ -191,10 +200,10 @@ class Belief:
 
     def close(self, found: Sequence[Loop]) -> None:
         """Add loops of the newest chunk."""
-        chunks, config = self._chunks, self._chunks.config.chunks
+        chunks = self._chunks
         self.loops += found
         poses = self._poses[: self.count]
-        solution = solve(poses, chunks.hops, self.loops, config, _EARLY_ANNEALING, _EARLY_ITERATIONS)
+        solution = solve(poses, chunks.hops, self.loops, _EARLY_ANNEALING, _EARLY_ITERATIONS)
         known = len(self._weights)
         changed = np.abs(solution.weights[:known] - self._weights)
         self._poses[: self.count], self._weights = solution.poses, solution.weights.copy()

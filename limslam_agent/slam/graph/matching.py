@@ -8,12 +8,12 @@ LIDAR SLAM", 2016). The smallest blocks are evaluated in the order of their boun
 best score.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.config.graph_loops import MatchConfig
 from limslam_agent.slam.graph.local_maps import Cells, LocalMap
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import FloatArray, IntArray
@@ -22,6 +22,10 @@ from limslam_env.geometry import FloatArray, IntArray
 kernel = entry_of(__name__)
 
 _VOLUME_CELLS, _VOLUME_TURNS = 10, 5
+_BLOCK = 4  # cells: width of the search's smallest blocks
+_PRIOR = 0.05  # penalty of a match at the border of its window, for shift and for turn
+_SHARPNESS = 0.25  # from a difference in score to one in log-likelihood, for each point
+_FLOOR_POSITION, _FLOOR_TURN = 0.06, math.radians(1.2)  # least standard deviations of a match, m and rad
 NO_MATCH = -9.0
 
 Sums = NDArray[np.int16]
@@ -76,9 +80,9 @@ class Match:
     pose: FloatArray
 
 
-def search_grid(chunk: LocalMap, window: float, config: MatchConfig) -> SearchGrid:
+def search_grid(chunk: LocalMap, window: float) -> SearchGrid:
     """Prepare a chunk's grid for windows of up to ``window`` m."""
-    width = config.block
+    width = _BLOCK
     margin = max(int(window / chunk.cell + 1e-6), _VOLUME_CELLS)
     # A point that lies further outside can be moved nearer, since it still meets only unknown cells.
     pad = -(-(2 * margin + 2 * width + 2) // width) * width
@@ -88,9 +92,7 @@ def search_grid(chunk: LocalMap, window: float, config: MatchConfig) -> SearchGr
     return SearchGrid(padded, _maxima_of(padded, width), width, chunk.low - pad * chunk.cell, chunk.cell, margin)
 
 
-def match(
-    grid: SearchGrid, points: FloatArray, guess: FloatArray, window: Window, config: MatchConfig, least: float
-) -> Match:
+def match(grid: SearchGrid, points: FloatArray, guess: FloatArray, window: Window, least: float) -> Match:
     """The best pose of points (k, 2) within a window about a guess (3,), if its score is above ``least``.
 
     Raises
@@ -104,27 +106,27 @@ def match(
     turns = int(window.turn / window.turn_step + 1e-6)
     if not len(points):
         return Match(NO_MATCH, guess)
-    numbers = np.array([grid.low, grid.cell, window.turn_step, config.prior, least])
+    numbers = np.array([grid.low, grid.cell, window.turn_step, _PRIOR, least])
     found = _search(grid.padded, grid.maxima, grid.width, points, guess, margin, turns, numbers)
     return Match(float(found[0]), np.array(found[1:]))
 
 
 def match_covariance(
-    grid: SearchGrid, points: FloatArray, pose: FloatArray, turn_step: float, config: MatchConfig
+    grid: SearchGrid, points: FloatArray, pose: FloatArray, turn_step: float
 ) -> tuple[FloatArray, FloatArray]:
     """Mean (3,) and covariance (3, 3) of a match, from the scores of all poses around it.
 
-    The likelihood of a pose is exp(``sharpness`` times the number of points times the score).
+    The likelihood of a pose is exp(``_SHARPNESS`` times the number of points times the score).
     """
     scores = _volume(grid.padded, points, pose, grid.low, grid.cell, turn_step, _VOLUME_CELLS, _VOLUME_TURNS)
-    weight = np.exp((scores - scores.max()) * len(points) * config.sharpness)
+    weight = np.exp((scores - scores.max()) * len(points) * _SHARPNESS)
     weight /= weight.sum()
     turn, x, y = np.indices(scores.shape)
     shifts = [grid.cell * (x - _VOLUME_CELLS), grid.cell * (y - _VOLUME_CELLS), turn_step * (turn - _VOLUME_TURNS)]
     offsets = np.stack(shifts, axis=-1).reshape(-1, 3)
     mean = weight.ravel() @ offsets
     apart = offsets - mean
-    floor = np.diag([config.floor_position**2, config.floor_position**2, config.floor_turn**2])
+    floor = np.diag([_FLOOR_POSITION**2, _FLOOR_POSITION**2, _FLOOR_TURN**2])
     return pose + mean, (apart * weight.reshape(-1, 1)).T @ apart + floor
 
 

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_agent.config.graph import LinkConfig
 from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory, points_in_keys, to_world
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -17,6 +16,16 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 kernel = entry_of(__name__)
 
 _ROW = 1 << 24
+# Neighbours of a point within this distance, m, and this distance driven, m, determine its normal. It is reliable with
+# at least so many neighbours, this standard deviation along the line, at most this one across, m, this ratio of the two
+# variances, and at least this sine of the angle between beam and wall.
+_NORMAL_RADIUS, _NORMAL_TRAVEL = 0.4, 3.0
+_MIN_NEIGHBOURS, _MIN_SPREAD, _MAX_THICKNESS, _MAX_RATIO, _MIN_INCIDENCE = 5, 0.07, 0.05, 0.15, 0.17
+_RADIUS = 0.35  # m, within which points are linked
+_BANDS = 0.4, 1.2, 3.0, 10.0  # borders of the bands of distance driven, m; the nearest point of each band is linked
+# Least cosine between the normals, and largest distance from the line as a share of the radius.
+_MIN_COSINE, _MAX_OFFSET = 0.85, 0.7
+_CROSS_TRAVEL, _CROSS_MIN_COSINE = 8.0, 0.8  # between visits: least distance driven, m, and least cosine
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,42 +58,41 @@ class PointCloud:
         return self.key, self.in_key, self.normals_in_key
 
 
-def point_cloud(keys: KeyPoses, trajectory: Trajectory, config: LinkConfig, range_std: float) -> PointCloud:
+def point_cloud(keys: KeyPoses, trajectory: Trajectory, range_std: float) -> PointCloud:
     """Transform all points into the world frame and compute their normals."""
     in_key, origin_in_key = points_in_keys(keys, trajectory.bias)
     pose = trajectory.poses[keys.point_key]
     places, origins = to_world(pose, in_key), to_world(pose, origin_in_key)
-    normals, good = find_normals(places, origins, keys.point_travel, config, range_std)
+    normals, good = find_normals(places, origins, keys.point_travel, range_std)
     back = np.column_stack((np.zeros((len(pose), 2)), -pose[:, 2]))
     return PointCloud(keys.point_key, keys.point_travel, in_key, places, normals, to_world(back, normals), good)
 
 
 def find_normals(
-    places: FloatArray, origins: FloatArray, travel: FloatArray, config: LinkConfig, range_std: float
+    places: FloatArray, origins: FloatArray, travel: FloatArray, range_std: float
 ) -> tuple[FloatArray, BoolArray]:
     """Normals (p, 2) of points by principal component analysis of their neighbours, and whether they are reliable.
 
     Neighbours belong to the same section of driving: the distance between two points includes the distance driven
     between them. Normals point towards the beams' origins.
     """
-    index = _index(places, travel, config.normal_radius)
-    thickness = config.max_thickness**2 + range_std**2
-    limits = np.array([config.min_neighbours, config.min_spread**2, thickness, config.max_ratio, config.min_incidence])
-    return _normals(places, origins, travel, *index, config.normal_radius, config.normal_travel, limits)
+    index = _index(places, travel, _NORMAL_RADIUS)
+    thickness = _MAX_THICKNESS**2 + range_std**2
+    limits = np.array([_MIN_NEIGHBOURS, _MIN_SPREAD**2, thickness, _MAX_RATIO, _MIN_INCIDENCE])
+    return _normals(places, origins, travel, *index, _NORMAL_RADIUS, _NORMAL_TRAVEL, limits)
 
 
-def links_along(cloud: PointCloud, config: LinkConfig) -> IntArray:
+def links_along(cloud: PointCloud) -> IntArray:
     """Links (l, 2) between points of one section of driving, to the nearest point in each band of distance driven."""
-    index = _index(cloud.places, cloud.travel, config.radius)
-    borders = np.array([config.min_travel, *config.bands, config.travel])
-    limits = np.array([config.radius, config.min_cosine, config.max_offset * config.radius])
-    return _along(cloud.places, cloud.normals, cloud.good, cloud.travel, cloud.key, *index, borders, limits)
+    index = _index(cloud.places, cloud.travel, _RADIUS)
+    limits = np.array([_RADIUS, _MIN_COSINE, _MAX_OFFSET * _RADIUS])
+    return _along(cloud.places, cloud.normals, cloud.good, cloud.travel, cloud.key, *index, np.array(_BANDS), limits)
 
 
-def links_across(cloud: PointCloud, radius: float, config: LinkConfig) -> IntArray:
+def links_across(cloud: PointCloud, radius: float) -> IntArray:
     """Links (l, 2) to the nearest point of another visit, and to the nearest point of a third visit."""
     index = _index(cloud.places, cloud.travel, radius)
-    limits = np.array([radius, config.cross_min_cosine, config.cross_travel])
+    limits = np.array([radius, _CROSS_MIN_COSINE, _CROSS_TRAVEL])
     return _across(cloud.places, cloud.normals, cloud.good, cloud.travel, *index, limits)
 
 

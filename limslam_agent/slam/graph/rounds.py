@@ -1,6 +1,6 @@
 """One round of the smoothing of a log: the loops of its chunks are found and tested, and the bundle is solved."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -25,6 +25,8 @@ from limslam_agent.slam.graph.agreement import (
 )
 from limslam_agent.slam.graph.bundle import bundle
 from limslam_agent.slam.graph.chunk_graph import (
+    HOP_KERNEL,
+    KEPT_WEIGHT,
     ChunkSolution,
     Hops,
     Loop,
@@ -47,6 +49,11 @@ from limslam_agent.slam.graph.loop_search import Chunks
 from limslam_agent.slam.graph.union_matching import match_unions
 from limslam_agent.slam.graph.wide_search import search_widely
 from limslam_env.geometry import FloatArray, IntArray
+
+_BENT = 25.0  # chi-square of a hop from which on it follows the local smoothing again at the beginning of a round
+_GAIN = 0.001  # by how much a group of loops of the wide search must raise the score
+_SETTLED = 0.002  # rounds end when the last two rounds together have raised the score by less
+_STRAIN = 0.1  # by how much a mean chi-square of 1 between hops and local smoothing, after the kernel, lowers the score
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +106,7 @@ class LogProblem:
         middles, config = self.middles(number), self.config
         maps = cut_chunks(self.keys, trajectory, config.maps, middles, self.data.max_range)
         poses = trajectory.poses[middles]
-        hops = hops_between(poses, self._hop_covariances(number), config.chunks)
+        hops = hops_between(poses, self._hop_covariances(number))
         return Chunks(maps, middles, poses, self.keys.key_travel[middles], hops, config)
 
     def unbent(self, trajectory: Trajectory, number: int) -> Trajectory:
@@ -107,7 +114,7 @@ class LogProblem:
 
         Links between visits can pull at a segment of the path that no loop holds, and bend it more in each round.
         """
-        return unbent(trajectory, self.local, self.middles(number), self.local_hops(number), self.config.chunks.bent)
+        return unbent(trajectory, self.local, self.middles(number), self.local_hops(number), _BENT)
 
     def evidence(self, trajectory: Trajectory) -> Evidence:
         """What speaks for and against a trajectory's map."""
@@ -121,11 +128,11 @@ class LogProblem:
         """G of a map, less the strain of its path."""
         points, hops = max(1, evidence.points), max(1, len(self.middles(0)) - 1)
         agreed = evidence.confirmed / points - evidence.contradicted / points
-        return agreed - self.config.agreement.strain * evidence.bend / hops
+        return agreed - _STRAIN * evidence.bend / hops
 
     def strain(self, number: int) -> Strain:
         """What the chunks of a round cost where their path bends away from the local smoothing."""
-        return Strain(self.local_hops(number), self.config.chunks.hop_kernel, self.config.agreement.strain)
+        return Strain(self.local_hops(number), HOP_KERNEL, _STRAIN)
 
     def bends(self, trajectory: Trajectory) -> tuple[IntArray, FloatArray]:
         """The key poses (h,) at which the hops of a trajectory begin, and their chi-squares (h,) by local smoothing."""
@@ -135,7 +142,7 @@ class LogProblem:
     def local_hops(self, number: int) -> Hops:
         """The hops of a round along the local trajectory."""
         poses = self.local.poses[self.middles(number)]
-        return hops_between(poses, self._hop_covariances(number), self.config.chunks)
+        return hops_between(poses, self._hop_covariances(number))
 
     def _hop_covariances(self, number: int) -> FloatArray:
         """Covariances (c - 1, 3, 3) of the hops of a round, from the graph of the local smoothing."""
@@ -180,7 +187,7 @@ class Candidates:
             chunks = self.chunks
             found = search_widely(chunks, placed.solution, placed.loops)
             known = Decision(placed.loops, placed.solution, [])
-            self._groups = plausible_groups((chunks.poses, chunks.hops), known, found, score, chunks.config)
+            self._groups = plausible_groups((chunks.poses, chunks.hops), known, found, score)
         kept, refused = self._groups
         return kept, placed.after(Decision(placed.loops, placed.solution, refused), CONTRADICTED)
 
@@ -189,22 +196,25 @@ def do_round(log: LogProblem, trajectory: Trajectory, number: int, candidates: C
     """Do one round: support, wide search, unions from the second round on, and the bundle."""
     config, chunks = log.config, candidates.chunks
     placed = _supported(chunks, candidates.loops)
-    score = replace(MapScore.of(chunks.maps, config.agreement), strain=log.strain(number))
-    if number < config.rounds.wide_search:
-        placed = STARTS[start](candidates, placed, score)
-    elif start == "guard":
-        placed = _pruned(chunks, placed, score)
+    score = replace(MapScore.of(chunks.maps), strain=log.strain(number))
+    placed = STARTS[start](candidates, placed, score)
     if number > 0:
         unions = [[loop] for loop in match_unions(chunks, placed.solution.poses, placed.loops)]
         placed = placed.after(_accept(chunks, placed, unions, score, 0.0, near=True), NOT_ADDED)
     return _bundled(log, trajectory, chunks, placed, config.rounds.iterations[number])
 
 
+def is_settled(rounds: Sequence[Round]) -> bool:
+    """Whether the last two rounds, which differ in the hop of their chunks, have not raised the score."""
+    scores = [each.score for each in rounds]
+    return len(scores) > 2 and max(scores[-2:]) < max(scores[:-2]) + _SETTLED
+
+
 def _supported(chunks: Chunks, loops: list[Loop]) -> _Placed:
-    good = supported(loops, chunks.poses, chunks.travel, chunks.config.loops)
+    good = supported(loops, chunks.poses, chunks.travel)
     kept = [loop for loop, agreed in zip(loops, good, strict=True) if agreed]
     dropped = [LoopVerdict(loop, NO_SUPPORT) for loop, agreed in zip(loops, good, strict=True) if not agreed]
-    return _Placed(kept, solve_annealed(chunks.poses[0], chunks.hops, kept, chunks.config.chunks), dropped)
+    return _Placed(kept, solve_annealed(chunks.poses[0], chunks.hops, kept), dropped)
 
 
 def _place_guarded(candidates: Candidates, placed: _Placed, score: MapScore) -> _Placed:
@@ -212,7 +222,7 @@ def _place_guarded(candidates: Candidates, placed: _Placed, score: MapScore) -> 
     chunks = candidates.chunks
     placed = _pruned(chunks, placed, score)
     groups, placed = candidates.groups(placed, score)
-    decision = _accept(chunks, placed, groups, score, chunks.config.agreement.gain, near=False)
+    decision = _accept(chunks, placed, groups, score, _GAIN, near=False)
     gained = len(decision.loops) > len(placed.loops)
     placed = placed.after(decision, NOT_ADDED)
     return _pruned(chunks, placed, score) if gained else placed
@@ -223,7 +233,7 @@ def _place_all(candidates: Candidates, placed: _Placed, score: MapScore) -> _Pla
     chunks = candidates.chunks
     groups, placed = candidates.groups(placed, score)
     loops = placed.loops + [loop for group in groups for loop in group]
-    solution = solve_annealed(chunks.poses[0], chunks.hops, loops, chunks.config.chunks)
+    solution = solve_annealed(chunks.poses[0], chunks.hops, loops)
     return _Placed(loops, solution, placed.dropped)
 
 
@@ -233,19 +243,19 @@ STARTS: dict[str, Callable[[Candidates, _Placed, MapScore], _Placed]] = {"guard"
 def _pruned(chunks: Chunks, placed: _Placed, score: MapScore) -> _Placed:
     if not placed.loops:
         return placed
-    return placed.after(prune_groups(chunks.poses, chunks.hops, placed.loops, score, chunks.config), REMOVED)
+    return placed.after(prune_groups(chunks.poses, chunks.hops, placed.loops, score), REMOVED)
 
 
 def _accept(
     chunks: Chunks, placed: _Placed, groups: list[list[Loop]], score: MapScore, gain: float, *, near: bool
 ) -> Decision:
-    return accept_groups(chunks.poses, chunks.hops, placed.loops, groups, score, chunks.config, gain, near=near)
+    return accept_groups(chunks.poses, chunks.hops, placed.loops, groups, score, gain, near=near)
 
 
 def _bundled(log: LogProblem, trajectory: Trajectory, chunks: Chunks, placed: _Placed, iterations: int) -> Round:
     """Transfer the poses of the chunks to the key poses, solve the bundle, and give a verdict on each loop."""
     config, solution = log.config, placed.solution
-    strong = solution.weights > config.chunks.kept
+    strong = solution.weights > KEPT_WEIGHT
     kept = [loop for loop, good in zip(placed.loops, strong, strict=True) if good]
     moved = carry_over(log.keys, trajectory, chunks.middles, solution.poses)
     ends = np.array([(loop.first, loop.second) for loop in kept], dtype=np.int64).reshape(-1, 2)

@@ -17,6 +17,7 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.agreement import (
+    DOUBTFUL_SHARE,
     NOT_ADDED,
     Evidence,
     LoopVerdict,
@@ -37,10 +38,17 @@ from limslam_agent.slam.graph.key_poses import (
 from limslam_agent.slam.graph.local_maps import chunk_middles
 from limslam_agent.slam.graph.local_smoothing import smooth_locally
 from limslam_agent.slam.graph.loop_search import loops_along_the_way
-from limslam_agent.slam.graph.rounds import STARTS, Candidates, LogProblem, Round, do_round
+from limslam_agent.slam.graph.rounds import STARTS, Candidates, LogProblem, Round, do_round, is_settled
 from limslam_env.geometry import FloatArray, IntArray, se2
 
-_MOST = 0.9  # share of a path that has to agree with another path
+_MOST, _SAME_PATH = 0.9, 0.5  # share of a path that has to agree with another path, and how well, m
+# Searches with the highest scores after the first round do the trial rounds, and the best of these do all rounds. Their
+# scores are worse than the best one by less than the last number.
+_TRIED, _TRIAL_ROUNDS, _FINISHED, _HOPELESS = 3, 2, 2, 0.02
+_TIE = 0.003  # scores within this distance of the best score are equal; the last such round is taken
+# How often the delay of the ranges is estimated and corrected before the search. A correction of less, s, is the last.
+_SYNCHRONISATIONS, _SYNCHRONOUS = 3, 0.02
+_RESTART = math.radians(3.0)  # rad/m: heading that odometry misses, from which on the log is smoothed again
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,7 +128,7 @@ def smooth_log(
     best = _smoothed(data, start, config, report)
     for _ in range(config.rounds.restarts):
         found = best.trajectory.bias
-        if abs(found[0]) < config.rounds.restart:
+        if abs(found[0]) < _RESTART:
             break
         # The loops of a path that bends by several degrees a metre are not recognised, and then its bias is too small.
         data = corrected(data, found)
@@ -146,14 +154,14 @@ def _synchronised(data: LogData, config: GraphConfig) -> tuple[LogData, FloatArr
 
     The motions between key poses are linear in the delay for short delays only, so the delay is estimated repeatedly.
     """
-    known, rounds = np.zeros(ERRORS), config.rounds
-    for _ in range(rounds.synchronisations):
+    known = np.zeros(ERRORS)
+    for _ in range(_SYNCHRONISATIONS):
         keys = choose_keys(data, config.keys, config.motion)
         if len(keys) < 2 or not len(keys.point_key):
             break
         delay = float(_local(keys, data, config, 0.0).bias[3])
         data, known = delayed(data, delay), known + np.array([0.0, 0.0, 0.0, delay, 0.0])
-        if abs(delay) < rounds.synchronous:
+        if abs(delay) < _SYNCHRONOUS:
             break
     return data, known
 
@@ -236,8 +244,7 @@ class _Search:
     def finds_the_path_of(self, other: "_Search") -> bool:
         """Whether both searches have found the same path, which may begin with another heading."""
         poses, others = self.rounds[-1].trajectory.poses, other.rounds[-1].trajectory.poses
-        same = self.log.config.rounds.same_path
-        return float(np.quantile(distances_after_alignment(poses, others), _MOST)) <= same
+        return float(np.quantile(distances_after_alignment(poses, others), _MOST)) <= _SAME_PATH
 
     def advanced(self, end: int) -> "_Search":
         """The search after ``end`` rounds."""
@@ -285,12 +292,11 @@ def _searched(searches: list[_Search]) -> list[_Search]:
 
     Of searches that have found the same path after the trial, one goes on.
     """
-    config = searches[0].log.config.rounds
-    tried = _continued(searches, config.trial, config.tried, math.inf)
+    tried = _continued(searches, _TRIAL_ROUNDS, _TRIED, math.inf)
     best = max(tried, key=_score)
     same = [each for each in tried if each is not best and each.finds_the_path_of(best)]
     others = [each for each in tried if each not in same]
-    return same + _continued(others, len(config.hops), config.finished, config.hopeless)
+    return same + _continued(others, len(searches[0].log.config.rounds.hops), _FINISHED, _HOPELESS)
 
 
 def _continued(searches: list[_Search], end: int, most: int, hopeless: float) -> list[_Search]:
@@ -300,10 +306,10 @@ def _continued(searches: list[_Search], end: int, most: int, hopeless: float) ->
     return [each.advanced(end) if each in best and each.score >= least else each for each in searches]
 
 
-def _best(rounds: list[Round], tie: float) -> Round:
-    """The last round whose score is within ``tie`` of the highest score. The last round has tested most loops."""
+def _best(rounds: list[Round]) -> Round:
+    """The last round whose score is nearly the highest score. The last round has tested most loops."""
     highest = max(each.score for each in rounds)
-    return [each for each in rounds if each.score >= highest - tie][-1]
+    return [each for each in rounds if each.score >= highest - _TIE][-1]
 
 
 def _most_credible(searches: list[_Search]) -> tuple[_Search, Round]:
@@ -312,24 +318,23 @@ def _most_credible(searches: list[_Search]) -> tuple[_Search, Round]:
     They are also compared with the paths without loops. A map in which few places were seen again does not say how many
     contradictions are usual, and none is refused because of it. If all rounds add contradictions, all are considered.
     """
-    least = searches[0].log.config.agreement.doubtful_share
     others = [each.evidence for search in searches for each in search.rounds]
     others += [log.evidence(log.local) for log in {id(search.log): search.log for search in searches}.values()]
     others = [each for each in others if each.says_what_is_usual]
 
     def is_credible(each: Round) -> bool:
-        return not any(each.evidence.adds_contradictions(other, least) for other in others)
+        return not any(each.evidence.adds_contradictions(other, DOUBTFUL_SHARE) for other in others)
 
     credible = [replace(search, rounds=list(filter(is_credible, search.rounds))) for search in searches]
     best = max([each for each in credible if each.rounds] or searches, key=_score)
-    return best, _best(best.rounds, best.log.config.rounds.tie)
+    return best, _best(best.rounds)
 
 
 def _rounds(search: _Search, end: int) -> list[Round]:
     """Do rounds, each with new chunks and new tests of all loops, until nothing changes."""
     log, start, rounds = search.log, search.start, list(search.rounds)
     for number in range(len(rounds), end):
-        if _settled(rounds, log.config):
+        if is_settled(rounds):
             break
         kept = sum(verdict.kept for verdict in rounds[-1].verdicts)
         _say_round(search.report, log, start, number, kept)
@@ -342,12 +347,6 @@ def _next_round(log: LogProblem, trajectory: Trajectory, number: int, start: str
     trajectory = log.unbent(trajectory, number)
     chunks = log.chunks(trajectory, number)
     return do_round(log, trajectory, number, Candidates(chunks, loops_along_the_way(chunks)), start)
-
-
-def _settled(rounds: list[Round], config: GraphConfig) -> bool:
-    """Whether the last two rounds, which differ in the hop of their chunks, have not raised the score."""
-    scores = [each.score for each in rounds]
-    return len(scores) > 2 and max(scores[-2:]) < max(scores[:-2]) + config.rounds.settled
 
 
 def _moved(trajectory: Trajectory, motion: FloatArray) -> Trajectory:

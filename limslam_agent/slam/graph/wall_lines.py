@@ -5,6 +5,7 @@ refined by total least squares, its points are removed, and the next line is sea
 line has two unknowns: a rotation about its centre and an offset.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,10 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 # A kernel calls only kernels of its own file.
 kernel = entry_of(__name__)
+
+_OFFSET_BIN = 0.08  # m, of the Hough space
+_MAX_ANGLE = math.radians(20.0)  # between the normals of a point and its line
+_INFLATION = 2.0  # of the standard deviation of a point about its line
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,11 +43,6 @@ class WallLines:
     points: IntArray
     lines: IntArray
 
-    def moved(self, step: FloatArray) -> "WallLines":
-        """The lines after a step (l, 2) of turn and offset."""
-        normals = np.column_stack((np.cos(self.angles), np.sin(self.angles)))
-        return WallLines(self.angles + step[:, 0], self.centres + step[:, 1:] * normals, self.points, self.lines)
-
 
 def find_lines(cloud: PointCloud, config: WallLineConfig, window: float, tolerance: float) -> WallLines:
     """Lines of points within ``tolerance`` m, in all windows of ``window`` m of driving."""
@@ -61,26 +61,23 @@ def lines_in(
     tolerance: float,
 ) -> WallLines:
     """Lines among the points of each span (w, 2), which is given by its first point and its last point (excluded)."""
-    limits = np.array([tolerance, config.min_length, config.max_gap, np.cos(config.max_angle)])
+    limits = np.array([tolerance, config.min_length, config.max_gap, np.cos(_MAX_ANGLE)])
     bins = round(2.0 * np.pi / config.angle_bin)
     counts = np.array([config.min_points, config.max_lines, config.max_tries, config.spread, bins])
-    found = _lines(places, normals, good, spans, config.offset_bin, counts, limits)
+    found = _lines(places, normals, good, spans, _OFFSET_BIN, counts, limits)
     return WallLines(*found)
 
 
-def add_lines(
-    equations: NormalEquations, poses: FloatArray, cloud: PointCloud, lines: WallLines, std: float, inflation: float
-) -> None:
+def add_lines(equations: NormalEquations, poses: FloatArray, cloud: PointCloud, lines: WallLines, std: float) -> None:
     """Add the distances of points from their lines, with the Geman-McClure kernel, and a weak prior of the lines.
 
-    ``std`` (m) is the standard deviation of a point about its line. The information is divided by ``inflation``
-    squared.
+    ``std`` (m) is the standard deviation of a point about its line, before its inflation.
     """
     if not len(lines.angles):
         return
     places = cloud.places[lines.points]
     pairs, hessian, gradient = _line_blocks(
-        poses, cloud.key[lines.points], places, lines.lines, lines.angles, lines.centres, std, inflation
+        poses, cloud.key[lines.points], places, lines.lines, lines.angles, lines.centres, std, _INFLATION
     )
     first = 3 * len(poses) + ERRORS
     columns = np.hstack((3 * pairs[:, :1] + np.arange(3), first + 2 * pairs[:, 1:] + np.arange(2)))

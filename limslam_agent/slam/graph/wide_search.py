@@ -5,14 +5,25 @@ uncertainty of the chunk graph plus several standard deviations. A match is acce
 match where it predicts them. These matches and the first match form a group.
 """
 
+import math
+
 import numpy as np
 
 from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Loop, information_matrix
 from limslam_agent.slam.graph.least_squares import relation_factor
-from limslam_agent.slam.graph.loop_search import Chunks
+from limslam_agent.slam.graph.loop_search import LEAST_SCORE, Chunks
 from limslam_agent.slam.graph.matching import Match, Window, match, search_grid
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 
+_MIN_TRAVEL, _MAX_DISTANCE = 15.0, 18.0  # m driven between two chunks, and m between them
+_WINDOW, _TURN_WINDOW, _TURN_STEP = 10.0, math.radians(100.0), math.radians(4.0)  # of a match, m and rad
+# The part of the window that does not depend on the uncertainty, m and rad, and the standard deviations added to it.
+_LEAST_WINDOW, _LEAST_TURN, _SIGMAS = 1.5, math.radians(20.0), 4.0
+_BEYOND = 3.0  # m beyond the window, where two chunks can show the same place
+_SCORE = 0.60
+# So many neighbouring chunks must match where predicted, within this window, m and rad.
+_NEIGHBOURS, _NEIGHBOUR_WINDOW, _NEIGHBOUR_TURN = 3, 0.7, math.radians(10.0)
+_RECOGNISED = 2  # chunks beside the end of a loop, which need no wide search
 _NEAR, _FAR = 2.5, 5.0  # m of driving to the neighbours that must match as well
 _LEEWAY = 0.01
 # Chunks overlap. Grids and chunks at this spacing, m of driving, cover the whole log.
@@ -30,8 +41,8 @@ def recognised(loops: list[Loop], count: int, reach: int) -> BoolArray:
 
 def search_widely(chunks: Chunks, solution: ChunkSolution, loops: list[Loop]) -> list[list[Loop]]:
     """Groups of loops for chunks that are not near any loop of ``loops``, from the solution with these loops."""
-    config, poses = chunks.config.wide, solution.poses
-    known = recognised(loops, len(chunks), config.recognised)
+    poses = solution.poses
+    known = recognised(loops, len(chunks), _RECOGNISED)
     if known.all():
         return []
     joint = np.asarray(np.linalg.inv(information_matrix(poses, chunks.hops, loops, solution.weights)))
@@ -54,26 +65,26 @@ def search_for_newest(chunks: Chunks, poses: FloatArray, joint: FloatArray) -> l
 
 def _groups(chunks: Chunks, poses: FloatArray, joint: FloatArray, first: int, seconds: IntArray) -> list[list[Loop]]:
     """Groups of loops between chunks (k,) and the first chunk."""
-    config, groups = chunks.config.wide, []
-    shifts, turns = _windows(chunks, poses, joint, first, seconds)
-    near = np.hypot(*(poses[seconds, :2] - poses[first, :2]).T) <= config.near + shifts
+    groups = []
+    shifts, turns = _windows(poses, joint, first, seconds)
+    near = np.hypot(*(poses[seconds, :2] - poses[first, :2]).T) <= _BEYOND + shifts
     if not near.any():
         return []
-    grid = search_grid(chunks.maps[first], config.window, chunks.config.matching)
+    grid = search_grid(chunks.maps[first], _WINDOW)
     for row in np.nonzero(near)[0]:
         second = int(seconds[row])
         guess, points = se2.between(poses[first], poses[second]), chunks.maps[second].points
-        window = Window(shifts[row], turns[row], config.turn_step)
-        found = match(grid, points, guess, window, chunks.config.matching, config.score - _LEEWAY)
-        if found.score >= config.score:
+        window = Window(shifts[row], turns[row], _TURN_STEP)
+        found = match(grid, points, guess, window, _SCORE - _LEEWAY)
+        if found.score >= _SCORE:
             groups.append(_group(chunks, poses, first, second, found))
     return [group for group in groups if group]
 
 
 def _may_show_the_same(chunks: Chunks, poses: FloatArray, first: int) -> tuple[BoolArray, BoolArray]:
     """Which chunks (c,) are far enough from a chunk in driving, and near enough in space, to show the same place."""
-    near = np.hypot(*(poses[:, :2] - poses[first, :2]).T) <= chunks.config.wide.max_distance
-    return np.abs(chunks.travel - chunks.travel[first]) >= chunks.config.wide.min_travel, near
+    near = np.hypot(*(poses[:, :2] - poses[first, :2]).T) <= _MAX_DISTANCE
+    return np.abs(chunks.travel - chunks.travel[first]) >= _MIN_TRAVEL, near
 
 
 def _candidates(chunks: Chunks, poses: FloatArray, known: BoolArray, first: int, steps: tuple[int, int]) -> IntArray:
@@ -85,22 +96,19 @@ def _candidates(chunks: Chunks, poses: FloatArray, known: BoolArray, first: int,
     return np.nonzero(near & apart & ~known & once & (numbers % steps[1] == 0))[0]
 
 
-def _windows(
-    chunks: Chunks, poses: FloatArray, joint: FloatArray, first: int, seconds: IntArray
-) -> tuple[FloatArray, FloatArray]:
+def _windows(poses: FloatArray, joint: FloatArray, first: int, seconds: IntArray) -> tuple[FloatArray, FloatArray]:
     """Search windows for chunks (k,) in the grid of the first chunk: shifts (k,), m, and turns (k,), rad.
 
     ``joint`` (3 c, 3 c) is the covariance of all chunks.
     """
-    config = chunks.config.wide
     firsts = np.full(len(seconds), first)
     _, jacobian = relation_factor(poses, firsts, seconds, np.zeros((len(seconds), 3)))
     columns = np.hstack((3 * firsts[:, None] + np.arange(3), 3 * seconds[:, None] + np.arange(3)))
     covariance = jacobian @ joint[columns[:, :, None], columns[:, None, :]] @ jacobian.transpose(0, 2, 1)
     variances = np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0)
     position, heading = np.sqrt(variances[:, :2].max(axis=1)), np.sqrt(variances[:, 2])
-    shift = np.minimum(config.window, config.least_window + config.sigmas * position)
-    return shift, np.minimum(config.turn_window, config.least_turn + config.sigmas * heading)
+    shift = np.minimum(_WINDOW, _LEAST_WINDOW + _SIGMAS * position)
+    return shift, np.minimum(_TURN_WINDOW, _LEAST_TURN + _SIGMAS * heading)
 
 
 def _step(chunks: Chunks, apart: float) -> int:
@@ -111,18 +119,16 @@ def _step(chunks: Chunks, apart: float) -> int:
 
 def _group(chunks: Chunks, poses: FloatArray, first: int, second: int, found: Match) -> list[Loop]:
     """The match and its neighbours' matches as loops; empty if too few neighbours match."""
-    config = chunks.config
     if not chunks.matches_backward(first, second, found.pose):
         return []
     matches = [(first, second, found)]
     for i, j in _neighbours(chunks, first, second):
         guess = se2.compose(se2.between(poses[i], poses[first]), found.pose)
         guess = se2.compose(guess, se2.between(poses[second], poses[j]))
-        window = config.wide.neighbour_window, config.wide.neighbour_turn
-        other = chunks.match(i, j, guess, *window, config.loops.score)
-        if other.score > config.loops.score:
+        other = chunks.match(i, j, guess, _NEIGHBOUR_WINDOW, _NEIGHBOUR_TURN, LEAST_SCORE)
+        if other.score > LEAST_SCORE:
             matches.append((i, j, other))
-        if len(matches) > config.wide.neighbours:
+        if len(matches) > _NEIGHBOURS:
             return [chunks.loop(*each, "wide search") for each in matches]
     return []
 

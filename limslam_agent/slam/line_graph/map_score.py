@@ -4,7 +4,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_agent.config.smoother import ScoreConfig
 from limslam_agent.slam.consistent.wall_extent import BIN
 from limslam_agent.slam.line_graph import line_kernels as kernels
 from limslam_agent.slam.line_graph.line_smoother import calibration_chi_square, wheel_chi_square
@@ -13,6 +12,9 @@ from limslam_agent.slam.line_graph.reassociation import Association, best_lines,
 from limslam_env.geometry import FloatArray, IntArray
 
 _THROUGH_SIGMAS, _THROUGH_SLACK = 3.0, 0.05
+_CLIP = 16.0  # largest squared residual of a look, in variances
+LINE_PRICE = 24.0
+"""What a line costs, in logarithms of the likelihood."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,17 +80,18 @@ class Score:
     total: float
 
 
-def score(problem: Problem, found: Association, config: ScoreConfig) -> Score:
+def score(problem: Problem, found: Association) -> Score:
     """The score of a solution: the log-likelihood of all wheels and looks, minus a price for each line.
 
     A beam is expected to end at the first wall that it meets. A look that no wall predicts, or that passes through a
-    wall, costs ``clip``. A second line close to a wall therefore does not raise the likelihood, whatever the noise.
+    wall, costs as much as the largest residual. A second line close to a wall therefore does not raise the likelihood,
+    whatever the noise.
     """
     misfits, _ = explained_looks(problem, found)
     wheels = 0.5 * (wheel_chi_square(problem, found.state) + calibration_chi_square(problem, found.state))
-    looks = 0.5 * float(np.minimum(misfits**2, config.clip).sum())
+    looks = 0.5 * float(np.minimum(misfits**2, _CLIP).sum())
     count = len(found.state.lines)
-    return Score(wheels, looks, count, -wheels - looks - config.line * count)
+    return Score(wheels, looks, count, -wheels - looks - LINE_PRICE * count)
 
 
 def explained_looks(problem: Problem, found: Association) -> tuple[FloatArray, IntArray]:
@@ -103,20 +106,20 @@ def explained_looks(problem: Problem, found: Association) -> tuple[FloatArray, I
     return misfits / problem.range_std / problem.look_noise, best
 
 
-def line_values(problem: Problem, found: Association, config: ScoreConfig) -> FloatArray:
+def line_values(problem: Problem, found: Association) -> FloatArray:
     """The amount by which each line (m,) raises the score, before its price, if no other line explains its looks."""
     misfits, best = explained_looks(problem, found)
-    gains = 0.5 * (config.clip - np.minimum(misfits**2, config.clip))
+    gains = 0.5 * (_CLIP - np.minimum(misfits**2, _CLIP))
     # Without the wall, a look that passed through it would have cost nothing.
-    gains[(misfits**2 >= config.clip) & ~problem.is_hit] = -0.5 * config.clip
+    gains[(misfits**2 >= _CLIP) & ~problem.is_hit] = -0.5 * _CLIP
     known = best >= 0
     return np.bincount(best[known], weights=gains[known], minlength=len(found.state.lines)).astype(float)
 
 
-def explained_readings(problem: Problem, found: Association, beyond: float = 0.10) -> FloatArray:
+def explained_readings(problem: Problem, found: Association) -> FloatArray:
     """The residual (k,) of each reading to the nearest line that its beam meets, in standard deviations."""
     ends = faces_of(problem, found.state, found.labels)
-    return np.asarray(best_lines(problem, found.state, ends, beyond)[1][:, 0])
+    return np.asarray(best_lines(problem, found.state, ends)[1][:, 0])
 
 
 def _margin(problem: Problem) -> float:

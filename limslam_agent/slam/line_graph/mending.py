@@ -4,19 +4,20 @@ Each move changes the associations of the best solution so far, and then re-asso
 its score is higher. The score needs no ground truth.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_agent.config.smoother import MendingConfig, SmootherConfig
 from limslam_agent.slam.line_graph import line_merging as merging
 from limslam_agent.slam.line_graph.elimination import DegenerateError
-from limslam_agent.slam.line_graph.map_score import Score, explained_readings, line_values, score, tally
-from limslam_agent.slam.line_graph.problem import Problem, State, state_from_motions
+from limslam_agent.slam.line_graph.map_score import LINE_PRICE, Score, explained_readings, line_values, score, tally
+from limslam_agent.slam.line_graph.problem import FEWEST_READINGS, Problem, State, state_from_motions
 from limslam_agent.slam.line_graph.reassociation import (
+    ONE_WALL,
+    ROUNDS,
     Association,
-    OneWall,
     ends_of,
     faces_of,
     hit_points,
@@ -28,6 +29,23 @@ from limslam_agent.slam.line_graph.reassociation import (
 )
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
+_ROUNDS = 3  # of moves
+_LAST_ROUNDS = 4  # of re-association after new lines were created
+_GAIN = 5.0  # by how much a move must raise the score
+# A correction is tried if beams contradict more than this share of all looks. It is kept if at most a share of the
+# contradictions remains, or if there are no more of them than in correct maps, as a share of all looks.
+_CONTRADICTED, _REMAINING, _UNAVOIDABLE = 0.01, 0.6, 0.002
+_CUT = 3.0  # m driven without a reading of a line, where the line is cut
+_LIMITS = ONE_WALL._replace(max_offset=0.8, max_angle=0.4, min_overlap=0.10)  # of segments that may be one wall
+# Moves that begin with more lines are not tried, because their time grows with the third power of this number.
+_MOST_LINES = 600
+# A line is dropped if more beams contradict it than this number, and than this share of its readings.
+_DROPPED_LEAST, _DROPPED_SHARE = 5, 0.2
+_UNEXPLAINED = 4.0  # standard deviations from every line: such readings may create new lines
+_FEWEST_REBORN = 8  # readings of a new line
+# Two lines that share a stretch of wall are merged within these distances, in standard deviations of a range and in m,
+# of which the larger one counts, and within this angle, rad.
+_DOUBLED_SIGMAS, _DOUBLED_OFFSET, _DOUBLED_ANGLE = 3.0, 0.03, math.radians(10.0)
 _RUN_GAP = 0.15  # m of driving without a reading that ends a run
 _POINT_GAP = 0.30  # m between the ends of two readings of one wall
 
@@ -46,50 +64,47 @@ class Candidate:
     move: str
 
 
-def mend(problem: Problem, found: Association, config: SmootherConfig) -> list[Candidate]:
+def mend(problem: Problem, found: Association) -> list[Candidate]:
     """The accepted solutions in order, from the initial solution to the best solution.
 
     A round ends with the first move after which beams no longer contradict the map. From then on, only missing lines
     are added.
     """
-    kept = [Candidate(found, score(problem, found, config.score), "start")]
-    for number in range(config.mending.rounds):
+    kept = [Candidate(found, score(problem, found), "start")]
+    for number in range(_ROUNDS):
         moves: tuple[str, ...] = ("cut", "drop", "reborn") if number else MOVES
-        if number and not is_contradicted(problem, kept[-1].association, config):
+        if number and not is_contradicted(problem, kept[-1].association):
             moves = ("reborn",)
-        best = _best_of_round(problem, kept[-1], moves, config)
+        best = _best_of_round(problem, kept[-1], moves)
         if best is kept[-1]:
             break
         kept.append(best)
     return kept
 
 
-def is_contradicted(problem: Problem, found: Association, config: SmootherConfig) -> bool:
+def is_contradicted(problem: Problem, found: Association) -> bool:
     """Whether more beams pass through walls than in a correct map."""
-    return tally(problem, found).contradictions > config.mending.contradicted * len(problem.looks)
+    return tally(problem, found).contradictions > _CONTRADICTED * len(problem.looks)
 
 
-def is_repaired(problem: Problem, before: Association, after: Association, config: SmootherConfig) -> bool:
+def is_repaired(problem: Problem, before: Association, after: Association) -> bool:
     """Whether clearly fewer beams contradict the map after a correction.
 
     A correction can raise the score by fitting noise, and bend the whole map. It then leaves most contradictions.
     """
     remaining = tally(problem, after).contradictions
-    most = max(
-        config.mending.remaining * tally(problem, before).contradictions,
-        config.mending.unavoidable * len(problem.looks),
-    )
+    most = max(_REMAINING * tally(problem, before).contradictions, _UNAVOIDABLE * len(problem.looks))
     return remaining <= most
 
 
-def _best_of_round(problem: Problem, begin: Candidate, moves: tuple[str, ...], config: SmootherConfig) -> Candidate:
+def _best_of_round(problem: Problem, begin: Candidate, moves: tuple[str, ...]) -> Candidate:
     """The best solution that the moves lead to, or the solution at the beginning of the round."""
-    best, mender = begin, _Mender(problem, begin, config)
+    best, mender = begin, _Mender(problem, begin)
     for move in moves:
         for candidate in mender.tried(move):
-            if candidate.score.total > best.score.total + config.mending.gain:
+            if candidate.score.total > best.score.total + _GAIN:
                 best = candidate
-        if best is not begin and not is_contradicted(problem, best.association, config):
+        if best is not begin and not is_contradicted(problem, best.association):
             break
     return best
 
@@ -97,44 +112,40 @@ def _best_of_round(problem: Problem, begin: Candidate, moves: tuple[str, ...], c
 class _Mender:
     """The moves that start from one solution."""
 
-    def __init__(self, problem: Problem, begin: Candidate, config: SmootherConfig) -> None:
-        self._problem, self._begin, self._config = problem, begin, config
-        mending = config.mending
-        self._limits = OneWall(
-            config.reassociation.one_wall_gate, mending.max_offset, mending.max_angle, mending.min_overlap
-        )
+    def __init__(self, problem: Problem, begin: Candidate) -> None:
+        self._problem, self._begin = problem, begin
 
     def tried(self, move: str) -> Iterator[Candidate]:
         """The results of a move, and the results with new lines for unexplained readings."""
         try:
             state, labels = self._begun(move)
-            if np.count_nonzero(np.bincount(labels[labels >= 0])) > self._config.mending.most_lines:
+            if np.count_nonzero(np.bincount(labels[labels >= 0])) > _MOST_LINES:
                 return
-            settled = self._settled(state, labels, self._config.reassociation.rounds)
+            settled = self._settled(state, labels, ROUNDS)
             first = list(self._both(settled, move))
             yield from first
             # Missing lines cannot repair a solution whose score is much lower.
             if move != "reborn" and max(each.score.total for each in first) > self._begin.score.total:
-                again = self._settled(settled.state, self._reborn(settled), self._config.mending.last_rounds)
+                again = self._settled(settled.state, self._reborn(settled), _LAST_ROUNDS)
                 yield from self._both(again, f"{move}, reborn")
         except DegenerateError:
             return
 
     def _begun(self, move: str) -> tuple[State, IntArray]:
         """The initial poses and associations of a move."""
-        begin, gap = self._begin.association, self._config.mending.cut
+        begin = self._begin.association
         if move == "anew":
             return state_from_motions(self._problem), self._anew()
         if move == "cut":
-            return begin.state, split(self._problem, begin.labels, gap)
+            return begin.state, split(self._problem, begin.labels, _CUT)
         if move == "drop":
-            return begin.state, split(self._problem, np.where(self._is_dropped(), -1, begin.labels), gap)
+            return begin.state, split(self._problem, np.where(self._is_dropped(), -1, begin.labels), _CUT)
         return begin.state, self._reborn(begin)
 
     def _is_dropped(self) -> BoolArray:
         """Mask (k,) of the readings whose lines are contradicted by too many beams."""
-        mending, counted = self._config.mending, tally(self._problem, self._begin.association)
-        least = np.maximum(mending.dropped_least, mending.dropped_share * counted.hits.sum(axis=1))
+        counted = tally(self._problem, self._begin.association)
+        least = np.maximum(_DROPPED_LEAST, _DROPPED_SHARE * counted.hits.sum(axis=1))
         return np.isin(self._begin.association.labels, np.flatnonzero(counted.against > least))
 
     def _both(self, found: Association, move: str) -> Iterator[Candidate]:
@@ -143,46 +154,44 @@ class _Mender:
         yield self._candidate(self._pruned(found), f"{move}, pruned")
 
     def _candidate(self, found: Association, move: str) -> Candidate:
-        return Candidate(found, score(self._problem, found, self._config.score), move)
+        return Candidate(found, score(self._problem, found), move)
 
     def _settled(self, state: State, labels: IntArray, rounds: int) -> Association:
-        reassociation = self._config.reassociation
-        begin = solve_labels(self._problem, state, labels, reassociation.fewest)
-        merged, _ = merge(self._problem, begin, self._limits, reassociation.fewest)
-        return reassociate_from(self._problem, merged, reassociation, rounds)
+        begin = solve_labels(self._problem, state, labels)
+        merged, _ = merge(self._problem, begin, _LIMITS)
+        return reassociate_from(self._problem, merged, rounds)
 
     def _pruned(self, found: Association) -> Association:
         """The solution without doubled lines, and without lines that raise the score by less than their price."""
-        doubled = doubled_lines(self._problem, found, self._config.mending)
+        doubled = doubled_lines(self._problem, found)
         labels = np.where(found.labels >= 0, doubled[found.labels], -1)
-        worthless = line_values(self._problem, found, self._config.score) < self._config.score.line
+        worthless = line_values(self._problem, found) < LINE_PRICE
         labels = np.where(np.isin(labels, np.flatnonzero(worthless)), -1, labels)
-        begin = solve_again(self._problem, found.state, labels, self._config.reassociation.fewest)
-        return reassociate_from(self._problem, begin, self._config.reassociation, 2)
+        begin = solve_again(self._problem, found.state, labels)
+        return reassociate_from(self._problem, begin, 2)
 
     def _anew(self) -> IntArray:
         """Associations with only straight wall segments, found along the path of the wheel odometry."""
         reported = state_from_motions(self._problem)
         everything = np.ones(len(self._problem.readings), dtype=bool)
-        return straight_runs(self._problem, reported, everything, self._config.reassociation.fewest)
+        return straight_runs(self._problem, reported, everything, FEWEST_READINGS)
 
     def _reborn(self, found: Association) -> IntArray:
         """The associations with new lines through readings that no line explains."""
-        mending = self._config.mending
-        unexplained = explained_readings(self._problem, found) > mending.unexplained
-        pieces = straight_runs(self._problem, found.state, unexplained, mending.reborn_readings)
+        unexplained = explained_readings(self._problem, found) > _UNEXPLAINED
+        pieces = straight_runs(self._problem, found.state, unexplained, _FEWEST_REBORN)
         return np.where(pieces >= 0, pieces + int(found.labels.max(initial=-1)) + 1, found.labels)
 
 
-def doubled_lines(problem: Problem, found: Association, config: MendingConfig) -> IntArray:
+def doubled_lines(problem: Problem, found: Association) -> IntArray:
     """For each line (m,), the line with more readings that runs along it, or the line itself.
 
     Each reading belongs to the nearer of two lines that run along each other. This separates the two lines, so that
     their covariances never allow a merge.
     """
     state, labels = found.state, found.labels
-    apart = max(config.doubled_sigmas * problem.range_std, config.doubled_offset)
-    limits = np.array([np.inf, apart, config.doubled_angle, config.min_overlap])
+    apart = max(_DOUBLED_SIGMAS * problem.range_std, _DOUBLED_OFFSET)
+    limits = np.array([np.inf, apart, _DOUBLED_ANGLE, _LIMITS.min_overlap])
     pairs = merging.near_pairs(state.lines, state.anchors, ends_of(problem, state, labels), limits)
     pairs = pairs[merging.share_side(pairs, state.lines, state.anchors, faces_of(problem, state, labels))]
     counts = np.bincount(labels[labels >= 0], minlength=len(state.lines))

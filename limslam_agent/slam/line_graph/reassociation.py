@@ -9,7 +9,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.config.smoother import ReassociationConfig
 from limslam_agent.slam.core.carried_anchors import KNOWN_PLACE
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, THICKEST, board_odds
 from limslam_agent.slam.line_graph import line_kernels as kernels
@@ -17,11 +16,23 @@ from limslam_agent.slam.line_graph import line_merging as merging
 from limslam_agent.slam.line_graph.chain_kernels import COSINE
 from limslam_agent.slam.line_graph.elimination import POSE, DegenerateError
 from limslam_agent.slam.line_graph.line_smoother import GRAZING, Solution, range_residuals, solve
-from limslam_agent.slam.line_graph.problem import Problem, State, rows_of
+from limslam_agent.slam.line_graph.problem import FEWEST_READINGS, Problem, State, rows_of
 from limslam_agent.slam.line_graph.straightness import straight_labels
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import direction, normal
 
+ROUNDS = 8
+"""Largest number of rounds of merging, association and solving."""
+_SETTLED = 2e-3  # m: the last round is the first one that moves no pose farther
+GATE = 3.5
+"""A line explains a reading that it predicts within this number of standard deviations."""
+BEYOND = 0.10
+"""How far beyond a line's ends a beam may meet it, m."""
+_MARGIN = 3.0  # standard deviations by which the second-best line must predict a reading worse
+# Readings close to an end of their line do not count for the final poses, since they may be of the next wall. The guard
+# is this many times the excess of the standard deviation of a range over a length, m. Two walls that meet at 25 degrees
+# differ by less than the gate over 7.5 standard deviations of their length, which ``BEYOND`` covers for exact ranges.
+_END_GUARD, _EXACT_STD = 4.0, 0.02
 _MOST_MERGES = 30
 _LEAST_SPREAD = 100.0  # 1/rad^2: keeps the direction of a line whose readings are all in one place
 _FITS = 2
@@ -39,6 +50,9 @@ class OneWall(NamedTuple):
     min_overlap: float
 
 
+ONE_WALL = OneWall(16.0, 0.15, 0.12, 0.15)
+
+
 @dataclass(frozen=True, eq=False)
 class Association:
     """A solution, and the line (k,) of each reading in this solution; -1 for readings that were not used."""
@@ -52,7 +66,7 @@ class Association:
         return self.solution.state
 
 
-def reassociate(problem: Problem, state: State, labels: IntArray, config: ReassociationConfig) -> Association:
+def reassociate(problem: Problem, state: State, labels: IntArray, rounds: int = ROUNDS) -> Association:
     """Poses, lines and associations, from approximate poses and the first associations of some readings.
 
     Parameters
@@ -61,26 +75,26 @@ def reassociate(problem: Problem, state: State, labels: IntArray, config: Reasso
         Initial poses; the lines of the state are not used.
     labels
         The initial line of each reading, in any numbering, or -1.
+    rounds
+        Largest number of rounds.
 
     Raises
     ------
     DegenerateError
         If the readings do not determine the poses.
     """
-    return reassociate_from(problem, solve_labels(problem, state, labels, config.fewest), config, config.rounds)
+    return reassociate_from(problem, solve_labels(problem, state, labels), rounds)
 
 
-def with_kinds(
-    problem: Problem, state: State, labels: IntArray, config: ReassociationConfig
-) -> tuple[Problem, IntArray]:
+def with_kinds(problem: Problem, state: State, labels: IntArray) -> tuple[Problem, IntArray]:
     """The problem with the kinds of walls by first associations, and these associations.
 
     Unless the walls are boards for sure, each side of a line is a line of its own. Merging decides about it anew.
     """
-    found = solve_labels(problem, state, labels, config.fewest)
-    limits = np.array([np.inf, THICKEST, config.max_angle, config.min_overlap])
+    found = solve_labels(problem, state, labels)
+    limits = np.array([np.inf, THICKEST, ONE_WALL.max_angle, ONE_WALL.min_overlap])
     ends, seen = ends_of(problem, found.state, found.labels), seen_ends(problem, found.state, found.labels)
-    covariance = with_anchors(problem, found, config.max_angle)
+    covariance = with_anchors(problem, found, ONE_WALL.max_angle)
     kinds = merging.wall_kinds(found.state.lines, found.state.anchors, ends, seen, covariance, limits)
     if are_boards(kinds):
         return replace(problem, kinds=kinds), labels
@@ -93,35 +107,34 @@ def are_boards(kinds: tuple[float, float]) -> bool:
     return board_odds(0.0, *kinds) > SURE
 
 
-def reassociate_from(problem: Problem, found: Association, config: ReassociationConfig, rounds: int) -> Association:
+def reassociate_from(problem: Problem, found: Association, rounds: int) -> Association:
     """Merge lines, re-associate readings, solve and divide bent lines, for at most ``rounds`` rounds."""
-    limits = OneWall(config.one_wall_gate, config.max_offset, config.max_angle, config.min_overlap)
     for _ in range(rounds):
         before = found.state.poses
-        merged, has_merged = merge(problem, found, limits, config.fewest)
-        labels = assigned(problem, merged.state, faces_of(problem, merged.state, merged.labels), config)
-        found = solve_again(problem, merged.state, labels, config.fewest)
-        found = straightened(problem, found, config)
-        if np.abs(found.state.poses - before)[..., :2].max() < config.settled and not has_merged:
+        merged, has_merged = merge(problem, found)
+        labels = assigned(problem, merged.state, faces_of(problem, merged.state, merged.labels))
+        found = solve_again(problem, merged.state, labels)
+        found = straightened(problem, found)
+        if np.abs(found.state.poses - before)[..., :2].max() < _SETTLED and not has_merged:
             break
-    return without_ends(problem, found, config)
+    return without_ends(problem, found)
 
 
-def without_ends(problem: Problem, found: Association, config: ReassociationConfig) -> Association:
+def without_ends(problem: Problem, found: Association) -> Association:
     """The solution without the readings beside the ends of lines, which may be of the next wall.
 
     The readings keep their lines, which are fitted to all of them at the end. Lines with too few other readings are
     removed.
     """
-    guard, count = config.end_guard * (problem.range_std - config.exact_std), len(found.state.lines)
+    guard, count = _END_GUARD * (problem.range_std - _EXACT_STD), len(found.state.lines)
     if guard <= 0.0:
         return found
     along, ends = places_along(problem, found.state, found.labels), ends_of(problem, found.state, found.labels)
     low, high = ends[found.labels].T + np.array([[guard], [-guard]])
     is_inner = (found.labels >= 0) & (along >= low) & (along <= high)
-    is_short = np.bincount(found.labels[is_inner], minlength=count) < config.fewest
+    is_short = np.bincount(found.labels[is_inner], minlength=count) < FEWEST_READINGS
     labels = np.where((found.labels >= 0) & is_short[found.labels], -1, found.labels)
-    found = solve_again(problem, found.state, labels, config.fewest, shares=is_inner.astype(float))
+    found = solve_again(problem, found.state, labels, shares=is_inner.astype(float))
     return replace(found, solution=replace(found.solution, state=with_all_readings(problem, found)))
 
 
@@ -153,12 +166,12 @@ def _fitted_again(problem: Problem, state: State, labels: IntArray) -> State:
     return replace(state, lines=state.lines + np.column_stack((mean + turn * middle, turn)))
 
 
-def solve_labels(problem: Problem, state: State, labels: IntArray, fewest: int, iterations: int = 8) -> Association:
+def solve_labels(problem: Problem, state: State, labels: IntArray, iterations: int = 8) -> Association:
     """The optimum for given associations. The lines are first fitted to their readings at the poses of a state.
 
-    Lines with fewer than ``fewest`` readings are left out.
+    Lines with too few readings are left out.
     """
-    labels, _ = renumbered(labels, fewest)
+    labels, _ = renumbered(labels)
     lines, anchors = fitted_lines(problem, state, labels)
     state = replace(state, lines=lines, anchors=anchors)
     return Association(solve(problem, state, labels, iterations=iterations, tolerance=_EXACT), labels)
@@ -168,7 +181,6 @@ def solve_again(
     problem: Problem,
     state: State,
     labels: IntArray,
-    fewest: int,
     *,
     iterations: int = 5,
     tolerance: float = _EXACT,
@@ -181,14 +193,14 @@ def solve_again(
     DegenerateError
         If no line is left, or the equations cannot be solved.
     """
-    labels, kept = renumbered(labels, fewest)
+    labels, kept = renumbered(labels)
     if not len(kept):
         raise DegenerateError("no line has enough readings")
     state = replace(state, lines=state.lines[kept], anchors=state.anchors[kept])
     return Association(solve(problem, state, labels, iterations=iterations, tolerance=tolerance, shares=shares), labels)
 
 
-def renumbered(labels: IntArray, fewest: int) -> tuple[IntArray, IntArray]:
+def renumbered(labels: IntArray, fewest: int = FEWEST_READINGS) -> tuple[IntArray, IntArray]:
     """Labels of the lines in the order of first readings, and the old numbers (m,).
 
     Lines with fewer than ``fewest`` readings are left out.
@@ -272,17 +284,17 @@ def faces_of(problem: Problem, state: State, labels: IntArray) -> FloatArray:
     return seen_ends(problem, state, labels)
 
 
-def assigned(problem: Problem, state: State, ends: FloatArray, config: ReassociationConfig) -> IntArray:
+def assigned(problem: Problem, state: State, ends: FloatArray) -> IntArray:
     """For each reading, the line that predicts it, or -1 if no line or two lines predict it."""
-    best, misfits = best_lines(problem, state, ends, config.beyond)
-    is_clear = (misfits[:, 0] < config.gate) & (misfits[:, 1] - misfits[:, 0] > config.margin)
+    best, misfits = best_lines(problem, state, ends)
+    is_clear = (misfits[:, 0] < GATE) & (misfits[:, 1] - misfits[:, 0] > _MARGIN)
     return np.where(is_clear, best, -1)
 
 
-def best_lines(problem: Problem, state: State, ends: FloatArray, beyond: float) -> tuple[IntArray, FloatArray]:
+def best_lines(problem: Problem, state: State, ends: FloatArray) -> tuple[IntArray, FloatArray]:
     """The best line (k,) of each reading, or -1, and the misfits of the best and second line (k, 2), in deviations.
 
-    A line can explain the readings from a side between the ends (m, 2, 2) on this side, and up to ``beyond`` (m)
+    A line can explain the readings from a side between the ends (m, 2, 2) on this side, and up to ``BEYOND``
     outside.
     """
     readings = problem.readings
@@ -290,21 +302,19 @@ def best_lines(problem: Problem, state: State, ends: FloatArray, beyond: float) 
     biases = state.calibration[readings.places // problem.steps, 3]
     kernels.best_lines(
         state.flat_poses, readings.places, problem.beams, readings.distances - biases, state.lines, state.anchors,
-        ends, beyond, problem.beam_width, best, misfits,
+        ends, BEYOND, problem.beam_width, best, misfits,
     )  # fmt: skip
     return best, misfits / problem.range_std / problem.noise[:, None]
 
 
-def straightened(problem: Problem, found: Association, config: ReassociationConfig) -> Association:
+def straightened(problem: Problem, found: Association) -> Association:
     """The solution with bent lines divided, and without runs of readings that lie on one side of their line."""
     along = places_along(problem, found.state, found.labels)
-    labels = straight_labels(problem, found.solution, found.labels, along, config)
-    return found if np.array_equal(labels, found.labels) else solve_labels(problem, found.state, labels, config.fewest)
+    labels = straight_labels(problem, found.solution, found.labels, along)
+    return found if np.array_equal(labels, found.labels) else solve_labels(problem, found.state, labels)
 
 
-def merge(
-    problem: Problem, found: Association, limits: OneWall, fewest: int, tolerance: float = _LOOSE
-) -> tuple[Association, bool]:
+def merge(problem: Problem, found: Association, limits: OneWall = ONE_WALL) -> tuple[Association, bool]:
     """Merge the lines that may be one wall, and return whether there were such lines.
 
     Each merge updates all lines through their joint covariance. Poses and lines are solved for again when a line has
@@ -325,7 +335,7 @@ def merge(
             break
         has_merged = True
         labels = np.where(found.labels >= 0, rooted(merged_into)[found.labels], -1)
-        found = solve_again(problem, state, labels, fewest, tolerance=tolerance)
+        found = solve_again(problem, state, labels, tolerance=_LOOSE)
     return found, has_merged
 
 

@@ -20,7 +20,7 @@ from limslam_agent.slam.consistent.wall_map import NEW, Wall
 from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.line_graph.mending import is_contradicted
 from limslam_agent.slam.line_graph.reassociation import seen_ends
-from limslam_agent.slam.line_graph.smoothed_map import wall_extents
+from limslam_agent.slam.line_graph.smoothed_map import drawn_pieces, wall_extents
 from limslam_agent.slam.line_graph.smoother import FilteredRun, Settled, filter_labels, settle
 from limslam_env.geometry import FloatArray, IntArray
 
@@ -49,11 +49,11 @@ def renewed(
         poses of the stretch (t, 3). None if the stretch cannot be smoothed, or if its beams contradict the result.
     """
     found = settle(stretch, config)
-    if found is None or is_contradicted(found.problem, found.association, config):
+    if found is None or is_contradicted(found.problem, found.association):
         return None
     aged = _aged(start, renewal.end_noise * found.problem.range_std)
     labels = filter_labels(found.problem, stretch.associations, stretch.closures, stretch.first_step)
-    return _joined(aged, found, labels, config), found.association.state.poses[0]
+    return _joined(aged, found, labels), found.association.state.poses[0]
 
 
 def _aged(state: MapState, end_std: float) -> MapState:
@@ -64,7 +64,7 @@ def _aged(state: MapState, end_std: float) -> MapState:
     return replace(state, covariance=state.covariance + np.diag(np.append(np.zeros(POSE), added)))
 
 
-def _joined(start: MapState, found: Settled, labels: IntArray, config: SmootherConfig) -> MapState:
+def _joined(start: MapState, found: Settled, labels: IntArray) -> MapState:
     """The map from before, and the walls and the last pose of a stretch, with their joint covariance.
 
     ``labels`` (k,) are the numbers of the landmarks that the filter has taken the readings for, or -1.
@@ -72,8 +72,8 @@ def _joined(start: MapState, found: Settled, labels: IntArray, config: SmootherC
     state, factored = found.association.state, found.association.solution.factored
     extents = {
         index: extent
-        for index, extent in wall_extents(found.problem, found.association, config).items()
-        if len(extent.intervals(config.max_gap, config.through_tolerance))
+        for index, extent in wall_extents(found.problem, found.association).items()
+        if len(drawn_pieces(extent))
     }
     kept, counts = np.array(list(extents), dtype=int), np.bincount(found.association.labels + 1)[1:]
     seen = seen_ends(found.problem, state, found.association.labels)

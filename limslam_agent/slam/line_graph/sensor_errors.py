@@ -13,7 +13,7 @@ from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.slam.line_graph.elimination import DegenerateError
 from limslam_agent.slam.line_graph.line_smoother import range_residuals, solve
 from limslam_agent.slam.line_graph.problem import LEAST_RANGE_STD, Problem, rows_of
-from limslam_agent.slam.line_graph.reassociation import Association
+from limslam_agent.slam.line_graph.reassociation import GATE, Association
 
 _FIXED_POINT = 20
 _SETTLED = 1.05
@@ -27,7 +27,7 @@ def fitted_sensor(problem: Problem, found: Association, config: SmootherConfig, 
     It is the same object if they require no change. ``stated`` is the specified standard deviation of a range, m: a
     departure from it needs more evidence than a further change.
     """
-    ratio = max(residual_std(problem, found, config.reassociation.gate), LEAST_RANGE_STD) / problem.range_std
+    ratio = max(residual_std(problem, found, GATE), LEAST_RANGE_STD) / problem.range_std
     most = config.sensor.noise_ratio if problem.range_std == stated else _SETTLED
     changed = _with_width(problem, found, config)
     if 1.0 / most <= ratio <= most:

@@ -2,7 +2,6 @@
 
 import numpy as np
 
-from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.slam.consistent.wall_extent import BIN, WallExtent
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.line_graph.map_score import tally
@@ -12,13 +11,19 @@ from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.geometry.line import direction, normal, normalise
 from limslam_env.geometry.segment import lengths
 
+_MAX_GAP = 0.30  # m: the largest hole without looks in a drawn segment
+_MOST_PASSED = 1.0  # beams that passed for each beam that hit, where a wall is drawn
+_FEWEST_SHOWN = 10  # readings of a line that is drawn
+# The least length of a drawn segment: in m, and in standard deviations of a range.
+_SHORTEST_SHOWN, _SHORTEST_IN_STDS = 0.20, 7.5
 
-def smoothed_map(problem: Problem, found: Association, config: SmootherConfig) -> tuple[list[Landmark], FloatArray]:
+
+def smoothed_map(problem: Problem, found: Association) -> tuple[list[Landmark], FloatArray]:
     """The walls of a solution: the lines with walls, as landmarks about the world's origin, and the segments (k, 4), m.
 
     A wall is where beams ended along a line and no beam passed through.
     """
-    segments, owners = _drawn(problem, found, config)
+    segments, owners = _drawn(problem, found)
     lines, covariances = world_lines(found)
     along = places_along(problem, found.state, found.labels)
     landmarks = []
@@ -46,7 +51,7 @@ def world_lines(found: Association) -> tuple[FloatArray, FloatArray]:
     return normalise(lines), np.asarray(jacobians @ blocks @ np.swapaxes(jacobians, 1, 2))
 
 
-def wall_extents(problem: Problem, found: Association, config: SmootherConfig) -> dict[int, WallExtent]:
+def wall_extents(problem: Problem, found: Association) -> dict[int, WallExtent]:
     """Where along each line beams ended and passed, by the line's index, for lines with enough readings."""
     counted, state = tally(problem, found), found.state
     along, used = places_along(problem, state, found.labels), found.labels >= 0
@@ -55,21 +60,25 @@ def wall_extents(problem: Problem, found: Association, config: SmootherConfig) -
     np.minimum.at(least, (found.labels[used], bins), along[used])
     np.maximum.at(most, (found.labels[used], bins), along[used])
     extents = {}
-    for index in np.flatnonzero(counted.hits.sum(axis=1) >= config.shown_readings).tolist():
+    for index in np.flatnonzero(counted.hits.sum(axis=1) >= _FEWEST_SHOWN).tolist():
         counts, reached = np.stack((counted.hits[index], counted.misses[index])), np.stack((least[index], most[index]))
         extents[index] = WallExtent.counted(int(counted.low[index]), counts, reached)
     return extents
 
 
-def _drawn(problem: Problem, found: Association, config: SmootherConfig) -> tuple[FloatArray, IntArray]:
+def drawn_pieces(extent: WallExtent) -> FloatArray:
+    """The pieces (k, 2) of a line that are drawn as walls, m along the line."""
+    return extent.intervals(_MAX_GAP, _MOST_PASSED)
+
+
+def _drawn(problem: Problem, found: Association) -> tuple[FloatArray, IntArray]:
     """The wall segments (k, 4), m, and the line (k,) of each."""
     drawn, owners = [no_rows(4)], [np.zeros(0, dtype=np.int64)]
-    for index, extent in wall_extents(problem, found, config).items():
-        pieces = extent.intervals(config.max_gap, config.through_tolerance)
-        drawn.append(_points(found.state, index, pieces).reshape(-1, 4))
+    for index, extent in wall_extents(problem, found).items():
+        drawn.append(_points(found.state, index, drawn_pieces(extent)).reshape(-1, 4))
         owners.append(np.full(len(drawn[-1]), index))
     every, owner = np.concatenate(drawn), np.concatenate(owners)
-    is_long = lengths(every) >= max(config.shown_length, config.shown_sigmas * problem.range_std)
+    is_long = lengths(every) >= max(_SHORTEST_SHOWN, _SHORTEST_IN_STDS * problem.range_std)
     return np.asarray(every[is_long]), np.asarray(owner[is_long])
 
 

@@ -16,7 +16,7 @@ from limslam_agent.slam.line_graph.elimination import DegenerateError
 from limslam_agent.slam.line_graph.line_smoother import pose_covariances, solve
 from limslam_agent.slam.line_graph.map_score import score, tally
 from limslam_agent.slam.line_graph.mending import is_contradicted, is_repaired, mend
-from limslam_agent.slam.line_graph.problem import Problem, Readings, make_problem, state_from_poses
+from limslam_agent.slam.line_graph.problem import FEWEST_READINGS, Problem, Readings, make_problem, state_from_poses
 from limslam_agent.slam.line_graph.reassociation import Association, reassociate, with_kinds
 from limslam_agent.slam.line_graph.sensor_errors import fitted_sensor
 from limslam_agent.slam.line_graph.smoothed_map import smoothed_map
@@ -24,6 +24,11 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
 
+# Chi-square of the estimated errors, of which each robot has four, from which on they are estimated although no beam
+# contradicts the map.
+_CALIBRATION_GATE = 40.0
+_CALIBRATION_PRICE = 20.0  # by how much estimated errors must raise the score
+_UNSURE_HEADING = math.radians(4.0)  # rad: standard deviation of the filter from which on associations may be wrong
 # The error of the right wheel less that of the left one, and the error of the axle less the mean of the wheels.
 _RELATIVE = np.array([[-1.0, 1.0, 0.0, 0.0], [-0.5, -0.5, 1.0, 0.0]])
 # m, m, rad: how far the place at which a carried robot was found may be off beyond the covariances of its poses. It is
@@ -120,10 +125,11 @@ class Settled:
     association: Association
     moves: tuple[str, ...]
 
-    def worth(self, config: SmootherConfig) -> float:
+    @property
+    def worth(self) -> float:
         """The score, minus the gain that is required to accept a calibration."""
-        price = 0.0 if self.problem.prior is None else config.calibration_price
-        return score(self.problem, self.association, config.score).total - price
+        price = 0.0 if self.problem.prior is None else _CALIBRATION_PRICE
+        return score(self.problem, self.association).total - price
 
 
 def smooth_run(run: FilteredRun, config: SmootherConfig | None = None) -> SmoothedRun | None:
@@ -135,7 +141,7 @@ def smooth_run(run: FilteredRun, config: SmootherConfig | None = None) -> Smooth
     """
     config = config or SmootherConfig()
     best = settle(run, config)
-    return None if best is None else _smoothed(best, config)
+    return None if best is None else _smoothed(best)
 
 
 def settle(run: FilteredRun, config: SmootherConfig) -> Settled | None:
@@ -148,16 +154,16 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Settled | None:
         return None
     problem = with_breaks(problem, run)
     labels = filter_labels(problem, run.associations, run.closures, run.first_step)
-    if np.count_nonzero(labels >= 0) < config.reassociation.fewest:
+    if np.count_nonzero(labels >= 0) < FEWEST_READINGS:
         return None
     try:
-        problem, labels = with_kinds(problem, state_from_poses(problem, run.poses), labels, config.reassociation)
+        problem, labels = with_kinds(problem, state_from_poses(problem, run.poses), labels)
         problem, found = _as_read(problem, run, labels, config)
-        best = _settled(problem, found, run, config)
+        best = _settled(problem, found, run)
         if config.calibrate == "if_needed" and _may_need_calibration(best, config):
             sized = replace(problem, prior=config.calibration.information)
-            again = _settled(sized, _reassociated(sized, run, labels, config), run, config)
-            best = max(best, again, key=lambda each: each.worth(config))
+            again = _settled(sized, _reassociated(sized, run, labels), run)
+            best = max(best, again, key=lambda each: each.worth)
     except DegenerateError:
         return None
     return best
@@ -168,25 +174,25 @@ def _as_read(
 ) -> tuple[Problem, Association]:
     """The problem with the noise and the beam width that its residuals require, and its re-associated solution."""
     stated = problem.range_std
-    found = _reassociated(problem, run, labels, config)
+    found = _reassociated(problem, run, labels)
     for _ in range(config.sensor.rounds):
         changed = fitted_sensor(problem, found, config, stated)
         if changed is problem:
             break
-        problem, found = changed, _reassociated(changed, run, labels, config)
+        problem, found = changed, _reassociated(changed, run, labels)
     return problem, found
 
 
-def _reassociated(problem: Problem, run: FilteredRun, labels: IntArray, config: SmootherConfig) -> Association:
-    return reassociate(problem, state_from_poses(problem, run.poses), labels, config.reassociation)
+def _reassociated(problem: Problem, run: FilteredRun, labels: IntArray) -> Association:
+    return reassociate(problem, state_from_poses(problem, run.poses), labels)
 
 
-def _settled(problem: Problem, found: Association, run: FilteredRun, config: SmootherConfig) -> Settled:
+def _settled(problem: Problem, found: Association, run: FilteredRun) -> Settled:
     """The re-associated solution of a problem, with corrected associations where a correction is needed."""
-    if not needs_mending(problem, found, run.covariances, config):
+    if not needs_mending(problem, found, run.covariances):
         return Settled(problem, found, ())
-    kept = mend(problem, found, config)
-    if not is_repaired(problem, found, kept[-1].association, config):
+    kept = mend(problem, found)
+    if not is_repaired(problem, found, kept[-1].association):
         return Settled(problem, found, ())
     return Settled(problem, kept[-1].association, tuple(candidate.move for candidate in kept[1:]))
 
@@ -199,7 +205,7 @@ def _may_need_calibration(found: Settled, config: SmootherConfig) -> bool:
     only. That looks like a common error of all sizes with a bias, so such sensors are tested for relative errors alone,
     unless a bias is known: a wrong one has to be corrected.
     """
-    if is_contradicted(found.problem, found.association, config):
+    if is_contradicted(found.problem, found.association):
         return True
     sized = replace(found.problem, prior=config.calibration.information)
     solution = solve(sized, found.association.state, found.association.labels)
@@ -208,7 +214,7 @@ def _may_need_calibration(found: Settled, config: SmootherConfig) -> bool:
     tested = np.kron(np.eye(len(sized.starts)), _RELATIVE if is_rough else np.eye(4))
     values = tested @ (solution.state.calibration - sized.assumed_calibration).ravel()
     covariance = tested @ solution.factored.covariance[first : first + count, first : first + count] @ tested.T
-    return float(values @ np.linalg.solve(covariance, values)) > config.calibration_gate * len(sized.starts)
+    return float(values @ np.linalg.solve(covariance, values)) > _CALIBRATION_GATE * len(sized.starts)
 
 
 def with_breaks(problem: Problem, run: FilteredRun) -> Problem:
@@ -249,10 +255,10 @@ def filter_labels(
     return np.asarray(table[problem.readings.places, problem.readings.beams])
 
 
-def needs_mending(problem: Problem, found: Association, covariances: FloatArray, config: SmootherConfig) -> bool:
+def needs_mending(problem: Problem, found: Association, covariances: FloatArray) -> bool:
     """Whether beams contradict a solution, or the filter's heading was uncertain at any step."""
     heading_std = math.sqrt(max(float(covariances[..., 2, 2].max()), 0.0))
-    return heading_std > config.mending.unsure_heading or is_contradicted(problem, found, config)
+    return heading_std > _UNSURE_HEADING or is_contradicted(problem, found)
 
 
 def _contradictions(problem: Problem, found: Association) -> float:
@@ -269,11 +275,11 @@ def _contradictions(problem: Problem, found: Association) -> float:
     return tally(replace(problem, looks=kept), found).contradictions / max(len(kept), 1)
 
 
-def _smoothed(best: Settled, config: SmootherConfig) -> SmoothedRun:
+def _smoothed(best: Settled) -> SmoothedRun:
     problem, found = best.problem, best.association
     poses = np.moveaxis(found.state.poses, 0, 1).copy()
     poses[..., 2] = wrap_angle(poses[..., 2])
-    landmarks, segments = smoothed_map(problem, found, config)
+    landmarks, segments = smoothed_map(problem, found)
     return SmoothedRun(
         poses=poses,
         covariances=np.moveaxis(pose_covariances(found.solution), 0, 1).copy(),

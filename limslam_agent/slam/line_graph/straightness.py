@@ -7,21 +7,22 @@ these are not: they are systematic along the line, or all on one side of it.
 
 import numpy as np
 
-from limslam_agent.config.smoother import ReassociationConfig
 from limslam_agent.slam.line_graph import line_kernels as kernels
 from limslam_agent.slam.line_graph.chain_kernels import COSINE
 from limslam_agent.slam.line_graph.line_smoother import Solution, range_residuals
-from limslam_agent.slam.line_graph.problem import Problem, rows_of
+from limslam_agent.slam.line_graph.problem import FEWEST_READINGS, Problem, rows_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _FEWEST_APART = 3  # readings; two of them fit any line
 _RUN_GAP = 10  # steps without a reading that end a run
 _LONGEST_RUN = 40  # readings that are tested together
+_BEND_GATE = 16.0  # chi-square: a line is divided where two lines fit its readings better by this much
+# Standard deviations of a sum of residuals: successive readings of one beam with a larger sum lie on one side of their
+# line.
+_RUN_GATE = 4.0
 
 
-def straight_labels(
-    problem: Problem, solution: Solution, labels: IntArray, along: FloatArray, config: ReassociationConfig
-) -> IntArray:
+def straight_labels(problem: Problem, solution: Solution, labels: IntArray, along: FloatArray) -> IntArray:
     """Labels (k,) in which bent lines are divided, and runs of readings on one side of their line have no line.
 
     Parameters
@@ -30,15 +31,12 @@ def straight_labels(
         A solution, and the line (k,) of each reading, or -1.
     along
         Where each reading's beam meets its line (k,), m.
-    config
-        A line is divided where two lines fit its readings better than one by ``bend_gate`` in chi-square. A run is left
-        out if the sum of its residuals, in standard deviations of such a sum, exceeds ``run_gate``.
     """
     rows = rows_of(problem, solution.state, labels)
     residuals = range_residuals(problem, solution.state, rows)
     stds, is_used = problem.range_std * problem.noise, solution.weights > 0.0
-    result = _divided(along, residuals, rows[:, COSINE], stds, labels, is_used, config)
-    return np.where(_is_one_sided(problem, residuals, labels, config.run_gate), -1, result)
+    result = _divided(along, residuals, rows[:, COSINE], stds, labels, is_used)
+    return np.where(_is_one_sided(problem, residuals, labels), -1, result)
 
 
 def _divided(
@@ -48,7 +46,6 @@ def _divided(
     stds: FloatArray,
     labels: IntArray,
     is_used: BoolArray,
-    config: ReassociationConfig,
 ) -> IntArray:
     """The labels (k,) with bent lines divided. Parts with too few readings for a line have no line."""
     # The distance of a reading from its line is the residual along the beam times the cosine.
@@ -57,16 +54,16 @@ def _divided(
     order = order[(labels[order] >= 0) & is_used[order]]
     result, count = labels.copy(), int(labels.max(initial=-1)) + 1
     for line in np.split(order, np.flatnonzero(np.diff(labels[order])) + 1):
-        for part in _straight_parts(points, line, config)[1:]:
+        for part in _straight_parts(points, line)[1:]:
             result[part] = count
             count += 1
-    few = np.bincount(result[result >= 0], minlength=count) < config.fewest
+    few = np.bincount(result[result >= 0], minlength=count) < FEWEST_READINGS
     return np.where(few[result], -1, result)
 
 
-def _straight_parts(points: FloatArray, line: IntArray, config: ReassociationConfig) -> list[IntArray]:
+def _straight_parts(points: FloatArray, line: IntArray) -> list[IntArray]:
     """The readings of a line, sorted along the line, in the parts into which the line is divided."""
-    if len(line) < config.fewest + _FEWEST_APART:
+    if len(line) < FEWEST_READINGS + _FEWEST_APART:
         return [line]
     s, y, w = points[:, line]
     s = s - s.mean()
@@ -74,10 +71,10 @@ def _straight_parts(points: FloatArray, line: IntArray, config: ReassociationCon
     before = sums[:, _FEWEST_APART - 1 : -_FEWEST_APART]
     gains = _misfits(sums[:, -1:]) - _misfits(before) - _misfits(sums[:, -1:] - before)
     best = int(gains.argmax())
-    if gains[best] < config.bend_gate:
+    if gains[best] < _BEND_GATE:
         return [line]
     cut = best + _FEWEST_APART
-    return _straight_parts(points, line[:cut], config) + _straight_parts(points, line[cut:], config)
+    return _straight_parts(points, line[:cut]) + _straight_parts(points, line[cut:])
 
 
 def _misfits(sums: FloatArray) -> FloatArray:
@@ -87,7 +84,7 @@ def _misfits(sums: FloatArray) -> FloatArray:
     return np.asarray(wyy - wy * wy / w - (wsy - ws * wy / w) ** 2 / spread)
 
 
-def _is_one_sided(problem: Problem, residuals: FloatArray, labels: IntArray, gate: float) -> BoolArray:
+def _is_one_sided(problem: Problem, residuals: FloatArray, labels: IntArray) -> BoolArray:
     """Mask (k,) of successive readings of a beam that lie on one side of their line, as those beside a corner do."""
     readings = problem.readings
     order = np.lexsort((readings.places, labels, readings.beams, readings.places // problem.steps))
@@ -97,6 +94,8 @@ def _is_one_sided(problem: Problem, residuals: FloatArray, labels: IntArray, gat
     is_new |= np.abs(np.diff(readings.places[order], prepend=0)) > _RUN_GAP
     firsts = np.append(np.flatnonzero(is_new), len(order))
     found, result = np.zeros(len(order), dtype=bool), np.zeros(len(labels), dtype=bool)
-    kernels.one_sided_runs((residuals / problem.noise)[order] / problem.range_std, firsts, gate, _LONGEST_RUN, found)
+    kernels.one_sided_runs(
+        (residuals / problem.noise)[order] / problem.range_std, firsts, _RUN_GATE, _LONGEST_RUN, found
+    )
     result[order[found]] = True
     return result

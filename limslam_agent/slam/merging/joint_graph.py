@@ -14,7 +14,7 @@ from limslam_agent.slam.graph.agreement import LoopVerdict
 from limslam_agent.slam.graph.chunk_graph import carry_over
 from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory
 from limslam_agent.slam.graph.loop_search import loops_along_the_way
-from limslam_agent.slam.graph.rounds import Candidates, LogProblem, Round, do_round
+from limslam_agent.slam.graph.rounds import Candidates, LogProblem, Round, do_round, is_settled
 from limslam_agent.slam.merging.chains import Chain, joined_keys, joined_trajectory, local_of_both
 from limslam_agent.slam.merging.placements import Placement, solved
 from limslam_agent.slam.merging.placing import Pieces
@@ -76,7 +76,7 @@ def joint_map(
     have bent the second log, and loops between the logs show where. The start with the higher score G goes on.
     """
     middles = np.array([each.middle for each in local.maps])
-    by_local = solved(known, second.local.poses[middles], placement.members, config)
+    by_local = solved(known, second.local.poses[middles], placement.members)
     starts = [
         replace(second, smoothed=carry_over(second.keys, trajectory, middles, poses))
         for trajectory, poses in ((second.smoothed, placement.poses), (second.local, by_local))
@@ -122,7 +122,7 @@ class _Search:
 
     def advanced(self, end: int) -> "_Search":
         """Do rounds up to a number of rounds, or until two rounds have not raised the score."""
-        while len(self._rounds) < end and not self._is_settled:
+        while len(self._rounds) < end and not is_settled(self._rounds):
             number = len(self._rounds) + 1
             self.report(f"both logs, round {number} of at most {len(self.config.rounds.hops) - 1}")
             trajectory = self._log.unbent(self._trajectory, number)
@@ -131,8 +131,3 @@ class _Search:
             self._rounds.append(do_round(self._log, trajectory, number, candidates, _START))
             self._trajectory = self._rounds[-1].trajectory
         return self
-
-    @property
-    def _is_settled(self) -> bool:
-        scores = [each.score for each in self._rounds]
-        return len(scores) > 2 and max(scores[-2:]) < max(scores[:-2]) + self.config.rounds.settled

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.config.merging import MapMergingConfig
 from limslam_agent.slam.graph.agreement import visit_counts
 from limslam_agent.slam.graph.key_poses import Trajectory
 from limslam_agent.slam.merging.chains import Chain
@@ -15,6 +14,19 @@ from limslam_agent.slam.merging.joint_graph import JointMap, joint_map
 from limslam_agent.slam.merging.placements import CrossScore, Placement, placements
 from limslam_agent.slam.merging.placing import Pieces, candidates
 from limslam_env.geometry import FloatArray, se2
+
+# Least distance driven between local maps that agree, m: with less, they share most of their readings.
+_SPREAD = 8.0
+# Least number of points of walls that the other log confirms. Points of overlapping local maps count repeatedly.
+_LEAST_POINTS = 600
+# Largest share of contradicted points among those that the other log has seen: of a placement, and of the smoothed map.
+_PLACED_CONTRADICTED, _JOINED_CONTRADICTED = 0.25, 0.2
+_RUNNER_UP = 0.5  # largest value of another placement, as a share of the best one
+# That value counts only for a share of itself if more points contradict the other placement than the best one, by this
+# difference of the shares of contradicted points.
+_DISCOUNT, _DISCOUNTED = 0.5, 0.03
+_LEAST_LOOPS = 3  # between the logs in the smoothed map
+_FALL = 0.1  # largest fall of the score G of each log by itself
 
 NO_MATCH = "no two local maps of one log fit in the other log at places that agree"
 
@@ -42,28 +54,26 @@ def merge(
     first: Chain,
     second: Chain,
     graph: GraphConfig,
-    config: MapMergingConfig | None = None,
     report: Callable[[str], None] = lambda _: None,
 ) -> Merging:
     """Place the second log in the first one, and smooth both as one graph if one placement only fits.
 
     The joining is taken back if the smoothed map of both logs contradicts itself.
     """
-    config = config or MapMergingConfig()
     reach = max(first.data.max_range, second.data.max_range)
     report("both logs, local maps are matched")
-    known, local = (Pieces.of(chain, reach, graph, config) for chain in (first, second))
-    ranked = placements(known, local, candidates(known, local, config, graph), config, graph)
+    known, local = (Pieces.of(chain, reach) for chain in (first, second))
+    ranked = placements(known, local, candidates(known, local))
     if not ranked:
         return Merging(None, NO_MATCH, {"event": "not joined", "reason": NO_MATCH})
     best = ranked[0]
-    runner_up = _runner_up(best, ranked[1:], config)
+    runner_up = _runner_up(best, ranked[1:])
     record = _figures(best, local, runner_up)
-    refusal = _refusal(best, local, runner_up, config)
+    refusal = _refusal(best, local, runner_up)
     if refusal:
         return Merging(None, refusal, {"event": "not joined", "reason": refusal, "match": record})
     joint = joint_map(first, second, known, local, best, graph, report)
-    checked, refusal = _checked(joint, reach, graph, config)
+    checked, refusal = _checked(joint, reach, graph)
     if refusal:
         taken_back = f"joined and taken back: {refusal}"
         return Merging(None, taken_back, {"event": "not joined", "reason": taken_back, "match": record, **checked})
@@ -72,11 +82,11 @@ def merge(
     return Merging(joint, "", {"event": "joined", "reason": "the local maps fit at one place only", **details})
 
 
-def _runner_up(best: Placement, others: Sequence[Placement], config: MapMergingConfig) -> float:
+def _runner_up(best: Placement, others: Sequence[Placement]) -> float:
     """The value of the best other placement, as a share of the best value."""
-    limit = best.contradicted_share + config.discounted
-    values = [each.value(config) * (config.discount if each.contradicted_share > limit else 1.0) for each in others]
-    worth = best.value(config)
+    limit = best.contradicted_share + _DISCOUNTED
+    values = [each.value * (_DISCOUNT if each.contradicted_share > limit else 1.0) for each in others]
+    worth = best.value
     return max(*values, 0.0, 0.0) / worth if worth > 0.0 else 1.0
 
 
@@ -92,24 +102,24 @@ def _figures(best: Placement, local: Pieces, runner_up: float) -> dict[str, Any]
     }
 
 
-def _refusal(best: Placement, local: Pieces, runner_up: float, config: MapMergingConfig) -> str:
+def _refusal(best: Placement, local: Pieces, runner_up: float) -> str:
     travel = [local.maps[each.piece].travel for each in best.members]
-    if not travel or max(travel) - min(travel) < config.spread:
+    if not travel or max(travel) - min(travel) < _SPREAD:
         return NO_MATCH
-    if best.confirmed < config.least_points:
+    if best.confirmed < _LEAST_POINTS:
         return f"only {best.confirmed} points of walls fit"
-    if best.contradicted_share > config.placed_contradicted:
+    if best.contradicted_share > _PLACED_CONTRADICTED:
         return f"one log looks through {best.contradicted_share:.0%} of the walls that the other log has seen there"
-    if runner_up > config.runner_up:
+    if runner_up > _RUNNER_UP:
         return f"ambiguous: another place has {runner_up:.0%} of the best score"
     return ""
 
 
-def _checked(joint: JointMap, reach: float, graph: GraphConfig, config: MapMergingConfig) -> tuple[dict[str, Any], str]:
+def _checked(joint: JointMap, reach: float, graph: GraphConfig) -> tuple[dict[str, Any], str]:
     """Figures of a joined map, and why it contradicts itself; empty if it does not."""
     chains = _smoothed_chains(joint)
-    known, local = (Pieces.of(chain, reach, graph, config) for chain in chains)
-    confirmed, contradicted = CrossScore.of(known, local, graph)(local.poses)
+    known, local = (Pieces.of(chain, reach) for chain in chains)
+    confirmed, contradicted = CrossScore.of(known, local)(local.poses)
     share = contradicted / max(confirmed + contradicted, 1)
     kept = sum(each.kept for each in joint.cross_loops)
     falls = [
@@ -123,11 +133,11 @@ def _checked(joint: JointMap, reach: float, graph: GraphConfig, config: MapMergi
         "contradicted_points": contradicted,
         "score_changes": [-float(fall) for fall in falls],
     }
-    if kept < config.least_loops:
+    if kept < _LEAST_LOOPS:
         return figures, f"only {kept} loops between the logs are left"
-    if share > config.joined_contradicted:
+    if share > _JOINED_CONTRADICTED:
         return figures, f"one log looks through {share:.0%} of the walls of the other log"
-    if max(falls) > config.fall:
+    if max(falls) > _FALL:
         which = ("first", "second")[int(np.argmax(falls))]
         return figures, f"the map of the {which} log agrees less with itself"
     return figures, ""

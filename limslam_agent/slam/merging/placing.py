@@ -5,6 +5,7 @@ move the second log by the same motion. Walls have few directions, so few turns 
 shifts are compared at once by the fast Fourier transform (J. Lewis, "Fast normalized cross-correlation", 1995).
 """
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,14 +13,20 @@ from numpy.typing import NDArray
 from scipy import fft
 from scipy.ndimage import gaussian_filter1d, maximum_filter
 
-from limslam_agent.config.graph import GraphConfig
-from limslam_agent.config.merging import MapMergingConfig
+from limslam_agent.config.graph import LocalMapConfig
 from limslam_agent.slam.graph.local_maps import HIT, LocalMap, chunk_middles, cut_chunks, united
 from limslam_agent.slam.graph.matching import Window, match, search_grid
 from limslam_agent.slam.graph.point_links import point_cloud
 from limslam_agent.slam.merging.chains import Chain
 from limslam_env.geometry import FloatArray, se2
 
+# Local maps that are matched with the whole map of the first log. They are longer than the chunks of the graph, because
+# nothing is known about their place.
+_PIECES = LocalMapConfig(half=6.0, hop=4.0)
+_COARSE, _TURN_STEP = 0.2, math.radians(3.0)  # side of a cell, m, and step of the turns of the first search, rad
+_LIKELY = 0.6  # turns are searched at which the walls of both logs agree at least so well, as a share of the best turn
+_PEAKS = 25  # places of a local map that are kept
+_COARSE_SCORE, _SCORE = 0.5, 0.55  # of a place in the first search, and after its refinement
 _BINS = 120  # of wall directions, over a full turn
 _WINDOW = Window(0.5, np.radians(6.0), np.radians(1.5))  # of the refinement
 _TOPS_APART = 5  # cells of the first search between two places of a local map
@@ -43,55 +50,53 @@ class Pieces:
     directions: FloatArray
 
     @classmethod
-    def of(cls, chain: Chain, reach: float, graph: GraphConfig, config: MapMergingConfig) -> "Pieces":
+    def of(cls, chain: Chain, reach: float) -> "Pieces":
         """Cut a log along its smoothed trajectory. The grids have room for beams of a length ``reach``, m."""
         keys, trajectory, data = chain.keys, chain.smoothed, chain.data
-        middles = chunk_middles(keys, config.pieces, config.pieces.hop)
-        maps = cut_chunks(keys, trajectory, config.pieces, middles, reach)
-        cloud = point_cloud(keys, trajectory, graph.links, data.range_std)
+        middles = chunk_middles(keys, _PIECES, _PIECES.hop)
+        maps = cut_chunks(keys, trajectory, _PIECES, middles, reach)
+        cloud = point_cloud(keys, trajectory, data.range_std)
         angles = np.arctan2(*cloud.normals[cloud.good].T[::-1]) % (2.0 * np.pi)
         counts = np.bincount((angles * _BINS / (2.0 * np.pi)).astype(np.int64) % _BINS, minlength=_BINS)
         return cls(maps, trajectory.poses[middles], gaussian_filter1d(counts.astype(float), 1.0, mode="wrap"))
 
-    def whole(self, config: MapMergingConfig, cell: float) -> tuple[LocalMap, FloatArray]:
+    def whole(self, cell: float) -> tuple[LocalMap, FloatArray]:
         """All local maps as one map with cells of a given side, m, and the pose (3,) of its frame."""
         offsets = self.poses[:, :2] - 0.5 * (self.poses[:, :2].min(axis=0) + self.poses[:, :2].max(axis=0))
         order = np.argsort(np.hypot(*offsets.T), kind="stable")
         poses, maps = self.poses[order], [self.maps[number] for number in order]
         reach = np.hypot(*se2.between(poses[0], poses)[:, :2].T).max() - maps[0].low
-        settings = replace(config.pieces, cell=cell, hit_radius=max(cell, config.pieces.hit_radius))
+        settings = replace(_PIECES, cell=cell, hit_radius=max(cell, _PIECES.hit_radius))
         return united(maps, poses, 2 * int(np.ceil(reach / cell)), settings), poses[0]
 
 
-def candidates(known: Pieces, local: Pieces, config: MapMergingConfig, matching: GraphConfig) -> list[Candidate]:
+def candidates(known: Pieces, local: Pieces) -> list[Candidate]:
     """The places where each local map of the second log fits into the map of the first log."""
-    turns = likely_turns(known.directions, local.directions, config)
-    whole, frame = known.whole(config, config.coarse)
-    tops = _all_tops(whole, local, turns - frame[2], config)
-    fine, frame = known.whole(config, config.pieces.cell)
-    grid = search_grid(fine, _WINDOW.shift, matching.matching)
+    turns = likely_turns(known.directions, local.directions)
+    whole, frame = known.whole(_COARSE)
+    tops = _all_tops(whole, local, turns - frame[2])
+    fine, frame = known.whole(_PIECES.cell)
+    grid = search_grid(fine, _WINDOW.shift)
     found = []
     for piece, guess in tops:
-        refined = match(grid, local.maps[piece].points, guess, _WINDOW, matching.matching, config.score)
-        if refined.score >= config.score:
+        refined = match(grid, local.maps[piece].points, guess, _WINDOW, _SCORE)
+        if refined.score >= _SCORE:
             found.append(Candidate(piece, se2.compose(frame, refined.pose), refined.score))
     return found
 
 
-def likely_turns(known: FloatArray, local: FloatArray, config: MapMergingConfig) -> FloatArray:
+def likely_turns(known: FloatArray, local: FloatArray) -> FloatArray:
     """The turns (t,), rad, of the second log at which its walls have the directions of the first log's walls."""
     agreement = np.fft.irfft(np.fft.rfft(known) * np.fft.rfft(local).conj(), _BINS)
-    bins = np.flatnonzero(agreement >= config.likely * agreement.max())
+    bins = np.flatnonzero(agreement >= _LIKELY * agreement.max())
     # A log may be bent by some degrees, so turns beside the likely ones are searched as well.
     step = 2.0 * np.pi / _BINS
-    every = max(1, round(config.turn_step / step))
+    every = max(1, round(_TURN_STEP / step))
     near = np.unique((bins[:, None] + np.arange(-1, 2)) % _BINS)
     return np.asarray(near[::every] * step)
 
 
-def _all_tops(
-    whole: LocalMap, local: Pieces, turns: FloatArray, config: MapMergingConfig
-) -> list[tuple[int, FloatArray]]:
+def _all_tops(whole: LocalMap, local: Pieces, turns: FloatArray) -> list[tuple[int, FloatArray]]:
     """Local maps and their best poses (3,) in the frame of a whole map, over all shifts and the given turns."""
     cell, reach = whole.cell, -local.maps[0].low
     pad = int(np.ceil(reach / cell)) + 1
@@ -104,9 +109,9 @@ def _all_tops(
         tops: list[tuple[float, FloatArray]] = []
         for turn in turns + local.poses[piece, 2]:
             points = se2.transform_points(np.array([0.0, 0.0, turn]), each.points)
-            tops += _tops(values, points, low, cell, size, turn, config)
+            tops += _tops(values, points, low, cell, size, turn)
         tops.sort(key=lambda top: -top[0])
-        found += [(piece, pose) for pose in _distinct([pose for _, pose in tops], cell)[: config.peaks]]
+        found += [(piece, pose) for pose in _distinct([pose for _, pose in tops], cell)[:_PEAKS]]
     return found
 
 
@@ -117,21 +122,20 @@ def _tops(
     cell: float,
     size: int,
     turn: float,
-    config: MapMergingConfig,
 ) -> list[tuple[float, FloatArray]]:
     """The best shifts of turned points (k, 2) with their scores."""
     cells = np.unique(np.floor(points / cell).astype(np.int64), axis=0) % size
     raster = np.zeros((size, size), np.float32)
     raster[cells[:, 0], cells[:, 1]] = 1.0 / max(len(cells), 1)
     scores = fft.irfft2(values * fft.rfft2(raster).conj(), s=(size, size))
-    if scores.max() < config.coarse_score:
+    if scores.max() < _COARSE_SCORE:
         return []
-    peaks = (scores >= config.coarse_score) & (scores == maximum_filter(scores, size=_TOPS_APART, mode="wrap"))
+    peaks = (scores >= _COARSE_SCORE) & (scores == maximum_filter(scores, size=_TOPS_APART, mode="wrap"))
     high = np.argwhere(peaks)
     order = np.argsort(-scores[peaks], kind="stable")
     return [
         (float(scores[row, column]), np.array([low + row * cell, low + column * cell, turn]))
-        for row, column in high[order][: config.peaks]
+        for row, column in high[order][:_PEAKS]
     ]
 
 

@@ -14,8 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limslam_agent.config.graph import GraphConfig
-from limslam_agent.config.graph_loops import LocalMapConfig
+from limslam_agent.config.graph import GraphConfig, LocalMapConfig
 from limslam_agent.slam.graph.chunk_graph import inflated
 from limslam_agent.slam.graph.key_poses import calibrated_motion, motion_variances
 from limslam_agent.slam.graph.local_maps import cut_chunks
@@ -173,7 +172,7 @@ class OnlineGraph:
         else:
             pose, covariance = self.places.poses[-1], self.places.covariance
         motion = between(frame.trajectory.poses[key], frame.poses[-1])
-        own = inflated(frame.covariances(np.array([key, last])), self._config.chunks)[0]
+        own = inflated(frame.covariances(np.array([key, last])))[0]
         return compose(pose, motion), moved_covariance(pose, covariance, motion, own)
 
     def _add_chunk(self, frame: LocalFrame, key: int) -> None:
@@ -187,7 +186,7 @@ class OnlineGraph:
         keys = np.array([frame.keys.event_key[before[-1] - recent.first], key])
         covariance = frame.covariances(keys)[0]
         if self.places is None:
-            motion, own = between(frame.poses[0], pose), inflated(covariance, config.chunks)
+            motion, own = between(frame.poses[0], pose), inflated(covariance)
             start = moved_covariance(self._start, np.zeros((3, 3)), motion, own)
             self.places, self._middles = PlaceGraph(config, chunk, compose(self._start, motion), start), []
         else:

@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.agreement import MapScore, accept_groups
-from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Hops, Loop, inflated, solve_annealed
+from limslam_agent.slam.graph.agreement import PRUNE_GAIN, MapScore, accept_groups
+from limslam_agent.slam.graph.chunk_graph import KEPT_WEIGHT, ChunkSolution, Hops, Loop, inflated, solve_annealed
 from limslam_agent.slam.graph.key_poses import integrate
 from limslam_agent.slam.graph.local_maps import LocalMap
 from limslam_agent.slam.graph.loop_search import Belief, Chunks, loops_of_newest
@@ -70,7 +70,7 @@ class PlaceGraph:
     @property
     def recognised_at(self) -> float:
         """Distance driven up to the last chunk with a loop that counts, m; zero if there is none."""
-        strong = np.nonzero(self._belief.weights > self._config.chunks.kept)[0]
+        strong = np.nonzero(self._belief.weights > KEPT_WEIGHT)[0]
         return self._maps[max(self._belief.loops[each].second for each in strong)].travel if len(strong) else 0.0
 
     @property
@@ -93,7 +93,7 @@ class PlaceGraph:
         self._maps.append(chunk)
         self._motions = np.vstack((self._motions, motions[-1:]))
         self._motions[-len(motions) :] = motions
-        self._covariances = np.concatenate((self._covariances, inflated(covariance[None], self._config.chunks)))
+        self._covariances = np.concatenate((self._covariances, inflated(covariance[None])))
         chunks, belief = self._chunks, self._belief
         belief.extend(chunks)
         belief.poses[:] = self._solved(chunks, belief.count, self._loops).poses
@@ -120,7 +120,7 @@ class PlaceGraph:
     def _solved(self, chunks: Chunks, count: int, loops: Sequence[Loop]) -> ChunkSolution:
         """The solution of the first chunks with these loops."""
         hops = Hops(chunks.hops.motions[: count - 1], chunks.hops.covariances[: count - 1])
-        return solve_annealed(self._start, hops, loops, self._config.chunks)
+        return solve_annealed(self._start, hops, loops)
 
     def _search_widely(self, chunks: Chunks) -> list[list[Loop]]:
         """Groups of loops for the newest chunk that are likely by what is believed and do not contradict each other.
@@ -138,11 +138,10 @@ class PlaceGraph:
 
     def _close(self, chunks: Chunks, groups: Sequence[Sequence[Loop]]) -> None:
         """Weigh all loops anew, with those new groups of the wide search that raise the score of the map."""
-        config = self._config
-        score = MapScore.of(chunks.maps, config.agreement) if groups or self._wide else None
+        score = MapScore.of(chunks.maps) if groups or self._wide else None
         if groups and score is not None:
             loops = self._loops
-            found = accept_groups(chunks.poses, chunks.hops, loops, groups, score, config, _GAIN, near=False)
+            found = accept_groups(chunks.poses, chunks.hops, loops, groups, score, _GAIN, near=False)
             more = found.loops[len(loops) :]
             if more:
                 self._wide.append(more)
@@ -159,7 +158,7 @@ class PlaceGraph:
             loops = [loop for loop in self._loops if not any(loop is each for each in group)]
             trial = self._solved(chunks, len(chunks), loops)
             without = score(trial.poses)
-            if without > value + self._config.agreement.prune_gain:
+            if without > value + PRUNE_GAIN:
                 self._wide.remove(group)
                 value, solution = without, trial
         return solution

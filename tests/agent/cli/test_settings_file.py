@@ -24,7 +24,7 @@ from limslam_agent.cli.settings import (
     run_options,
 )
 from limslam_agent.config.ablations import ABLATIONS
-from limslam_agent.config.tables import SettingsError
+from limslam_agent.config.tables import SettingsError, table_of, write_toml
 from limslam_env.config import NoiseConfig
 from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.robots import ROBOTS
@@ -237,6 +237,21 @@ def test_a_table_is_checked_although_another_preset_is_asked_for(kind, text, wor
     asked = given(tmp_path, text, preset="consistent")
     with pytest.raises(SettingsError, match=f"mine.toml: ({words})"):
         config_of(asked) if kind is RunOptions else replay_agent(asked, asked.merged(ReplayOptions(), ("agent",)))
+
+
+def test_settings_of_an_earlier_version_are_left_out_of_a_table_of_all_settings(tmp_path):
+    table = table_of(config_of(given(tmp_path)).agent)
+    del table["preset"], table["policy"]["until"]
+    old = {**table, "grid": {**table["grid"], "older": 1}, "oldest": {"size": 2}}
+    write_toml(tmp_path / "old.toml", {"agent": old}, "")
+    asked = Given.read(tmp_path / "old.toml", {})
+    assert config_of(asked).agent == config_of(given(tmp_path)).agent
+    (warning,) = asked.warnings("graph")
+    assert warning.endswith("old.toml: left out, since this version has no such settings: grid.older, oldest")
+    del old["team"]
+    write_toml(tmp_path / "old.toml", {"agent": old}, "")
+    with pytest.raises(SettingsError, match=r"agent\.(grid\.older|oldest): there is no such setting"):
+        config_of(Given.read(tmp_path / "old.toml", {}))
 
 
 def test_another_preset_on_the_command_line_brings_its_own_estimator(tmp_path):

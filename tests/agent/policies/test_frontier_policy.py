@@ -24,6 +24,7 @@ from support.beliefs import (
 
 from limslam_agent.belief import Belief
 from limslam_agent.grid.occupancy import GridView
+from limslam_agent.policies.controller import BACK_STEPS, REPLAN_PERIOD
 from limslam_agent.policies.frontier_policy import FrontierPolicy, least_reach
 from limslam_agent.policies.wall_policy import WallPolicy
 from limslam_agent.runs.episode import run_episode
@@ -169,7 +170,7 @@ def test_a_small_frontier_is_looked_at_from_farther_off_but_not_through_walls() 
     policy = FrontierPolicy(ROBOT, CONFIG)
     policy.act(belief_of(place(3, 3), CORRIDOR))
     left = place(3, 29)[0] - policy.plan[-1, 0]
-    assert left == pytest.approx(CONFIG.far_view_distance)
+    assert left == pytest.approx(1.0)
     # A wall with a door in its lower half hides it until the robot stands in the door.
     values = CORRIDOR.values.copy()
     values[3:, 24] = -4
@@ -219,8 +220,8 @@ def test_a_frontier_in_whose_way_something_stands_is_tried_three_times_and_then_
     assert policy.stop_reason == "explored: 1 frontier is left that cannot be reached, near (3.0, 0.4)"
     # Patience, and a little way back, three times.
     backwards = actions.sum(axis=1) < -0.1
-    assert np.count_nonzero(backwards) == 3 * CONFIG.back_steps
-    assert 3 * CONFIG.patience < len(actions) < 4 * (CONFIG.patience + CONFIG.back_steps)
+    assert np.count_nonzero(backwards) == 3 * BACK_STEPS
+    assert 3 * CONFIG.patience < len(actions) < 4 * (CONFIG.patience + BACK_STEPS)
 
 
 def test_what_was_set_aside_waits_until_there_is_nothing_else() -> None:
@@ -257,7 +258,7 @@ def test_a_far_cheaper_frontier_changes_the_goal_and_a_slightly_cheaper_one_does
     assert policy.goal is not None
     assert policy.goal[0] < 0.2
     for column, side in ((22, "left"), (36, "right")):
-        for _ in range(CONFIG.replan_period):
+        for _ in range(REPLAN_PERIOD):
             policy.act(belief_of(place(3, column), grid))
         assert (policy.goal[0] < 0.2) == (side == "left")
 

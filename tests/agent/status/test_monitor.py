@@ -12,9 +12,27 @@ from limslam_agent.config.status import StatusConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.contradictions import KnownMap, Sight
-from limslam_agent.status.monitor import UNIFORM_HEADING, StatusMonitor
+from limslam_agent.status.monitor import (
+    LONGEST_SPACING,
+    POSITION_GROWTH,
+    POSITION_LIMIT,
+    RECOVERY_WINDOW,
+    SPACING,
+    TURN_LENGTH,
+    UNIFORM_HEADING,
+    StatusMonitor,
+)
 from limslam_agent.status.status import Status, status_scores, worst
-from limslam_agent.status.sudden_changes import Moment, SuddenChanges, Suspicion, change_evidence
+from limslam_agent.status.sudden_changes import (
+    CLEAR,
+    LONGEST,
+    LOST,
+    UNSURE,
+    Moment,
+    SuddenChanges,
+    Suspicion,
+    change_evidence,
+)
 from limslam_env.geometry.se2 import between
 
 CONFIG = StatusConfig()
@@ -73,11 +91,11 @@ def test_dropouts_are_no_contradictions_and_beams_that_keep_seeing_nothing_are(t
     assert watched.status.level == level
 
 
-@pytest.mark.parametrize(("is_busy", "motion"), [(True, CONFIG.spacing), (False, CONFIG.longest_spacing)])
+@pytest.mark.parametrize(("is_busy", "motion"), [(True, SPACING), (False, LONGEST_SPACING)])
 def test_readings_are_compared_after_a_motion_and_not_at_each_step(is_busy, motion):
     watched = monitor()
     assert watched.observe(blind(0.0), is_busy=is_busy)
-    for distance, turn in ((0.021, 0.0), (0.0, 0.021 / CONFIG.turn_length)):
+    for distance, turn in ((0.021, 0.0), (0.0, 0.021 / TURN_LENGTH)):
         watched.check(SURE, KNOWN)
         due = [watched.observe(blind(distance, turn), is_busy=is_busy) for _ in range(40)]
         assert due.index(True) == math.ceil(motion / 0.021) - 1
@@ -120,7 +138,7 @@ def test_a_lost_robot_is_ok_again_when_the_earlier_map_fits():
     assert watched.added_covariance.any()
     levels = drive(watched, 200, begin=50)
     steps = levels.index("ok") + 10 - began
-    assert CONFIG.recovery.window <= 0.11 * steps <= CONFIG.recovery.window + 1.0
+    assert RECOVERY_WINDOW <= 0.11 * steps <= RECOVERY_WINDOW + 1.0
     assert set(levels[levels.index("ok") :]) == {"ok"}
     assert not watched.added_covariance.any()
 
@@ -131,12 +149,12 @@ def test_the_covariance_of_a_lost_robot_grows_to_its_limits():
     drive(watched, 10, walls=np.zeros((0, 4)), begin=40)
     before = watched.added_covariance
     watched.observe(blind(0.5), is_busy=True)
-    after, grown = watched.added_covariance, CONFIG.recovery.position_growth * 0.5
+    after, grown = watched.added_covariance, POSITION_GROWTH * 0.5
     assert math.sqrt(after[0, 0]) == pytest.approx(math.sqrt(before[0, 0]) + grown)
     assert after[1, 1] == after[0, 0]
     for _ in range(40):
         watched.observe(blind(0.5), is_busy=True)
-    limits = [CONFIG.recovery.position_limit, CONFIG.recovery.position_limit, UNIFORM_HEADING]
+    limits = [POSITION_LIMIT, POSITION_LIMIT, UNIFORM_HEADING]
     np.testing.assert_allclose(np.sqrt(np.diag(watched.added_covariance)), limits)
 
 
@@ -202,11 +220,11 @@ def test_few_readings_that_change_at_once_suffice_if_the_map_is_contradicted_too
 
 
 def test_of_several_suspicions_the_largest_change_counts():
-    config, nowhere = CONFIG.sudden_changes, KnownMap(np.zeros((0, 4)), UNKNOWN)
-    changes = SuddenChanges(ROBOT, config, CONFIG.contradictions)
+    nowhere = KnownMap(np.zeros((0, 4)), UNKNOWN)
+    changes = SuddenChanges(ROBOT, CONFIG.contradictions)
     weak, strong = (
         Suspicion(step, nowhere, evidence, change, 3, 0.0, set())
-        for step, evidence, change in ((5, config.lost + 1.0, 2.0), (9, config.unsure, config.clear))
+        for step, evidence, change in ((5, LOST + 1.0, 2.0), (9, UNSURE, CLEAR))
     )
     changes.suspicions = [weak]
     moment = Moment(0.1, SURE, nowhere, RangeSensor(0.02), EVERY, ~EVERY, [])
@@ -220,7 +238,7 @@ def test_of_several_suspicions_the_largest_change_counts():
 def test_a_suspicion_does_not_last():
     watched = changing(4, (0.02, 0.04))
     assert watched.status == Status("unsure", "4 readings changed at once")
-    drive(watched, math.ceil(CONFIG.sudden_changes.longest / 0.11) + 2, known=KnownMap(np.zeros((0, 4)), UNKNOWN))
+    drive(watched, math.ceil(LONGEST / 0.11) + 2, known=KnownMap(np.zeros((0, 4)), UNKNOWN))
     assert watched.status == Status()
 
 
@@ -338,7 +356,5 @@ def test_the_scores_say_how_long_each_level_lasted():
 
 
 def test_settings_out_of_bounds_are_refused():
-    with pytest.raises(ValueError, match="lost_share must be a number from"):
-        replace(CONFIG, lost_share=1.5)
-    with pytest.raises(ValueError, match="spacing must be a number from"):
-        replace(CONFIG, spacing=0.0)
+    with pytest.raises(ValueError, match="max_jump must be a number from"):
+        replace(CONFIG, max_jump=0.0)

@@ -3,11 +3,9 @@
 import numpy as np
 import pytest
 
-from limslam_agent.config.status import SmoothedStatusConfig
 from limslam_agent.status.smoothed_status import lost_note, smoothed_status
 from limslam_agent.status.status import Status, final_status_scores
 
-CONFIG = SmoothedStatusConfig()
 STEPS = 50
 
 
@@ -26,7 +24,7 @@ def path(aside=0.0, std=0.05, heading_std=0.01):
     ],
 )  # fmt: skip
 def test_contradictions_of_the_smoothed_map_count(share, before, level):
-    status = smoothed_status(share, path(), path(), CONFIG, while_driving=before)
+    status = smoothed_status(share, path(), path(), while_driving=before)
     assert status.level == level
     assert bool(status.reason) == (level != "ok")
     assert level == "ok" or f"{100.0 * share:.2g} % of the readings contradict" in status.reason
@@ -39,14 +37,14 @@ def test_contradictions_of_the_smoothed_map_count(share, before, level):
 )
 def test_large_corrections_of_a_certain_filter_are_unsure(aside, std, level):
     filtered, smoothed = path(std=std), path(aside)
-    status = smoothed_status(0.0, filtered, smoothed, CONFIG, while_driving="lost")
+    status = smoothed_status(0.0, filtered, smoothed, while_driving="lost")
     assert status.level == level
     assert level == "ok" or "up to 0.80 m" in status.reason
     np.testing.assert_array_equal(smoothed[0], path(aside)[0])
 
 
 def test_an_uncertain_smoothed_heading_is_unsure():
-    status = smoothed_status(0.0, path(), path(heading_std=np.radians(6.0)), CONFIG, while_driving="ok")
+    status = smoothed_status(0.0, path(), path(heading_std=np.radians(6.0)), while_driving="ok")
     assert status == Status("unsure", "the smoothed heading's standard deviation reaches 6.0 deg")
 
 

@@ -5,11 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.agreement import Decision, Evidence, VisitCounts, plausible_groups
+from limslam_agent.slam.graph.agreement import DOUBTFUL_SHARE, Decision, Evidence, VisitCounts, plausible_groups
 from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Hops, Loop, Strain
-
-CONFIG = GraphConfig()
 
 
 def counts(contradicted):
@@ -67,8 +64,8 @@ def test_a_group_is_refused_if_the_visits_that_it_joins_contradict_each_other(co
     loop = Loop(0, 9, np.zeros(3), 1e4 * np.eye(3), 0.8, "wide search")
     placed = Decision([], ChunkSolution(poses, np.zeros(0)), [])
     score = similar_corridors(contradicted, hops, kernel)
-    assert plausible_groups((poses, hops), placed, [], score, CONFIG) == ([], [])
-    kept, left = plausible_groups((poses, hops), placed, [[loop]], score, CONFIG)
+    assert plausible_groups((poses, hops), placed, [], score) == ([], [])
+    kept, left = plausible_groups((poses, hops), placed, [[loop]], score)
     assert (kept, left) == (([], [loop]) if refused else ([[loop]], []))
 
 
@@ -79,5 +76,5 @@ def test_a_group_is_refused_if_the_visits_that_it_joins_contradict_each_other(co
 def test_a_map_adds_contradictions_if_much_of_what_it_adds_is_contradicted(known, contradicted, bend, adds):
     straight = Evidence(points=5430, confirmed=1616, contradicted=5, bend=0.1)
     other = Evidence(points=5430, confirmed=known - contradicted, contradicted=contradicted, bend=bend)
-    assert other.adds_contradictions(straight, CONFIG.agreement.doubtful_share) == adds
-    assert not straight.adds_contradictions(other, CONFIG.agreement.doubtful_share)
+    assert other.adds_contradictions(straight, DOUBTFUL_SHARE) == adds
+    assert not straight.adds_contradictions(other, DOUBTFUL_SHARE)

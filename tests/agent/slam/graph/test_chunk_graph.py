@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.config.graph_loops import AgreementConfig, ChunkGraphConfig, LoopConfig
-from limslam_agent.slam.graph.agreement import agreements, distances_after_alignment, groups_of, supported
+from limslam_agent.slam.graph.agreement import MAX_GROUP, agreements, distances_after_alignment, groups_of, supported
 from limslam_agent.slam.graph.chunk_graph import (
     Hops,
     Loop,
@@ -21,7 +20,6 @@ from limslam_agent.slam.graph.key_poses import Trajectory, integrate
 from limslam_agent.slam.graph.loop_search import Belief, Chunks
 from limslam_env.geometry import se2
 
-CONFIG = ChunkGraphConfig()
 INFORMATION = np.diag([1.0 / 0.1**2, 1.0 / 0.1**2, 1.0 / 0.03**2])
 
 
@@ -64,8 +62,8 @@ def right_pairs(truth):
 
 def test_right_loops_bring_a_drifting_chain_back(truth):
     hops = drifting(truth)
-    alone = solve_annealed(truth[0], hops, [], CONFIG).poses
-    closed = solve_annealed(truth[0], hops, loops_of(truth, right_pairs(truth)), CONFIG)
+    alone = solve_annealed(truth[0], hops, []).poses
+    closed = solve_annealed(truth[0], hops, loops_of(truth, right_pairs(truth)))
     revisits = np.hypot(*(closed.poses[24:48] - closed.poses[:24])[:, :2].T)
     assert worst(alone, truth) > 10.0
     assert revisits.max() < 0.5
@@ -79,8 +77,8 @@ def test_wrong_loops_lose_their_weight(truth):
         Loop(int(a), int(a) + 15, generator.normal(0.0, 2.0, 3), INFORMATION, 0.7, "wrong")
         for a in generator.integers(0, 30, 5)
     ]
-    with_wrong = solve_annealed(truth[0], hops, right + wrong, CONFIG)
-    without = solve_annealed(truth[0], hops, right, CONFIG)
+    with_wrong = solve_annealed(truth[0], hops, right + wrong)
+    without = solve_annealed(truth[0], hops, right)
     assert np.all(with_wrong.weights[len(right) :] < 0.1)
     assert np.all(with_wrong.weights[: len(right)] > 0.5)
     assert worst(with_wrong.poses, without.poses) < 0.5
@@ -91,7 +89,7 @@ def test_a_slip_bends_the_graph_in_one_place(truth):
     motions = hops.motions.copy()
     motions[20, 2] += np.radians(60.0)
     loops = loops_of(truth, [(number, number + 24) for number in range(len(truth) - 24)])
-    closed = solve_annealed(truth[0], Hops(motions, hops.covariances), loops, CONFIG)
+    closed = solve_annealed(truth[0], Hops(motions, hops.covariances), loops)
     assert worst(closed.poses, truth) < 1.0
     bent = np.abs(se2.wrap_angle(se2.between(closed.poses[:-1], closed.poses[1:])[:, 2] - motions[:, 2]))
     assert bent.argmax() == 20
@@ -139,15 +137,15 @@ def test_paths_are_compared_after_the_motion_that_fits_them(truth):
 
 def test_a_solution_is_where_no_step_is_left(truth):
     hops, loops = drifting(truth), loops_of(truth, right_pairs(truth))
-    once = solve_annealed(truth[0], hops, loops, CONFIG)
-    again = solve(once.poses, hops, loops, CONFIG, (1.0,), 30)
+    once = solve_annealed(truth[0], hops, loops)
+    again = solve(once.poses, hops, loops, (1.0,), 30)
     assert worst(again.poses, once.poses) < 0.02
 
 
 def test_information_of_a_chain_is_that_of_compounded_motions():
     truth = ring(laps=1)[:4]
     hops = drifting(truth, bias=0.0)
-    poses = solve_annealed(truth[0], hops, [], CONFIG).poses
+    poses = solve_annealed(truth[0], hops, []).poses
     joint = np.linalg.inv(information_matrix(poses, hops, [], np.zeros(0)))
     covariance = np.zeros((3, 3))
     for row in range(3):
@@ -158,7 +156,7 @@ def test_information_of_a_chain_is_that_of_compounded_motions():
 
 def test_hops_are_less_sure_than_the_local_graph_says(truth):
     local = np.tile(np.diag([1e-4, 1e-4, 1e-5]), (len(truth) - 1, 1, 1))
-    hops = hops_between(truth, local, CONFIG)
+    hops = hops_between(truth, local)
     assert np.allclose(se2.compose(truth[:-1], hops.motions)[:, :2], truth[1:, :2])
     assert hops.covariances[0, 0, 0] == pytest.approx(6e-4 + 0.03**2)
 
@@ -168,9 +166,9 @@ def test_a_lone_loop_has_no_support_and_two_that_agree_have(truth):
     pair = loops_of(truth, [(0, 24), (1, 25)])
     astray = Loop(10, 40, np.array([1.0, 1.0, 1.0]), INFORMATION, 0.8, "wrong")
     same_chunk = loops_of(truth, [(12, 36), (13, 36)])
-    found = supported([*pair, astray, *same_chunk], truth, travel, LoopConfig())
+    found = supported([*pair, astray, *same_chunk], truth, travel)
     assert found.tolist() == [True, True, False, False, False]
-    assert supported([], truth, travel, LoopConfig()).tolist() == []
+    assert supported([], truth, travel).tolist() == []
 
 
 def test_loops_that_contradict_are_in_different_groups(truth):
@@ -179,8 +177,8 @@ def test_loops_that_contradict_are_in_different_groups(truth):
     distance, _ = agreements([*pair, other], truth)
     assert distance[0, 1] == pytest.approx(0.0, abs=1e-9)
     assert distance[0, 3] == pytest.approx(2.0)
-    assert groups_of([*pair, other], truth, LoopConfig()) == [[0, 1, 2], [3]]
-    assert AgreementConfig().max_group >= 3
+    assert groups_of([*pair, other], truth) == [[0, 1, 2], [3]]
+    assert MAX_GROUP >= 3
 
 
 def test_the_covariance_stays_symmetric_and_positive_over_many_loops():

@@ -3,12 +3,13 @@
 import numpy as np
 import pytest
 
-from limslam_agent.config.graph_loops import LocalMapConfig, MatchConfig
+from limslam_agent.config.graph import LocalMapConfig
+from limslam_agent.slam.graph import matching
 from limslam_agent.slam.graph.local_maps import FREE, HIT, LocalMap, draw_grid, thinned, united
 from limslam_agent.slam.graph.matching import NO_MATCH, Window, match, match_covariance, score_at, search_grid
 from limslam_env.geometry import se2
 
-MAPS, MATCHING = LocalMapConfig(), MatchConfig()
+MAPS = LocalMapConfig()
 
 
 def corner(generator, count=60):
@@ -27,7 +28,7 @@ def chunk_of(places):
 
 
 def penalty(x, y, turn, cells, turns):
-    return MATCHING.prior * ((x * x + y * y) / (cells**2 + 1.0) + turn * turn / (turns**2 + 1.0))
+    return matching._PRIOR * ((x * x + y * y) / (cells**2 + 1.0) + turn * turn / (turns**2 + 1.0))
 
 
 def by_trying_everything(grid, points, guess, window):
@@ -48,8 +49,8 @@ def test_branch_and_bound_equals_trying_everything(seed):
     chunk = chunk_of(corner(generator))
     points = thinned(se2.transform_points(generator.normal(0.0, 0.3, 3), corner(generator, 30)), MAPS.cell)
     window = Window(1.3, np.radians(20.0), np.radians(5.0))
-    grid, guess = search_grid(chunk, window.shift, MATCHING), generator.normal(0.0, 0.2, 3)
-    found = match(grid, points, guess, window, MATCHING, -1.0)
+    grid, guess = search_grid(chunk, window.shift), generator.normal(0.0, 0.2, 3)
+    found = match(grid, points, guess, window, -1.0)
     score, pose = by_trying_everything(grid, points, guess, window)
     assert found.score == pytest.approx(score, abs=1e-6)
     assert found.pose == pytest.approx(pose) or score_at(grid, points, found.pose) == pytest.approx(
@@ -61,19 +62,20 @@ def test_bounds_of_wide_windows_hold_beyond_the_grid():
     generator = np.random.default_rng(5)
     chunk = chunk_of(corner(generator))
     points = chunk.points + np.array([9.0, -9.0])
-    grid = search_grid(chunk, 10.0, MATCHING)
-    found = match(grid, points, np.zeros(3), Window(10.0, 0.2, 0.1), MATCHING, 0.5)
+    grid = search_grid(chunk, 10.0)
+    found = match(grid, points, np.zeros(3), Window(10.0, 0.2, 0.1), 0.5)
     assert found.pose[:2] == pytest.approx([-9.0, 9.0], abs=0.11)
 
 
 @pytest.mark.parametrize("block", [1, 2, 3, 5, 8])
-def test_blocks_of_any_width_give_the_best_pose(block):
+def test_blocks_of_any_width_give_the_best_pose(block, monkeypatch):
     generator = np.random.default_rng(11)
-    chunk, config = chunk_of(corner(generator)), MatchConfig(block=block)
+    chunk = chunk_of(corner(generator))
+    monkeypatch.setattr(matching, "_BLOCK", block)
     points = thinned(se2.transform_points(generator.normal(0.0, 0.3, 3), corner(generator, 30)), MAPS.cell)
     window = Window(1.3, np.radians(20.0), np.radians(5.0))
-    found = match(search_grid(chunk, window.shift, config), points, np.zeros(3), window, config, -1.0)
-    best, _ = by_trying_everything(search_grid(chunk, window.shift, config), points, np.zeros(3), window)
+    found = match(search_grid(chunk, window.shift), points, np.zeros(3), window, -1.0)
+    best, _ = by_trying_everything(search_grid(chunk, window.shift), points, np.zeros(3), window)
     assert found.score == pytest.approx(best, abs=1e-6)
 
 
@@ -84,7 +86,7 @@ def test_a_moved_chunk_is_found(moved):
     pose = np.array(moved)
     points = se2.transform_points(se2.inverse(pose), corner(generator, 40))
     window = Window(8.0, np.radians(100.0), np.radians(4.0))
-    found = match(search_grid(chunk, 8.0, MATCHING), points, np.zeros(3), window, MATCHING, 0.5)
+    found = match(search_grid(chunk, 8.0), points, np.zeros(3), window, 0.5)
     assert found.score > 0.7
     assert np.hypot(*(found.pose - pose)[:2]) < 0.3
     assert abs(se2.wrap_angle(found.pose[2] - pose[2])) < np.radians(6.0)
@@ -94,15 +96,15 @@ def test_nothing_is_found_where_nothing_fits():
     generator = np.random.default_rng(8)
     chunk = chunk_of(corner(generator))
     points = generator.uniform(-3.0, 3.0, (80, 2))
-    grid = search_grid(chunk, 2.0, MATCHING)
-    assert match(grid, points, np.zeros(3), Window(2.0, 0.3, 0.1), MATCHING, 0.9).score == NO_MATCH
-    assert match(grid, points[:0], np.zeros(3), Window(2.0, 0.3, 0.1), MATCHING, 0.0).score == NO_MATCH
+    grid = search_grid(chunk, 2.0)
+    assert match(grid, points, np.zeros(3), Window(2.0, 0.3, 0.1), 0.9).score == NO_MATCH
+    assert match(grid, points[:0], np.zeros(3), Window(2.0, 0.3, 0.1), 0.0).score == NO_MATCH
 
 
 def test_a_window_larger_than_the_grid_is_refused():
     chunk = chunk_of(corner(np.random.default_rng(8)))
     with pytest.raises(ValueError, match="cells"):
-        match(search_grid(chunk, 1.0, MATCHING), chunk.points, np.zeros(3), Window(3.0, 0.3, 0.1), MATCHING, 0.0)
+        match(search_grid(chunk, 1.0), chunk.points, np.zeros(3), Window(3.0, 0.3, 0.1), 0.0)
 
 
 def test_a_corridor_is_uncertain_along_and_sure_across():
@@ -110,7 +112,7 @@ def test_a_corridor_is_uncertain_along_and_sure_across():
     places = np.vstack((np.column_stack((along, np.full(160, 1.0))), np.column_stack((along, np.full(160, -1.0)))))
     chunk = chunk_of(places)
     points = thinned(places[np.abs(places[:, 0]) < 2.0], MAPS.cell)
-    _, covariance = match_covariance(search_grid(chunk, 1.0, MATCHING), points, np.zeros(3), np.radians(3.0), MATCHING)
+    _, covariance = match_covariance(search_grid(chunk, 1.0), points, np.zeros(3), np.radians(3.0))
     assert covariance[0, 0] > 10.0 * covariance[1, 1]
     assert np.all(np.linalg.eigvalsh(covariance) > 0.0)
 

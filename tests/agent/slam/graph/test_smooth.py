@@ -141,8 +141,8 @@ def test_the_frame_of_odometry_does_not_matter(two_laps):
 def test_no_further_orientation_is_tried_once_two_have_found_the_same_path(two_laps):
     _, _, result = two_laps
     assert set(result.scores) == {"guard", "all", "guard, turned by 20 deg", "all, turned by 20 deg"}
-    assert sum(len(scores) == 2 for scores in result.scores.values()) == TWO_ROUNDS.rounds.tried
-    assert result.score > max(map(max, result.scores.values())) - TWO_ROUNDS.rounds.tie - 1e-12
+    assert sum(len(scores) == 2 for scores in result.scores.values()) == smooth._TRIED
+    assert result.score > max(map(max, result.scores.values())) - smooth._TIE - 1e-12
 
 
 def test_a_slip_of_the_wheels_is_survived():

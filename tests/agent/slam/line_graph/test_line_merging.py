@@ -3,12 +3,11 @@
 import numpy as np
 import pytest
 
-from limslam_agent.config.smoother import ReassociationConfig
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_agent.slam.line_graph.line_merging import merge_lines, share_side, wall_kinds
+from limslam_agent.slam.line_graph.reassociation import ONE_WALL
 
-CONFIG = ReassociationConfig()
-LIMITS = np.array([CONFIG.one_wall_gate, 0.4, CONFIG.max_angle, CONFIG.min_overlap])
+LIMITS = np.array(ONE_WALL._replace(max_offset=0.4))
 UNSEEN = [np.inf, -np.inf]
 
 

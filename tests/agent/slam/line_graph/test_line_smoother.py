@@ -18,7 +18,7 @@ from limslam_env.interface import NominalNoise
 
 
 def smoothed(problem, poses):
-    return solve_labels(problem, state_from_motions(problem), true_labels(problem, poses), 6, 12).solution
+    return solve_labels(problem, state_from_motions(problem), true_labels(problem, poses), 12).solution
 
 
 def nees(true, estimated, covariances):

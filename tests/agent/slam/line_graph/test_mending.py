@@ -7,22 +7,18 @@ import pytest
 from support.drives import room
 from support.smoother_runs import noisy_run, position_error, true_labels
 
-from limslam_agent.config.smoother import ScoreConfig, SmootherConfig
+from limslam_agent.slam.line_graph import mending
 from limslam_agent.slam.line_graph.map_score import explained_looks, line_values, score, tally
 from limslam_agent.slam.line_graph.mending import doubled_lines, is_repaired, mend, straight_runs
 from limslam_agent.slam.line_graph.problem import state_from_motions
 from limslam_agent.slam.line_graph.reassociation import reassociate, solve_labels
 from limslam_agent.slam.line_graph.smoothed_map import smoothed_map
 
-CONFIG = SmootherConfig()
-PRICES = ScoreConfig()
-NO_ROUNDS = replace(CONFIG.reassociation, rounds=0)
-
 
 def truth(seed, noise=0.02, **changes):
     problem, poses = noisy_run(seed, noise, **changes)
     labels = true_labels(problem, poses, **({"walls": changes["walls"]} if "walls" in changes else {}))
-    return problem, poses, solve_labels(problem, state_from_motions(problem), labels, 6)
+    return problem, poses, solve_labels(problem, state_from_motions(problem), labels)
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02, 0.04])
@@ -31,17 +27,17 @@ def test_the_score_prefers_the_truth_to_doubled_walls(noise):
     # Each reading goes to one of two lines by the sign of its misfit: the two fit better than the one wall.
     generator = np.random.default_rng(0)
     doubled = 2 * found.labels + generator.integers(0, 2, len(found.labels))
-    overfitted = reassociate(problem, found.state, np.where(found.labels >= 0, doubled, -1), NO_ROUNDS)
+    overfitted = reassociate(problem, found.state, np.where(found.labels >= 0, doubled, -1), rounds=0)
     assert len(overfitted.state.lines) == 8
-    assert score(problem, overfitted, PRICES).total < score(problem, found, PRICES).total
+    assert score(problem, overfitted).total < score(problem, found).total
 
 
 def test_the_score_prefers_the_truth_to_many_short_lines():
     problem, _, found = truth(2, 0.04)
     along = (problem.readings.places // 25) * 4 + found.labels
-    overfitted = solve_labels(problem, found.state, np.where(found.labels >= 0, along, -1), 6)
+    overfitted = solve_labels(problem, found.state, np.where(found.labels >= 0, along, -1))
     assert len(overfitted.state.lines) > 12
-    assert score(problem, overfitted, PRICES).total < score(problem, found, PRICES).total
+    assert score(problem, overfitted).total < score(problem, found).total
 
 
 def test_a_wall_that_beams_go_through_costs():
@@ -51,7 +47,7 @@ def test_a_wall_that_beams_go_through_costs():
     moved[0, 0] += 0.4 if found.state.anchors[0] @ normal_of(found.state, 0) < 1.0 else -0.4
     state = replace(found.state, lines=moved)
     wrong = replace(found, solution=replace(found.solution, state=state))
-    assert score(problem, wrong, PRICES).total < score(problem, found, PRICES).total - 100.0
+    assert score(problem, wrong).total < score(problem, found).total - 100.0
     assert (explained_looks(problem, wrong)[0] > 4.0).sum() > 100
 
 
@@ -64,24 +60,24 @@ def test_a_map_that_keeps_its_contradictions_is_not_repaired():
     moved = found.state.lines.copy()
     moved[0, 0] += 0.4 if found.state.anchors[0] @ normal_of(found.state, 0) < 1.0 else -0.4
     wrong = replace(found, solution=replace(found.solution, state=replace(found.state, lines=moved)))
-    assert is_repaired(problem, wrong, found, CONFIG)
-    assert is_repaired(problem, found, found, CONFIG)
-    assert not is_repaired(problem, wrong, wrong, CONFIG)
+    assert is_repaired(problem, wrong, found)
+    assert is_repaired(problem, found, found)
+    assert not is_repaired(problem, wrong, wrong)
 
 
 def test_lines_that_run_along_each_other_are_found():
     problem, _, found = truth(4, 0.04)
-    assert np.array_equal(doubled_lines(problem, found, CONFIG.mending), np.arange(4))
+    assert np.array_equal(doubled_lines(problem, found), np.arange(4))
     generator = np.random.default_rng(0)
     twins = np.where(found.labels == 0, np.where(generator.random(len(found.labels)) < 0.2, 4, 0), found.labels)
-    both = solve_labels(problem, found.state, twins, 6)
-    merged = doubled_lines(problem, both, CONFIG.mending)
+    both = solve_labels(problem, found.state, twins)
+    merged = doubled_lines(problem, both)
     assert len(set(merged.tolist())) == 4
 
 
 def test_walls_are_worth_their_price_and_lines_in_the_void_are_not():
     problem, _, found = truth(5)
-    assert (line_values(problem, found, PRICES) > 100.0).all()
+    assert (line_values(problem, found) > 100.0).all()
 
 
 def test_unread_walls_come_back():
@@ -97,33 +93,34 @@ def test_a_run_with_wrong_walls_is_mended():
     # Late readings of the right wall are taken for the block's right side, as after a wrong loop closure.
     labels = true_labels(problem, poses, walls)
     wrong = np.where((labels == 1) & (problem.readings.places < problem.steps // 2), 5, labels)
-    begin = reassociate(problem, state_from_motions(problem), wrong, CONFIG.reassociation)
-    kept = mend(problem, begin, CONFIG)
+    begin = reassociate(problem, state_from_motions(problem), wrong)
+    kept = mend(problem, begin)
     scores = [candidate.score.total for candidate in kept]
     assert scores == sorted(scores)
-    assert is_repaired(problem, begin, kept[-1].association, CONFIG)
+    assert is_repaired(problem, begin, kept[-1].association)
     assert position_error(kept[-1].association.state, poses) < 1.5 * position_error(best.state, poses) + 0.01
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.04])
 def test_mending_does_a_healthy_run_no_harm(noise):
     problem, poses, best = truth(8, noise)
-    kept = mend(problem, best, CONFIG)
+    kept = mend(problem, best)
     assert len(kept[-1].association.state.lines) == 4
     assert position_error(kept[-1].association.state, poses) < 1.3 * position_error(best.state, poses) + 0.002
 
 
-def test_moves_that_begin_with_too_many_lines_are_not_tried():
+def test_moves_that_begin_with_too_many_lines_are_not_tried(monkeypatch):
     problem, _, best = truth(7)
-    few = replace(CONFIG, mending=replace(CONFIG.mending, most_lines=1, gain=0.0))
-    assert len(mend(problem, best, few)) == 1
+    monkeypatch.setattr(mending, "_MOST_LINES", 1)
+    monkeypatch.setattr(mending, "_GAIN", 0.0)
+    assert len(mend(problem, best)) == 1
 
 
 def test_the_map_has_the_walls_and_leaves_the_door_open():
     walls = np.vstack((room(0.0, 0.0, 3.0, 2.4)[1:], [[0.0, 0.0, 1.2, 0.0], [1.7, 0.0, 3.0, 0.0]]))
     problem, _, found = truth(9, 0.02, walls=walls)
-    joined = reassociate(problem, found.state, found.labels, CONFIG.reassociation)
-    landmarks, segments = smoothed_map(problem, joined, CONFIG)
+    joined = reassociate(problem, found.state, found.labels)
+    landmarks, segments = smoothed_map(problem, joined)
     low = segments[np.abs(segments[:, [1, 3]]).max(axis=1) < 0.1]
     covered = [min(x1, x2) < 1.45 < max(x1, x2) for x1, _, x2, _ in low]
     assert len(low) == 2
@@ -139,7 +136,7 @@ def test_landmarks_lie_where_their_covariances_say():
     squared = []
     for seed in range(6):
         problem, _, found = truth(20 + seed, 0.02)
-        for mark in smoothed_map(problem, found, CONFIG)[0]:
+        for mark in smoothed_map(problem, found)[0]:
             wanted = min(TRUE_LINES, key=lambda line, mark=mark: abs(line[0] - mark.r) + abs(turn(line[1], mark.theta)))
             off = np.array([mark.r - wanted[0], turn(mark.theta, wanted[1])])
             squared.append(off @ np.linalg.solve(mark.covariance, off))

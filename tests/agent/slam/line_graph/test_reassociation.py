@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 from support.smoother_runs import noisy_run, position_error, true_labels
 
-from limslam_agent.config.smoother import ReassociationConfig
 from limslam_agent.slam.line_graph.mending import split
 from limslam_agent.slam.line_graph.problem import make_problem, state_from_motions
 from limslam_agent.slam.line_graph.reassociation import (
-    OneWall,
     carriers,
     merge,
     reassociate,
@@ -17,9 +15,6 @@ from limslam_agent.slam.line_graph.reassociation import (
     solve_labels,
     with_anchors,
 )
-
-CONFIG = ReassociationConfig()
-LIMITS = OneWall(CONFIG.one_wall_gate, CONFIG.max_offset, CONFIG.max_angle, CONFIG.min_overlap)
 
 
 def agreeing(found, wanted):
@@ -38,9 +33,9 @@ def test_a_wrong_match_is_taken_back(noise):
     of_right_wall = np.flatnonzero(wanted == 1)
     wrong[of_right_wall[: len(of_right_wall) // 4]] = 0
     begin = state_from_motions(problem)
-    bent = solve_labels(problem, begin, wrong, 6)
-    mended = reassociate(problem, begin, wrong, CONFIG)
-    best = solve_labels(problem, begin, wanted, 6)
+    bent = solve_labels(problem, begin, wrong)
+    mended = reassociate(problem, begin, wrong)
+    best = solve_labels(problem, begin, wanted)
     assert position_error(bent.state, poses) > 3.0 * position_error(best.state, poses)
     assert position_error(mended.state, poses) < 1.5 * position_error(best.state, poses)
     assert agreeing(mended, wanted) > 0.99
@@ -51,9 +46,9 @@ def test_lines_of_one_wall_are_merged():
     problem, poses = noisy_run(2)
     wanted = true_labels(problem, poses)
     halves = 2 * wanted + (problem.readings.places > problem.steps // 2)
-    begin = solve_labels(problem, state_from_motions(problem), halves, 6)
+    begin = solve_labels(problem, state_from_motions(problem), halves)
     assert len(begin.state.lines) > 4
-    found, has_merged = merge(problem, begin, LIMITS, 6)
+    found, has_merged = merge(problem, begin)
     assert has_merged
     assert len(found.state.lines) == 4
     assert agreeing(found, wanted) == 1.0
@@ -61,15 +56,15 @@ def test_lines_of_one_wall_are_merged():
 
 def test_a_drive_of_which_no_line_is_left_has_nothing_to_merge():
     problem, _ = noisy_run(2)
-    nothing = solve_labels(problem, state_from_motions(problem), np.full(len(problem.readings), -1), 6)
-    found, has_merged = merge(problem, nothing, LIMITS, 6)
+    nothing = solve_labels(problem, state_from_motions(problem), np.full(len(problem.readings), -1))
+    found, has_merged = merge(problem, nothing)
     assert found is nothing
     assert not has_merged
 
 
 def test_anchors_move_with_the_world():
     problem, poses = noisy_run(2)
-    found = solve_labels(problem, state_from_motions(problem), true_labels(problem, poses), 6)
+    found = solve_labels(problem, state_from_motions(problem), true_labels(problem, poses))
     kept, by_pose = carriers(problem, found)
     ends = [block.last for block in found.solution.factored.blocks]
     shift, turn = np.array([0.3, -0.2]), 1e-6
@@ -87,8 +82,8 @@ def test_anchors_move_with_the_world():
 
 def test_lines_of_different_walls_are_not_merged():
     problem, poses = noisy_run(3, noise=0.04)
-    begin = solve_labels(problem, state_from_motions(problem), true_labels(problem, poses), 6)
-    found, has_merged = merge(problem, begin, LIMITS, 6)
+    begin = solve_labels(problem, state_from_motions(problem), true_labels(problem, poses))
+    found, has_merged = merge(problem, begin)
     assert not has_merged
     assert np.array_equal(found.labels, begin.labels)
 
@@ -97,14 +92,14 @@ def test_readings_that_the_filter_did_not_use_are_used():
     problem, poses = noisy_run(4)
     wanted = true_labels(problem, poses)
     few = np.where(np.arange(len(wanted)) % 5 == 0, wanted, -1)
-    found = reassociate(problem, state_from_motions(problem), few, CONFIG)
+    found = reassociate(problem, state_from_motions(problem), few)
     assert (found.labels >= 0).mean() > 0.9
     assert agreeing(found, wanted) > 0.99
 
 
 def test_readings_near_a_corner_that_two_lines_predict_are_not_used():
     problem, poses = noisy_run(5, noise=0.04)
-    found = reassociate(problem, state_from_motions(problem), true_labels(problem, poses), CONFIG)
+    found = reassociate(problem, state_from_motions(problem), true_labels(problem, poses))
     assert 0.0 < (found.labels < 0).mean() < 0.1
 
 

@@ -21,7 +21,7 @@ FOUND = RangeSensor(0.01, growth=0.02, cone=0.03, bias=0.04)
 
 
 def solved(problem, poses):
-    return solve_labels(problem, state_from_poses(problem, np.moveaxis(poses, 0, 1)), true_labels(problem, poses), 6)
+    return solve_labels(problem, state_from_poses(problem, np.moveaxis(poses, 0, 1)), true_labels(problem, poses))
 
 
 def widened(problem, poses, width):
@@ -73,7 +73,7 @@ def test_exact_readings_have_no_beam_width():
     problem, poses = noisy_run(1, 0.0, walls=walls)
     exact = replace(problem, range_std=1e-4)
     states = state_from_poses(exact, np.moveaxis(poses, 0, 1))
-    found = solve_labels(exact, states, true_labels(exact, poses, walls), 6)
+    found = solve_labels(exact, states, true_labels(exact, poses, walls))
     assert fitted_sensor(exact, found, CONFIG, exact.range_std).beam_width == 0.0
 
 

@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 from support.smoother_runs import noisy_run, true_labels
 
-from limslam_agent.config.smoother import ReassociationConfig
 from limslam_agent.slam.line_graph.line_kernels import one_sided_runs
 from limslam_agent.slam.line_graph.problem import state_from_poses
 from limslam_agent.slam.line_graph.reassociation import (
@@ -14,14 +13,12 @@ from limslam_agent.slam.line_graph.reassociation import (
     without_ends,
 )
 
-CONFIG = ReassociationConfig()
-
 
 @pytest.mark.parametrize("noise", [0.0, 0.02, 0.04])
 def test_straight_walls_stay_whole(noise):
     problem, poses = noisy_run(1, noise)
-    found = solve_labels(problem, state_from_poses(problem, np.moveaxis(poses, 0, 1)), true_labels(problem, poses), 6)
-    result = straightened(problem, found, CONFIG)
+    found = solve_labels(problem, state_from_poses(problem, np.moveaxis(poses, 0, 1)), true_labels(problem, poses))
+    result = straightened(problem, found)
     assert len(result.state.lines) == len(found.state.lines)
     assert np.mean(result.labels == found.labels) > 0.99
 
@@ -29,10 +26,8 @@ def test_straight_walls_stay_whole(noise):
 def test_two_walls_with_one_line_are_divided():
     problem, poses = noisy_run(2, 0.04)
     wanted = true_labels(problem, poses)
-    begin = solve_labels(
-        problem, state_from_poses(problem, np.moveaxis(poses, 0, 1)), np.where(wanted == 1, 0, wanted), 6
-    )
-    result = straightened(problem, begin, CONFIG)
+    begin = solve_labels(problem, state_from_poses(problem, np.moveaxis(poses, 0, 1)), np.where(wanted == 1, 0, wanted))
+    result = straightened(problem, begin)
     pairs = np.zeros((result.labels.max() + 1, wanted.max() + 1), dtype=int)
     used = (result.labels >= 0) & (wanted >= 0)
     np.add.at(pairs, (result.labels[used], wanted[used]), 1)
@@ -42,8 +37,8 @@ def test_two_walls_with_one_line_are_divided():
 
 def test_the_readings_beside_the_ends_do_not_count_and_keep_their_line():
     problem, poses = noisy_run(3, 0.04)
-    begin = solve_labels(problem, state_from_poses(problem, np.moveaxis(poses, 0, 1)), true_labels(problem, poses), 6)
-    result = without_ends(problem, begin, CONFIG)
+    begin = solve_labels(problem, state_from_poses(problem, np.moveaxis(poses, 0, 1)), true_labels(problem, poses))
+    result = without_ends(problem, begin)
     along = places_along(problem, result.state, result.labels)
     for line in range(len(result.state.lines)):
         own = result.labels == line
@@ -55,8 +50,8 @@ def test_the_readings_beside_the_ends_do_not_count_and_keep_their_line():
 
 def test_exact_ranges_need_no_guard():
     problem, poses = noisy_run(3, 0.02)
-    begin = solve_labels(problem, state_from_poses(problem, np.moveaxis(poses, 0, 1)), true_labels(problem, poses), 6)
-    assert without_ends(problem, begin, CONFIG) is begin
+    begin = solve_labels(problem, state_from_poses(problem, np.moveaxis(poses, 0, 1)), true_labels(problem, poses))
+    assert without_ends(problem, begin) is begin
 
 
 def test_runs_on_one_side_are_found():

@@ -1,14 +1,11 @@
 """Two logs of one building with an unknown relative start become one map, and logs that do not fit stay apart."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from support.corridors import FOUR_BEAMS, corridor_log, later_part, plain_walls, uneven_walls
 from support.drives import room
 
 from limslam_agent.config.graph import GraphConfig, RoundConfig
-from limslam_agent.config.merging import MapMergingConfig
 from limslam_agent.slam.graph.smooth import smooth_log
 from limslam_agent.slam.merging.chains import APART, Chain, divided, joined_keys
 from limslam_agent.slam.merging.merge import NO_MATCH, merge
@@ -95,10 +92,10 @@ def test_a_log_without_local_maps_is_not_placed(logs):
     assert found.refusal == NO_MATCH
 
 
-def test_a_joining_that_contradicts_itself_is_taken_back(logs):
+def test_a_joining_that_contradicts_itself_is_taken_back(logs, monkeypatch):
     first, second, _, _ = logs
-    strict = replace(MapMergingConfig(), least_loops=1000)
-    found = merge(first, second, CONFIG, strict)
+    monkeypatch.setattr("limslam_agent.slam.merging.merge._LEAST_LOOPS", 1000)
+    found = merge(first, second, CONFIG)
     assert found.joint is None
     assert found.refusal.startswith("joined and taken back: only")
     assert found.record["loops_between"] >= 3
