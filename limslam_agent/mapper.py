@@ -424,13 +424,13 @@ class Mapper:
         begin = found.carried_at if found.gone else log.begin
         self.slam.robots[0].step = (found.step if found.gone else begin) - 1
         poses = list(found.gone) or self._play(recovery, begin, found.step)
-        found.put(self.slam, self._present.grid)
+        found, closed = found.put(self.slam, self._present.grid)
         # The comparisons until now have seen how the robot was carried away, and no stretch with that motion can be
         # smoothed.
         self._present.begin_anew()
         poses += self._play(recovery, found.step)
         self._revise(begin, poses)
-        recovery.has_joined(found)
+        recovery.has_joined(found, closed)
 
     def _give_up(self, recovery: Recovery) -> None:
         """Take back the map that the robot was lost from. The robot's place in it remains unknown."""

@@ -1,10 +1,12 @@
 """A low-resolution occupancy grid that grows with the area that the robot has seen."""
 
 import copy
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from limslam_agent.config.presets import GridConfig
 from limslam_agent.dropouts import without_dropouts
@@ -182,6 +184,25 @@ class OccupancyGrid:
         limit = self._config.limit
         added = self._values[row, column] + view.values[cells[inside, 0], cells[inside, 1]]
         self._values[row, column] = np.clip(added, -limit, limit)
+        self._know(low, high)
+
+    def bend(self, anchors: FloatArray, motions: FloatArray) -> None:
+        """Move each cell with what lies around the nearest of some points (m, 2), by the rigid motions (m, 3) there."""
+        view, cell = self.view, self._config.cell
+        goals = anchors + motions[:, :2]
+        margin = np.abs(motions[:, :2]).max(initial=0.0)
+        low = self._known_low - math.ceil(margin / cell)
+        high = self._known_high + math.ceil(margin / cell)
+        columns, rows = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
+        places = np.column_stack((columns.ravel(), rows.ravel()))
+        centres = (places + 0.5) * cell
+        nearest = cKDTree(goals).query(centres)[1]
+        off, (cos, sin) = centres - goals[nearest], np.array([np.cos(motions[nearest, 2]), np.sin(motions[nearest, 2])])
+        back = np.column_stack((cos * off[:, 0] + sin * off[:, 1], cos * off[:, 1] - sin * off[:, 0]))
+        values = view.values_at(anchors[nearest] + back)
+        self._grow(low, high)
+        column, row = (places - self._low).T
+        self._values[row, column] = values
         self._know(low, high)
 
     def _know(self, low: IntArray, high: IntArray) -> None:

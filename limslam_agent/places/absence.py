@@ -7,9 +7,10 @@ import numpy as np
 
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.places.localisation import KnownPlaces, Localisation
-from limslam_agent.places.rays import wall_points
+from limslam_agent.places.rays import moved, wall_points
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
+from limslam_env.geometry.se2 import compose, inverse
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +39,16 @@ class KnownFrame:
         """The map of the frame, to be searched."""
         return KnownPlaces(self.slam.segments, self.grid.view, self.slam.range_sensor)
 
+    def explains(self, frame: FloatArray, covariance: FloatArray, rays: FloatArray) -> bool:
+        """Whether the covariance of the estimate explains that rays (n, 6) have moved it by a frame (3,).
+
+        ``covariance`` (3, 3) is that of the match.
+        """
+        if not self.slam.is_renewable:
+            return False
+        pose = compose(frame, self.slam.pose)
+        return self.slam.map_state.closed(pose, covariance, wall_points(rays)) is not None
+
     def copied(self) -> tuple[LineSlam, OccupancyGrid]:
         """SLAM and grid to go on with."""
         return self.slam.copied(), self.grid.copied()
@@ -51,8 +62,10 @@ class Absence:
     ----------
     known
         The frame that it was lost from. None if its place was found in the map of an earlier run.
-    first
-        First step in the local frame.
+    first, since
+        First step in the local frame, and that of the first one of several local frames.
+    believed
+        Pose (3,) before step ``since`` in the known frame, as it was believed when the robot was lost.
     reason
         Why the robot is lost, in words.
     jump
@@ -77,8 +90,10 @@ class Absence:
         says that it was carried away.
     has_drifted
         Whether it found its place so near that it has only drifted: its odometry holds for all its motions.
+    is_astray
+        Whether the pose where the local frame begins means nothing: it is that of a place that was found and was wrong.
     renewed
-        The map of the known frame after a renewal that has found the robot's place; None otherwise.
+        The map of the known frame after a renewal, or a loop, that has found the robot's place; None otherwise.
     """
 
     known: KnownFrame | None
@@ -99,7 +114,13 @@ class Absence:
     returned: int = 0
     is_unlikely: bool = False
     has_drifted: bool = False
+    since: int = -1
+    believed: FloatArray = field(default_factory=lambda: np.zeros(3))
+    is_astray: bool = False
     renewed: KnownPlaces | None = None
+
+    def __post_init__(self) -> None:
+        self.since = self.first if self.since < 0 else self.since
 
     @property
     def is_placed(self) -> bool:
@@ -142,17 +163,31 @@ class Placement(NamedTuple):
     before: KnownFrame | None
     has_drifted: bool = False
 
-    def put(self, slam: LineSlam, grid: OccupancyGrid) -> None:
-        """Put the robot at its place in the known frame, with the local map of the steps that are no longer kept."""
+    def put(self, slam: LineSlam, grid: OccupancyGrid) -> tuple["Placement", KnownPlaces | None]:
+        """Put the robot at its place in the known frame, with the local map of the steps that are no longer kept.
+
+        Returns
+        -------
+        placement, closed
+            The placement in the map as it is now, and this map, if the robot has drifted and has closed a loop by it.
+            Otherwise the placement as it was, and None.
+        """
         ends = wall_points(self.rays)
         if self.before is None or not slam.is_renewable:
+            bent = slam.close(self.pose, self.covariance, ends) if self.has_drifted and slam.is_renewable else None
+            if bent is not None:
+                grid.bend(*bent)
+                rays = moved(self.rays, compose(slam.pose, inverse(self.pose)))
+                closed = KnownPlaces(slam.segments, grid.copied().view, slam.range_sensor)
+                return self._replace(pose=slam.pose, rays=rays), closed
             if self.has_drifted:
                 slam.shift(self.pose, self.covariance)
             else:
                 slam.relocate(self.pose, self.covariance, ends=ends)
-            return
+            return self, None
         slam.join(self.before.slam, self.frame, self.covariance, ends)
         grid.absorb(self.before.grid.view, self.frame)
+        return self, None
 
     @property
     def carried_at(self) -> int:

@@ -1,6 +1,6 @@
 """The latest observations of a robot, and the step at which it was most likely carried away."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import cast
 
 import numpy as np
@@ -86,6 +86,11 @@ class StepLog:
         poses, motions = (np.array([getattr(step, name) for step in self.steps]) for name in ("pose", "motion"))
         off = poses[1:, :2] - compose(poses[:-1], motions[1:])[:, :2]
         return float(np.hypot(*off.T).max(initial=0.0))
+
+    def put_before(self, number: int, pose: FloatArray) -> None:
+        """Let the steps before ``number`` lead to a pose (3,) by the odometry alone."""
+        for at, each in enumerate(self.driven_back(pose, number)):
+            self.steps[at] = replace(self.steps[at], pose=each)
 
     def driven_back(self, pose: FloatArray, number: int) -> FloatArray:
         """Poses (m, 3) after each step from the first one kept to the one before ``number``, by the odometry alone.

@@ -204,6 +204,9 @@ class Localisation:
         Why the place does not count, in words. Empty if it counts.
     open
         The best places that the readings have not refuted. With more readings, each of them may be the right one.
+    is_near
+        Whether the best place is near the believed pose, and the robot has probably drifted. Ground that the map does
+        not have is unlikely then, and the contradictions need only not speak against the place.
     """
 
     fit: PlaceFit | None
@@ -211,6 +214,7 @@ class Localisation:
     middle: FloatArray
     refusal: str
     open: Sequence[PlaceFit] = ()
+    is_near: bool = False
 
     @property
     def is_accepted(self) -> bool:
@@ -234,7 +238,12 @@ class Localisation:
 
 
 def localise(
-    known: KnownPlaces, rays: FloatArray, config: PlaceConfig, before: Sequence[FloatArray] = (), far: float = 1.0
+    known: KnownPlaces,
+    rays: FloatArray,
+    config: PlaceConfig,
+    before: Sequence[FloatArray] = (),
+    far: float = 1.0,
+    near: Sequence["PlaceFit"] = (),
 ) -> Localisation:
     """Search a map for the place of a drive, and decide whether it counts.
 
@@ -247,12 +256,15 @@ def localise(
     far
         For what share of its evidence a place counts that is far from the pose that was believed, the origin. It is
         less than 1 for a robot that has probably drifted, and was not carried away.
+    near
+        Places near the believed pose, which are compared with the others as they are. A search of the whole map may
+        miss them.
     """
     if not len(rays) or not len(known.segments):
         return Localisation(None, 0.0, np.zeros(2), "there is nothing to compare")
     middle = rays[:, :2].mean(axis=0)
     likely = np.concatenate((known.likely(rays), np.array(before).reshape(-1, 3)))
-    fits = known.weigh(known.refined(likely, rays), rays)
+    fits = [*known.weigh(known.refined(likely, rays), rays), *near]
     if not fits:
         return Localisation(None, 0.0, middle, "the readings fit nowhere")
     shares = {id(fit): far if is_far(fit.pose, middle) else 1.0 for fit in fits}
@@ -260,10 +272,12 @@ def localise(
     fits.sort(key=lambda fit: (fit.is_on_map < -config.on_map, -fit.evidence * shares[id(fit)]))
     places = _places(fits, middle, config)
     best, share = places[0], shares[id(places[0])]
+    is_near = far < 1.0 and share == 1.0
     # A far place is compared with others that count in full, and a near one with far ones that do not.
     rivals = [fit.evidence * (1.0 if share < 1.0 else shares[id(fit)]) for fit in places[1:]]
     runner_up = max([0.0, *rivals]) / share if share > 0.0 else math.inf
-    return Localisation(best, runner_up, middle, _refusal(best, runner_up, config), places[:_KEPT])
+    refusal = _refusal(best, runner_up, config, 0.0 if is_near else config.on_map)
+    return Localisation(best, runner_up, middle, refusal, places[:_KEPT], is_near)
 
 
 class NearFit(NamedTuple):
@@ -345,14 +359,16 @@ def agree(first: Localisation, second: Localisation, config: PlaceConfig) -> boo
     The place must count in the later search, where the test of contradictions is stricter than in a single search. In
     the earlier one it only has to be the best place: nearly all readings of the two are the same.
     """
-    if first.fit is None or second.fit is None or not second.is_accepted or second.fit.is_on_map < config.found:
+    if first.fit is None or second.fit is None or not second.is_accepted:
+        return False
+    if not second.is_near and second.fit.is_on_map < config.found:
         return False
     return not are_apart(first.fit.pose, second.fit.pose, second.middle, config)
 
 
-def _refusal(best: PlaceFit, runner_up: float, config: PlaceConfig) -> str:
-    """Why a place does not count, in words; empty if it counts."""
-    if best.is_on_map < config.on_map:
+def _refusal(best: PlaceFit, runner_up: float, config: PlaceConfig, on_map: float) -> str:
+    """Why a place does not count, in words; empty if it counts. The test of contradictions must give ``on_map``."""
+    if best.is_on_map < on_map:
         return f"{best.contradictions} of {best.tested} readings contradict the map there"
     if runner_up > min(best.evidence - config.lead, config.likeness * best.evidence):
         return f"ambiguous: another place has an evidence of {runner_up:.0f}, and the best one {best.evidence:.0f}"

@@ -163,8 +163,9 @@ class Recovery:
     def lose(self, own: StatusMonitor, slam: LineSlam, grid: OccupancyGrid) -> None:
         """The robot is lost: its monitor says so, or :meth:`is_elsewhere`.
 
-        A robot that had found its place without being sure of it goes back to the frame as it was before. If the
-        readings have said in which step the robot was carried away, the map until then is good.
+        A robot that had found its place without being sure of it goes back to the frame as it was before, and to what
+        it believed and knew when it was lost from there: what it has read at a wrong place says nothing of the earlier
+        map. If the readings have said in which step the robot was carried away, the map until then is good.
         """
         status, first, is_dated, is_carried = self._first_doubt(own, slam)
         jump = math.sqrt(own.added_covariance[0, 0])
@@ -173,6 +174,7 @@ class Recovery:
             known = self._known_before(first, 1 if is_dated else self._config.margin) or self._copy(slam, grid)
             self.absence = Absence(known, first, status.reason, jump, known.places, slam.covariance)
             self.log.forget_before(known.step)
+            self.absence.believed = self.log[max(first - 1, self.log.begin)].pose
             if is_carried:
                 # It may be anywhere in its map: the standard deviation of a uniform distribution.
                 self.absence.jump = max(
@@ -181,11 +183,15 @@ class Recovery:
         else:
             if before.is_placed and not before.has_drifted:
                 self.breaks.pop()
+                first, is_dated, is_carried = before.since, before.is_dated, before.is_carried
+                before.is_astray = first <= self.log.begin  # the steps at which it was lost are no longer kept
+                if not before.is_astray:
+                    self.log.put_before(first, before.believed)
             self.absence = replace(
                 before, first=first, placed=None, rays=None, gone=[], has_drifted=False, renewed=None, decisions=[]
             )
         self.absence.first = max(self.absence.first, self.log.begin + 1)
-        self.absence.is_dated, self.absence.is_carried = is_dated, is_carried
+        self.absence.is_dated, self.absence.is_carried = is_dated, is_carried or self.absence.is_astray
         self.absence.sought = self.absence.moved + self._config.lost_first - self._config.lost_spacing
         self._copies, self._local_copies = [], []
         self._kidnapping.forget()
@@ -248,9 +254,12 @@ class Recovery:
         change = own.carried if is_own else None
         first, is_dated = self.log.end - 1 - own.doubted, change is not None
         kept = max(first, self.log.begin)
-        if change is not None and self._kidnapping.is_refuted(kept, change, self.log, slam.range_sensor):
-            # What contradicts the map now has also spoken for an earlier change.
+        # What contradicts the map now has also spoken for an earlier change. Walls of a bent map do so where the robot
+        # has drifted, and hardly a reading has changed.
+        is_weak = change is not None and change.change < self._agent.status.sudden_changes.clear
+        if change is not None and (is_weak or self._kidnapping.is_refuted(kept, change, self.log, slam.range_sensor)):
             first, is_dated = self.log.end - 1 - own.contradicted, False
+            change = None if is_weak else change
         if is_own and not is_dated and self.absence is None:
             self._doubt = self._weigh(own, slam)
         doubt, self._doubt = self._doubt, None
@@ -302,7 +311,9 @@ class Recovery:
         # a large building, some other place fits nearly always.
         is_far_likely = absence.is_carried and self._near_fit(absence, rays, self._config.on_map) is None
         far = 1.0 if is_far_likely else self._config.far
-        decision = localise(absence.place, rays, self._config, likely, far)
+        # A search of the whole map may miss it.
+        near = [near_fit(absence.place, rays, absence.covariance).fit] if len(rays) else []
+        decision = localise(absence.place, rays, self._config, likely, far, near)
         absence.decisions.append(decision)
         if not earlier or not agree(earlier[-1], decision, self._config):
             return None
@@ -374,14 +385,14 @@ class Recovery:
         absence.placed = absence.driven  # the distance without contradictions begins again
         return True
 
-    def has_joined(self, placement: Placement) -> None:
-        """The robot goes on in the known frame."""
+    def has_joined(self, placement: Placement, closed: KnownPlaces | None = None) -> None:
+        """The robot goes on in the known frame. If this has closed a loop, the map of this frame is ``closed`` now."""
         assert self.absence is not None  # noqa: S101
         self.absence.placed, self.absence.sought = self.absence.driven, self.absence.moved
-        self.absence.rays, self.absence.returned = placement.rays, self.log.end
+        self.absence.rays, self.absence.returned, self.absence.renewed = placement.rays, self.log.end, closed
         found = self.absence.decisions[-1]
         is_unlikely = found.fit is not None and is_far(found.fit.pose, found.middle)
-        self.absence.is_unlikely = is_unlikely and not self.absence.is_carried
+        self.absence.is_unlikely = is_unlikely and closed is None and not self.absence.is_carried
         self.absence.has_drifted = placement.has_drifted
         if not placement.has_drifted:
             self.breaks.append(placement.carried_at)
@@ -435,8 +446,9 @@ class Recovery:
         assert absence.place is not None  # noqa: S101 (it was lost from a frame)
         log, frame = self.log, decision.fit.pose
         last = max(absence.first - 1, log.begin)
-        placed = log.driven_back(compose(frame, log[last].pose), last + 1)
-        step = last + 1
+        # A robot that was lost in its local frame, too, was carried away before it was lost for the first time.
+        placed = log.driven_back(compose(frame, log[last].pose), last + 1)[: max(absence.since - log.begin, 1)]
+        step = log.begin + len(placed)
         if absence.known is not None and log.begin == absence.known.step and not absence.is_dated:
             step = carried_at(
                 log, placed, self._robot, absence.place.segments, sensor, self._agent.status.contradictions
@@ -451,8 +463,12 @@ class Recovery:
         middle = transform_points(frame, decision.middle[None])[0]
         covariances = [match_covariance(middle, each, self._config) for each in poses]
         gone = list(zip(poses[1:], covariances[1:], strict=True))
+        placed_rays = moved(rays, frame)
         has_drifted = not is_far(frame, decision.middle, *(DRIFT if absence.was_moved else FAR))
-        return Placement(step, pose, covariances[0], moved(rays, frame), gone, frame, before, has_drifted)
+        if not has_drifted and not absence.was_moved and absence.known is not None:
+            has_drifted = absence.known.explains(frame, covariances[0], placed_rays)
+        has_drifted &= not absence.is_astray
+        return Placement(step, pose, covariances[0], placed_rays, gone, frame, before, has_drifted)
 
     def _note_event(self, event: str, **details: Any) -> None:
         decisions = [] if self.absence is None else self.absence.decisions

@@ -120,6 +120,21 @@ class LineSlam:
         self.finish()
         self._estimator.shift(pose, covariance, robot)
 
+    def close(self, pose: FloatArray, covariance: FloatArray, ends: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+        """Close a loop: readings that end at points (n, 2) have found the pose (3,) of the robot among the walls there.
+
+        ``covariance`` (3, 3) is that of the match. Readings that are still pending are used before. Where the world has
+        moved is returned: anchors (m, 2) of walls, and the rigid motion (m, 3) around each of them. It is None, and
+        nothing changes, if the estimate does not explain that the robot is there.
+        """
+        self.finish()
+        before = self.map_state
+        found = before.closed(pose, covariance, ends)
+        if found is None:
+            return None
+        self.renew(found[0])
+        return before.anchors, found[1]
+
     def know(self, landmarks: Sequence[Landmark], segments: FloatArray) -> None:
         """Begin with the walls (k, 4), m, of an earlier map, and the landmarks that they lie on.
 

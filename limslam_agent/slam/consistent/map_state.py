@@ -8,10 +8,16 @@ from limslam_agent.slam.consistent.wall_map import NEW, Wall
 from limslam_agent.slam.core.ekf import POSE
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import direction, normal
-from limslam_env.geometry.se2 import compose, transform_points
+from limslam_env.geometry.se2 import compose, transform_points, wrap_angle
 
 _AT_WALL = 0.2  # m: a reading that ends farther from a wall says nothing of it
+_AROUND = 0.5  # m: lines that are nearer count alike for the motion around an anchor
+_ALIKE = np.deg2rad(0.5)  # rad: lines whose directions are known so well, relative to each other, count alike, too
 _LEAST_SEEN = 1e-3  # share of the best determined direction below which the walls do not determine a direction
+
+
+EXPLAINED = 16.0
+"""Squared Mahalanobis distance: a robot that is found farther from where it believed to be has not only drifted."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,6 +90,50 @@ class MapState:
         by_motion = by_lines @ lines_moved_with((x, y), self.lines, self.anchors)
         return np.asarray(np.linalg.lstsq(by_motion, by_lines, rcond=_LEAST_SEEN)[0])
 
+    def closed(
+        self, pose: FloatArray, covariance: FloatArray, ends: FloatArray
+    ) -> "tuple[MapState, FloatArray] | None":
+        """The state after a loop: readings that end at points (n, 2) have found the pose (3,) among the walls there.
+
+        This is the update of the Kalman filter by a measurement of the pose relative to these walls, whose covariance
+        (3, 3) is given. It moves all that is known since the robot has left them. The difference of both poses is
+        measured in the found one, so that a motion of the whole world changes nothing in it. What lies around a wall
+        moves with it along the wall, too: its own extent, and the cells of a grid.
+
+        Returns
+        -------
+        state, motions
+            The state, and the rigid motion (m, 3) of what lies around each line, about the anchors of this state. None
+            if the covariance of this state does not explain the difference of the poses, or the walls do not determine
+            the pose.
+        """
+        by_walls = self.by_walls(pose, ends)
+        off = self.pose - pose
+        off[2] = wrap_angle(off[2])
+        by_state = np.hstack((np.eye(POSE), -by_walls))
+        by_state[:2, POSE:] -= np.outer([-off[1], off[0]], by_walls[2])
+        x, y, _ = pose.tolist()
+        determined = by_walls @ lines_moved_with((x, y), self.lines, self.anchors)
+        joint = by_state @ self.covariance
+        stated = joint @ by_state.T + covariance
+        if not np.allclose(determined, np.eye(POSE)) or off @ np.linalg.solve(stated, off) > EXPLAINED:
+            return None
+        gain = np.linalg.solve(stated, joint).T
+        change = -gain @ off
+        lines = self.lines + change[POSE:].reshape(-1, 2)
+        after = replace(self, pose=self.pose + change[:POSE], lines=lines, covariance=self.covariance - gain @ joint)
+        # The error of the state moves with the robot's: see CloneEKF.
+        transport = np.eye(len(change))
+        transport[:, :POSE] += after.moved_with - self.moved_with
+        motions = _motions_around(self, lines)
+        along = np.einsum("md,md->m", motions[:, :2], direction(lines))
+        transport = _about_moved_anchors(along) @ transport
+        return replace(
+            after,
+            anchors=self.anchors + along[:, None] * direction(lines),
+            covariance=transport @ after.covariance @ transport.T,
+        ), motions
+
     def joined(self, other: "MapState", ends: FloatArray) -> "MapState":
         """The lines of both states, with the pose of the other one.
 
@@ -105,6 +155,31 @@ class MapState:
             covariance=covariance,
             walls=[*self.walls, *(replace(wall, number=NEW) for wall in other.walls)],
         )
+
+
+def _motions_around(state: MapState, lines: FloatArray) -> FloatArray:
+    """The rigid motion (m, 3) of the world around each anchor of a state, of which the lines are now (m, 2).
+
+    A line says nothing of a motion along it. So it is the motion that fits the lines around: most of all those that are
+    near, and have the same error of the heading, since both ends of a loop may lie at the same place of the map.
+    """
+    motions, changes = np.zeros((len(lines), POSE)), (lines - state.lines).ravel()
+    headings = state.covariance[POSE + 1 :: 2, POSE + 1 :: 2]
+    for number, (x, y) in enumerate(state.anchors.tolist()):
+        away = np.hypot(*(state.anchors - (x, y)).T)
+        turned = np.sqrt(np.maximum(np.diag(headings) + headings[number, number] - 2.0 * headings[number], _ALIKE**2))
+        weights = np.repeat(1.0 / ((_AROUND + away) * turned), 2)
+        by_motion = lines_moved_with((x, y), state.lines, state.anchors)
+        motions[number] = np.linalg.lstsq(by_motion * weights[:, None], changes * weights, rcond=_LEAST_SEEN)[0]
+    return motions
+
+
+def _about_moved_anchors(along: FloatArray) -> FloatArray:
+    """Derivative (3 + 2 m, 3 + 2 m) of a state by the same state about anchors that lie back by distances (m,), m."""
+    by_state = np.eye(POSE + 2 * len(along))
+    lines = POSE + 2 * np.arange(len(along))
+    by_state[lines, lines + 1] = -along
+    return by_state
 
 
 def poses_moved_with(place: tuple[float, float], poses: FloatArray) -> FloatArray:

@@ -161,9 +161,11 @@ def test_the_errors_beside_the_filter_are_shifted_with_the_pose():
 
 
 def test_who_listens_to_associations_still_hears_them_after_a_placement_at_once():
-    mapper, heard, recovery = Mapper(ROBOT), [].append, SimpleNamespace(has_joined=lambda _: None)
+    mapper, heard, recovery = Mapper(ROBOT), [].append, SimpleNamespace(has_joined=lambda *_: None)
     mapper.slam.on_association = heard
     recovery.absence = SimpleNamespace(known=SimpleNamespace(copied=lambda: (mapper._slam_at(np.zeros((1, 3))), None)))
     recovery.log = SimpleNamespace(begin=0, end=0, steps=[])
-    mapper._go_on_at(recovery, SimpleNamespace(gone=[(np.zeros(3), np.eye(3))], carried_at=0, step=0, put=lambda *_: 0))
+    placement = SimpleNamespace(gone=[(np.zeros(3), np.eye(3))], carried_at=0, step=0)
+    placement.put = lambda *_: (placement, None)
+    mapper._go_on_at(recovery, placement)
     assert mapper.slam.on_association is heard

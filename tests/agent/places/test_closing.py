@@ -1,0 +1,182 @@
+"""A robot that is found where its covariance explains has closed a loop, and a refuted place leaves nothing behind."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from support.halls import HALL, PART, ROBOT, SENSOR, WAY, drive, known
+
+from limslam_agent import preset
+from limslam_agent.config.exploration import GridConfig
+from limslam_agent.config.places import PlaceConfig
+from limslam_agent.grid.occupancy import GridView, OccupancyGrid
+from limslam_agent.places.absence import Absence
+from limslam_agent.places.history import StepLog
+from limslam_agent.places.localisation import Localisation, PlaceFit, agree, localise
+from limslam_agent.places.rays import rays_of
+from limslam_agent.places.recovery import Recovery
+from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with, poses_moved_with
+from limslam_agent.slam.consistent.wall_map import Wall
+from limslam_agent.status.status import Status
+from limslam_env.geometry.line import direction, normal
+from limslam_env.geometry.se2 import compose, transform_points
+from limslam_env.geometry.segment import sample
+
+CONFIG, MATCH = PlaceConfig(), np.diag([0.05, 0.05, 0.03]) ** 2
+POSE, DRIFT = np.array([2.5, 1.0, 0.4]), np.array([1.2, -0.8, 0.06])
+NEAR = np.array([[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0]], dtype=float)
+AWAY = np.array([[8, 0, 8, 3], [8, 3, 12, 3], [12, 3, 12, 0]], dtype=float)
+
+
+def walls_of(segments):
+    """Lines (m, 2) about the middles of walls, these middles, and the walls with their extents."""
+    middles, walls = 0.5 * (segments[:, :2] + segments[:, 2:]), []
+    lines = np.column_stack((np.zeros(len(segments)), np.arctan2(*(segments[:, 2:] - segments[:, :2]).T[::-1])))
+    lines[:, 1] -= 0.5 * np.pi
+    for number, (segment, line, middle) in enumerate(zip(segments, lines, middles, strict=True)):
+        walls.append(Wall(number))
+        walls[-1].extent.hit((sample(segment[None], 0.05)[0] - middle) @ direction(line))
+    return lines, middles, walls
+
+
+def drifted(stds, world=0.0):
+    """A room that is known, another one that was seen after a drift, and the robot, which is back in the first room.
+
+    The standard deviations (3,) of the drift are stated, and that of the direction of the whole world.
+    """
+    lines, middles, walls = walls_of(np.concatenate((NEAR, AWAY)))
+    place = POSE + DRIFT
+    by_drift = np.vstack((np.eye(3), lines_moved_with(tuple(place[:2]), lines, middles)))
+    by_drift[3 : 3 + 2 * len(NEAR)] = 0.0
+    wrong = middles.copy()
+    wrong[len(NEAR) :] = transform_points(DRIFT * [0, 0, 1], middles[len(NEAR) :] - POSE[:2]) + place[:2]
+    lines[len(NEAR) :, 1] += DRIFT[2]
+    by_world = np.vstack((poses_moved_with((0.0, 0.0), place[None]), lines_moved_with((0.0, 0.0), lines, wrong)))[:, 2]
+    covariance = by_drift @ np.diag(np.square(stds)) @ by_drift.T + world**2 * np.outer(by_world, by_world)
+    return MapState(place, lines, wrong, covariance + 1e-8 * np.eye(len(covariance)), walls)
+
+
+def test_a_loop_moves_what_was_seen_since_the_robot_left():
+    state, right = drifted([1.0, 1.0, 0.1]), walls_of(AWAY)
+    after, motions = state.closed(POSE, MATCH, sample(NEAR, 0.1)[0])
+    np.testing.assert_allclose(after.pose, POSE, atol=0.02)
+    np.testing.assert_allclose(after.lines[: len(NEAR)], state.lines[: len(NEAR)], atol=1e-3)
+    away = slice(len(NEAR), None)
+    np.testing.assert_allclose(after.lines[away, 1], right[0][:, 1], atol=0.01)
+    feet = after.anchors[away] + after.lines[away, :1] * normal(after.lines[away])
+    np.testing.assert_allclose(feet, right[1], atol=0.1)  # along the walls, too
+    np.testing.assert_allclose(motions[away, 2], -DRIFT[2], atol=0.01)
+    np.testing.assert_allclose(motions[: len(NEAR)], 0.0, atol=0.05)
+    assert np.sqrt(after.covariance[0, 0]) < 0.06
+    assert np.linalg.eigvalsh(after.covariance).min() > -1e-9
+
+
+def test_a_loop_says_nothing_of_the_direction_of_the_world():
+    state = drifted([1.0, 1.0, 0.1], world=0.2)
+    after, _ = state.closed(POSE, MATCH, sample(NEAR, 0.1)[0])
+    assert np.sqrt(after.covariance[4, 4]) == pytest.approx(0.2, rel=0.01)
+    assert np.sqrt(after.covariance[2, 2]) == pytest.approx(np.hypot(0.2, 0.03), rel=0.02)
+
+
+def test_a_pose_that_the_covariance_does_not_explain_closes_no_loop():
+    assert drifted([0.2, 0.2, 0.02]).closed(POSE, MATCH, sample(NEAR, 0.1)[0]) is None
+    assert drifted([1.0, 1.0, 0.1]).closed(POSE, MATCH, sample(NEAR[:1], 0.1)[0][5:-5]) is None, (
+        "one wall determines no pose"
+    )
+
+
+def test_cells_move_with_the_nearest_wall():
+    values = np.zeros((20, 60), dtype=np.int16)
+    values[5, 10], values[5, 50] = -3, 7
+    grid = OccupancyGrid.of(GridView(np.zeros(2), 0.1, values), GridConfig())
+    grid.bend(np.array([[1.0, 0.5], [5.0, 0.5]]), np.array([[0.0, 0.0, 0.0], [0.3, -0.2, 0.0]]))
+    found = grid.view.values_at(np.array([[1.05, 0.55], [5.05, 0.55], [5.35, 0.35]]))
+    np.testing.assert_array_equal(found, [-3, 0, 7])
+
+
+@pytest.fixture(scope="module")
+def whole():
+    return known(WAY, HALL)
+
+
+def lost(whole, **details):
+    recovery = Recovery(ROBOT, preset("graph"), CONFIG)
+    recovery.log = StepLog(0, drive(PART, HALL))
+    recovery.absence = Absence(None, details.pop("first", 1), "", 0.0, whole, **details)
+    return recovery
+
+
+@pytest.mark.parametrize(
+    ("details", "is_break"), [({}, False), ({"is_carried": True}, True), ({"is_astray": True}, True)]
+)
+def test_the_odometry_holds_for_a_robot_whose_covariance_explains_its_place(whole, details, is_break):
+    recovery = lost(whole, **details)
+    recovery.absence.known = SimpleNamespace(explains=lambda *_: True, step=-1)
+    rays = rays_of(recovery.log.steps, ROBOT)
+    (fit,) = whole.weigh(np.array([[3.0, 0.0, 0.0]]), rays)
+    found = Localisation(fit, 0.0, rays[:, :2].mean(axis=0), "")
+    recovery.absence.decisions.append(found)
+    recovery.has_joined(recovery._placement(recovery.absence, rays, found, SENSOR), None if is_break else whole)
+    assert recovery.breaks == ([1] if is_break else [])
+    assert recovery.absence.is_unlikely is ("is_astray" in details)
+
+
+def monitor(change=None, **details):
+    status = Status("lost", "a reason")
+    carried = None if change is None else SimpleNamespace(change=change)
+    found = {"doubted": 3, "contradicted": 9, "added_covariance": np.zeros((3, 3)), "changes": lambda _: []}
+    return SimpleNamespace(status=status, carried=carried, **{**found, **details})
+
+
+def test_a_place_that_is_refuted_is_taken_back_as_a_whole(whole):
+    recovery, believed = lost(whole, first=10), np.array([7.0, 8.0, 0.3])
+    recovery.absence = replace(recovery.absence, believed=believed, placed=1.0)
+    recovery.breaks = [3, 8]
+    slam = SimpleNamespace(covariance=np.eye(3), range_sensor=SENSOR)
+    recovery.lose(monitor(), slam, None)
+    assert (recovery.absence.first, recovery.breaks, recovery.absence.is_astray) == (10, [3], False)
+    np.testing.assert_allclose(recovery.log[9].pose, believed)
+    recovery.absence = replace(recovery.absence, placed=1.0)
+    recovery.breaks = [8]
+    recovery.log.forget_before(20)
+    recovery.lose(monitor(), slam, None)
+    assert recovery.absence.is_astray, "the pose from before is no longer kept"
+    assert recovery.absence.is_carried
+
+
+def test_a_robot_that_is_lost_again_in_its_local_frame_was_carried_away_before(whole):
+    recovery = lost(whole, first=30, since=12)
+    rays = rays_of(recovery.log.since(30), ROBOT)
+    (fit,) = whole.weigh(np.array([[3.0, 0.0, 0.0]]), rays)
+    found = Localisation(fit, 0.0, rays[:, :2].mean(axis=0), "")
+    placement = recovery._placement(recovery.absence, rays, found, SENSOR)
+    assert placement.step == 12
+    np.testing.assert_allclose(placement.pose, compose(fit.pose, recovery.log[29].pose))
+
+
+@pytest.mark.parametrize(("change", "is_carried"), [(1.2, False), (7.0, True)])
+def test_a_change_that_says_little_by_itself_carries_nobody(whole, change, is_carried):
+    """The rest of the evidence may be walls of a bent map."""
+    recovery = lost(whole)
+    recovery.absence = None
+    recovery._kidnapping.is_refuted = lambda *_: False
+    slam = SimpleNamespace(covariance=np.eye(3), range_sensor=SENSOR)
+    _, first, is_dated, was_carried = recovery._first_doubt(monitor(change), slam)
+    assert (is_dated, was_carried) == (is_carried, is_carried)
+    assert first == recovery.log.end - 1 - (3 if is_carried else 9)
+
+
+def test_the_likeliest_place_near_the_believed_one_is_compared_with_far_ones(whole):
+    frame = np.array([3.5, -1.0, -0.4])
+    steps = [replace(step, pose=compose(frame, step.pose)) for step in drive(PART, HALL)]
+    rays = rays_of(steps, ROBOT)
+    alone = localise(whole, rays, CONFIG, far=CONFIG.far)
+    assert not alone.is_near
+    near = PlaceFit(np.zeros(3), 0.6 * alone.fit.evidence, 3, 90)
+    found = localise(whole, rays, CONFIG, far=CONFIG.far, near=[near])
+    assert found.fit is near
+    assert found.is_near
+    assert found.is_accepted, "contradictions need only not speak against a place near the believed one"
+    assert agree(found, found, CONFIG)
+    assert not localise(whole, rays, CONFIG, far=CONFIG.far, near=[replace(near, contradictions=6)]).is_accepted
