@@ -38,6 +38,7 @@ from limslam_agent.places.revisions import BEGUN_ANEW, NOT_CONFIRMED
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.monitor import StatusMonitor, covariance_of_lost
+from limslam_agent.status.sudden_changes import CLEAR
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, transform_points
@@ -256,7 +257,7 @@ class Recovery:
         kept = max(first, self.log.begin)
         # What contradicts the map now has also spoken for an earlier change. Walls of a bent map do so where the robot
         # has drifted, and hardly a reading has changed.
-        is_weak = change is not None and change.change < self._agent.status.sudden_changes.clear
+        is_weak = change is not None and change.change < CLEAR
         if change is not None and (is_weak or self._kidnapping.is_refuted(kept, change, self.log, slam.range_sensor)):
             first, is_dated = self.log.end - 1 - own.contradicted, False
             change = None if is_weak else change
