@@ -267,9 +267,11 @@ def localise(
     # A far place is compared with others that count in full, and a near one with far ones that do not.
     rivals = [fit.evidence * (1.0 if share < 1.0 else shares[id(fit)]) for fit in places[1:]]
     runner_up = max([0.0, *rivals]) / share if share > 0.0 else math.inf
+    refusal = _refusal(best, runner_up, config)
     # The readings of a drive that has left the ground of the map say little there, and may fit where rooms look alike.
-    is_rivalled = any(fit.is_on_map > best.is_on_map - _ALIKE for fit in places[1:] if shares[id(fit)] >= share)
-    refusal = _refusal(best, runner_up, config) or is_rivalled * "ambiguous: as few readings contradict another place"
+    alike = [fit for fit in places[1:] if shares[id(fit)] >= share and fit.is_on_map > best.is_on_map - _ALIKE]
+    if alike and not refusal:
+        refusal = f"ambiguous: {alike[0].contradictions} of {alike[0].tested} readings contradict another place"
     return Localisation(best, runner_up, middle, refusal, places[:_KEPT])
 
 
