@@ -24,7 +24,8 @@ _OVER, _INSET = 0.05, 0.08  # m: walls may be so much longer, or shorter, than t
 _BESIDE = 0.15  # m: a reading that differs by less than this and three standard deviations contradicts nothing
 _ROUGH = 0.08  # m: standard deviation of the place of a wall that is known by occupied cells only
 _UNSEEN = 0.2  # m: a wall may lie so far beyond the first cell that is not free
-_ROUNDS, _FAR, _NEAR, _PRIOR = 8, 0.30, 0.12, 1e-2  # of refinements: distances from walls, m, first and last
+_ROUNDS, _FAR, _NEAR = 8, 0.30, 0.12  # of refinements: distances from walls, m, first and last
+_DAMPING = 1.0  # of a round of a refinement, in rays
 
 
 @compiled
@@ -246,7 +247,9 @@ def refine_poses(
 ) -> None:  # fmt: skip
     """Move poses (m, 3), so that the ends of rays (n, 6) lie on walls (k, 4), m: least squares of their distances.
 
-    ``cone`` (rad) is half the opening angle of the beams. The last three arguments, (k, 5), (3, 3), (3,), are scratch.
+    The steps are damped. Walls that are not quite parallel, as those of a corridor in a map, would otherwise let a pose
+    slide along them. ``cone`` (rad) is half the opening angle of the beams. The last three arguments, (k, 5), (3, 3),
+    (3,), are scratch.
     """
     fill_table(segments, walls)
     for number in range(len(poses)):
@@ -254,8 +257,7 @@ def refine_poses(
             for i in range(3):
                 vector[i] = 0.0
                 for j in range(3):
-                    # The small weights keep directions without walls where they are.
-                    matrix[i, j] = _PRIOR if i == j else 0.0
+                    matrix[i, j] = _DAMPING if i == j else 0.0
             most = _FAR + (_NEAR - _FAR) * turn / (_ROUNDS - 1)
             add_residuals(poses[number], rays, walls, most, cone, matrix, vector)
             solve(matrix, vector)

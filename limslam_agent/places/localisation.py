@@ -23,7 +23,7 @@ from scipy.ndimage import distance_transform_edt
 
 from limslam_agent.config.places import PlaceConfig
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.kernels.tables import RAY_REACH
+from limslam_agent.kernels.tables import RAY_REACH, RAY_TO_X, RAY_X
 from limslam_agent.places.rays import have_ended
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import BoolArray, FloatArray
@@ -41,6 +41,7 @@ _KEPT = 20  # number of places that are tried again in the next search
 _WALL, _HIT, _MISS = 0.20, (2.5, 1.3), -8.0  # m, and evidence of a ray's end at a wall, and in free ground
 _CROSSED, _FREE = -6.0, 0.2  # evidence of a ray's way through a wall, and through free ground
 _MAP_STD = 0.045  # m: standard deviation of a wall's place in the map as seen from a refined pose
+_ALIKE = 2.0  # a place is a rival if its test of contradictions speaks less for it by less than this
 _UNLIKELY = 12.0  # logarithm of the number of places that a map has
 _NEAR, _NEAR_TURN = 0.5, math.radians(15.0)  # m, rad: a robot that is off by less than this may have drifted
 _STARTS = (-0.3, 0.0, 0.3), (-math.radians(8.0), 0.0, math.radians(8.0))  # m, rad: where poses near by are looked for
@@ -96,10 +97,13 @@ class KnownPlaces:
         """Poses (m, 3), moved so that the ends of the rays (n, 6) lie on walls."""
         from limslam_agent.kernels.rays import refine_poses
 
-        poses = np.array(poses)
-        ended, walls = np.ascontiguousarray(rays[have_ended(rays)]), np.empty((len(self.segments), 5))
-        refine_poses(poses, ended, self.segments, float(self.sensor.cone), walls, np.empty((3, 3)), np.empty(3))
-        return poses
+        ended, walls = rays[have_ended(rays)], np.empty((len(self.segments), 5))
+        # Poses of the middle of the rays, which a turn leaves where it is.
+        middle = np.array([*rays[:, RAY_X:RAY_TO_X].mean(axis=0), 0.0])
+        ended[:, RAY_X:RAY_TO_X] -= middle[:2]
+        placed = compose(poses, middle)
+        refine_poses(placed, ended, self.segments, float(self.sensor.cone), walls, np.empty((3, 3)), np.empty(3))
+        return np.asarray(compose(placed, -middle))
 
     def likely(self, rays: FloatArray) -> FloatArray:
         """Poses (m, 3) at which the rays (n, 6) may fit, by a rough search of the whole map.
@@ -277,6 +281,10 @@ def localise(
     rivals = [fit.evidence * (1.0 if share < 1.0 else shares[id(fit)]) for fit in places[1:]]
     runner_up = max([0.0, *rivals]) / share if share > 0.0 else math.inf
     refusal = _refusal(best, runner_up, config, 0.0 if is_near else config.on_map)
+    # The readings of a drive that has left the ground of the map say little there, and may fit where rooms look alike.
+    alike = [fit for fit in places[1:] if shares[id(fit)] >= share and fit.is_on_map > best.is_on_map - _ALIKE]
+    if alike and not refusal:
+        refusal = f"ambiguous: {alike[0].contradictions} of {alike[0].tested} readings contradict another place"
     return Localisation(best, runner_up, middle, refusal, places[:_KEPT], is_near)
 
 

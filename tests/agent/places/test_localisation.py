@@ -11,7 +11,7 @@ from limslam_agent.config.places import PlaceConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.kernels.tables import RAY_LENGTH
 from limslam_agent.places.history import LoggedStep, StepLog
-from limslam_agent.places.localisation import KnownPlaces, agree, localise
+from limslam_agent.places.localisation import KnownPlaces, PlaceFit, agree, localise
 from limslam_agent.places.rays import ends_of, have_ended, moved, rays_of
 from limslam_agent.places.recovery import Recovery
 from limslam_agent.slam.core.range_sensor import RangeSensor
@@ -63,6 +63,30 @@ def test_ground_that_the_map_does_not_have_is_refused(whole):
     found = localise(whole, rays_of(drive([[1.0, 0.8], [1.0, 3.4]], elsewhere), ROBOT), CONFIG)
     assert not found.is_accepted
     assert found.fit.is_on_map < CONFIG.on_map
+
+
+@pytest.mark.parametrize(("contradictions", "is_rival"), [(0, True), (4, False)])
+def test_a_place_that_as_few_readings_contradict_is_a_rival(monkeypatch, whole, contradictions, is_rival):
+    """The readings of ground without a map say nothing at the right place, and fit where rooms look alike."""
+    alike, right = np.array([4.0, 0.0, 3.0]), np.zeros(3)
+    fits = [PlaceFit(alike, 187.0, 4, 137), PlaceFit(right, 93.0, contradictions, 53)]
+    monkeypatch.setattr(KnownPlaces, "weigh", lambda *_: list(fits))
+    found = localise(whole, rays_of(drive(PART, HALL), ROBOT), CONFIG)
+    assert found.fit is fits[0]
+    assert found.refusal.startswith("ambiguous") is is_rival
+
+
+def test_a_pose_does_not_slide_along_walls_that_are_not_quite_parallel():
+    """A corridor of 1 m is drawn 2 % wider or narrower with each metre, and is 1 m wide a metre ahead."""
+    corridor = np.array([[0.0, 0.0, 20.0, 0.0], [0.0, 1.0, 20.0, 1.0]])
+    rays = rays_of(drive([[5.0, 0.5], [8.0, 0.5]], corridor), ROBOT)
+    drawn = np.array([[0.0, 0.075, 20.0, -0.125], [0.0, 0.925, 20.0, 1.125]])
+    place = KnownPlaces(drawn, GridView(np.zeros(2), 0.1, np.ones((4, 4), dtype=np.int16)), RangeSensor(STD))
+    (found,) = place.refined(np.array([[0.0, 0.06, 0.02]]), rays)
+    middle = transform_points(found, rays[:, :2].mean(axis=0)[None])[0] - rays[:, :2].mean(axis=0)
+    assert abs(middle[0]) < 0.3
+    assert abs(middle[1]) < 0.01
+    assert abs(found[2]) < 0.01
 
 
 def test_two_searches_agree_on_one_place_only(whole):
