@@ -61,7 +61,8 @@ class SegmentationConfig(Bounded):
     ----------
     kink_gate, min_kink
         Least gain in chi-square (one degree of freedom) of a model with a kink, and least angle of that kink, rad. A
-        piece of wall beyond a landmark's known ends that is turned by more than this does not update the landmark.
+        piece of wall that is turned against a landmark by more than this, and by more than two standard deviations of
+        the piece's direction, does not update the landmark.
     curve_gate
         Least gain in chi-square (three degrees of freedom) of a smooth curve.
     end_zone, end_gate

@@ -39,6 +39,9 @@ FEWEST_FOR_SHAPE = 10
 KINKS_AT = (0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)
 """Quantiles of the readings' positions at which a kink is tested for."""
 
+TURN_SIGMAS = 2.0
+"""A wall segment is turned against a line if its direction differs by this many standard deviations, and by a kink."""
+
 LEAST_SPREAD = 1e-6
 """Least root of the summed squared distances of readings from their middle, m, that the angle's error is based on."""
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from limslam_agent.kernels.algebra import sort_with
 from limslam_agent.kernels.measurement import hit_points, towards
-from limslam_agent.kernels.tables import FEWEST
+from limslam_agent.kernels.tables import FEWEST, TURN_SIGMAS
 from limslam_agent.slam.batch.algebra import squared_distance
 from limslam_agent.slam.batch.clone_ekf import (
     add_line,
@@ -323,6 +323,8 @@ def fits(
     of_line: float, left: float, used: float,
 ) -> bool:  # fmt: skip
     """Whether a wall segment of a known landmark is good enough to update by."""
+    if turn_between(ekf.x, index, segment[THETA]) > max(settings.min_kink, TURN_SIGMAS * segment[ANGLE_STD]):
+        return False
     free = max(used - 2.0, 1.0)
     if left > free + settings.left_sigmas * math.sqrt(2.0 * free) + 2.0 or segment[EXTENT] < settings.min_length:
         return False
@@ -333,7 +335,6 @@ def fits(
         segment[EXTENT] >= settings.beyond_length
         and of_line <= settings.beyond_gate
         and segment[ANGLE_STD] <= settings.beyond_angle_std
-        and turn_between(ekf.x, index, segment[THETA]) <= settings.min_kink
         and is_whole(points, segment, settings)
     )
     return inside / len(points) >= 0.5 or is_clear

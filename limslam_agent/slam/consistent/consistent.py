@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.config.consistent import ConsistentConfig
-from limslam_agent.kernels.tables import FEWEST
+from limslam_agent.kernels.tables import FEWEST, TURN_SIGMAS
 from limslam_agent.slam.consistent.assumed_sensor import AssumedSensor
 from limslam_agent.slam.consistent.beam_model import Readings
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF, Disagreement
@@ -411,18 +411,17 @@ class ConsistentEstimator(Estimator):
         settings = self._settings.update
         free = max(known.used - 2, 1)
         most = free + settings.residual_sigmas * math.sqrt(2.0 * free) + 2.0
-        if known.left > most or segment.length < settings.min_length:
+        # A filter that is unsure of its heading would take the next facet of a curved wall for this one, and turn.
+        turn = abs(angle_between(float(self._filter.anchored[known.landmark, 1]) - segment.theta))
+        largest = max(self._settings.segmentation.min_kink, TURN_SIGMAS * segment.angle_std)
+        if known.left > most or segment.length < settings.min_length or turn > largest:
             return False
         along, (low, high) = self._map.along(known.landmark, segment.points), self._map[known.landmark].extent.ends
         is_inside = np.mean((along > low - settings.end_slack) & (along < high + settings.end_slack)) >= 0.5
-        # A filter that is unsure of its heading would take the next facet of a curved wall for this one, and turn.
-        theta = float(self._filter.anchored[known.landmark, 1])
-        turn = abs(angle_between(theta - segment.theta))
         is_clear = (
             segment.length >= settings.beyond_length
             and known.of_line <= settings.beyond_gate
             and segment.angle_std <= settings.beyond_angle_std
-            and turn <= self._settings.segmentation.min_kink
             and self._is_whole(segment)
         )
         return bool(is_inside or is_clear)

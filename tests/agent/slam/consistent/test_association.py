@@ -107,9 +107,19 @@ def test_only_segments_without_another_meaning_pass_the_first_gate(
     assert is_consumed == (outcome != "wait")
 
 
-@pytest.mark.parametrize(("begin", "degrees", "fits"), [(0.1, 7.0, True), (0.1, 9.0, False), (-0.6, 9.0, True)])
-def test_a_piece_beyond_the_known_ends_that_is_turned_like_another_facet_is_no_continuation(
-    begin: float, degrees: float, fits: bool
+@pytest.mark.parametrize(
+    ("begin", "degrees", "std", "fits"),
+    [
+        (0.1, 7.0, 0.5, True),
+        (0.1, 9.0, 0.5, False),
+        # Inside the known ends, too, unless the direction of the piece is not known.
+        (-0.6, 7.0, 0.5, True),
+        (-0.6, 9.0, 0.5, False),
+        (-0.6, 9.0, 4.6, True),
+    ],
+)
+def test_a_piece_that_is_turned_like_another_facet_does_not_update(
+    begin: float, degrees: float, std: float, fits: bool
 ) -> None:
     estimator = estimator_after(130)
     line, anchor = estimator._filter.anchored[0], estimator._filter.anchors[0]
@@ -118,7 +128,7 @@ def test_a_piece_beyond_the_known_ends_that_is_turned_like_another_facet_is_no_c
     points = anchor + line[0] * normal + (last + np.linspace(begin, begin + 0.5, 20)[:, None]) * tangent
     # The direction of a line is the same when its normal is turned by half a circle.
     segment = WallSegment(
-        np.arange(20), theta + math.radians(degrees) + math.pi, points.mean(axis=0), points, 0.45, 0.01, np.zeros(20),
-        np.zeros(20),
+        np.arange(20), theta + math.radians(degrees) + math.pi, points.mean(axis=0), points, 0.45, math.radians(std),
+        np.zeros(20), np.zeros(20),
     )  # fmt: skip
     assert estimator._fits(segment, _Candidate(8.0, 0.0, 20, 0)) == fits
