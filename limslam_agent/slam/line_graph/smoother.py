@@ -18,7 +18,7 @@ from limslam_agent.slam.line_graph.map_score import score, tally
 from limslam_agent.slam.line_graph.mending import is_contradicted, is_repaired, mend
 from limslam_agent.slam.line_graph.problem import Problem, Readings, make_problem, state_from_poses
 from limslam_agent.slam.line_graph.reassociation import Association, reassociate, with_kinds
-from limslam_agent.slam.line_graph.sensor_errors import fitted_sensor
+from limslam_agent.slam.line_graph.sensor_errors import beam_turns, fitted_sensor
 from limslam_agent.slam.line_graph.smoothed_map import smoothed_map
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
@@ -89,6 +89,9 @@ class SmoothedRun:
         as the readings require.
     contradictions
         Share of all looks that passed through a wall of the solution.
+    robot, turns
+        The robot with its beams as they are mounted, and by what each beam is turned to the left against the specified
+        robot, with its standard deviation (n_beams, 2), rad; None where the beams are taken to be as specified.
     """
 
     poses: FloatArray
@@ -100,6 +103,8 @@ class SmoothedRun:
     contradictions: float
     range_std: float
     beam_width: float
+    robot: RobotSpec
+    turns: FloatArray | None = None
 
 
 def completed(found: SmoothedRun, poses: FloatArray, covariances: FloatArray) -> SmoothedRun:
@@ -284,4 +289,18 @@ def _smoothed(best: Settled, config: SmootherConfig) -> SmoothedRun:
         contradictions=_contradictions(problem, found),
         range_std=problem.range_std,
         beam_width=problem.beam_width,
+        robot=problem.robot,
+        turns=_turns(best, config),
     )
+
+
+def _turns(best: Settled, config: SmootherConfig) -> FloatArray | None:
+    """The turns of the beams and their standard deviations (n_beams, 2), rad; None if no beam is turned."""
+    problem = best.problem
+    if problem.turns is None:
+        return None
+    try:
+        _, covariance = beam_turns(problem, best.association, config)
+    except DegenerateError:
+        return np.column_stack((problem.turns, np.full(len(problem.turns), config.sensor.turn_std)))
+    return np.column_stack((problem.turns, np.sqrt(covariance.diagonal())))
