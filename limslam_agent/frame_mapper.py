@@ -46,7 +46,7 @@ class FrameMapper:
         self, slam: LineSlam, grid: OccupancyGrid, config: AgentConfig, drawers: Sequence[ReadingDrawer] = ()
     ) -> None:
         self.slam, self.grid, self._config, self.slam_ms = slam, grid, config, 0.0
-        self.drawers = drawers or [ReadingDrawer(slam.robot) for _ in slam.robots]
+        self.drawers = drawers or self._new_drawers()
         self.begin_anew()
 
     def begin_anew(self) -> None:
@@ -58,7 +58,7 @@ class FrameMapper:
     def reset_monitors(self) -> None:
         """Forget all doubts about the estimates so far."""
         slam = self.slam
-        self.monitors = [StatusMonitor(slam.robot, self._config.status, slam.range_sensor) for _ in slam.robots]
+        self.monitors = [StatusMonitor(slam.mounted, self._config.status, slam.range_sensor) for _ in slam.robots]
 
     def process(self, observations: Sequence[Observation], frame: int, *, may_renew: bool = True) -> bool:
         """Process one observation of each robot.
@@ -78,6 +78,10 @@ class FrameMapper:
         begin = time.perf_counter()
         self.slam.step(*observations)
         self.slam_ms = _ms_since(begin)
+        if self.slam.range_sensor.turns != self.monitors[0].sensor.turns:
+            # The beams point elsewhere than was known.
+            self.drawers = self._new_drawers()
+            self.reset_monitors()
         before, self._extraction = self._extraction, self.slam.last_extraction
         for number in range(len(self.monitors)):
             self._watch(number, is_busy=before is not self._extraction)
@@ -107,6 +111,9 @@ class FrameMapper:
     def renewed_covariances(self) -> list[FloatArray]:
         """Covariances (3, 3) that the filter stated for these poses."""
         return self._renewal.covariances
+
+    def _new_drawers(self) -> Sequence[ReadingDrawer]:
+        return [ReadingDrawer(self.slam.mounted) for _ in self.slam.robots]
 
     def _watch(self, number: int, *, is_busy: bool) -> None:
         """Tell a robot's monitor the motion and the readings of this step, and let it compare them if that is due."""

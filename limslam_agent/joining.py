@@ -268,7 +268,7 @@ class JoiningMapper(Mapper):
         is_calibrated = any(mapper.slam.odometry_calibration is not None for mapper in apart)
         specified = RangeSensor(self.config.range_std, cone=self.robot.cone)
         others = [mapper.slam.sensor for mapper in apart if mapper.slam.sensor not in (None, specified)]
-        mean = RangeSensor(*np.mean(others, axis=0).tolist()) if others else None
+        mean = RangeSensor(*np.mean([each.numbers for each in others if each], axis=0).tolist()) if others else None
         return self_calibrating(self.config) if is_calibrated else self.config, mean
 
     def _separate_mappers(self) -> list[Mapper]:

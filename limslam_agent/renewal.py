@@ -162,7 +162,7 @@ class Renewal:
         """The grid from before the stretch, with the readings of the stretch at poses (3,)."""
         grid = self._first_grid.copied()
         _, ranges, measured, _, _ = zip(*self._rows[1:], strict=True)
-        grid.draw(self._slam.robot, np.array(poses)[:, None], np.array(ranges)[:, None], np.array(measured)[:, None])
+        grid.draw(self._slam.mounted, np.array(poses)[:, None], np.array(ranges)[:, None], np.array(measured)[:, None])
         return grid
 
     def _fit(self, slam: LineSlam, grid: OccupancyGrid, poses: Sequence[FloatArray]) -> float:
@@ -173,7 +173,7 @@ class Renewal:
         sensor = slam.range_sensor
         _, ranges, measured, _, _ = zip(*self._rows[1:], strict=True)
         steps = [_Seen(*each) for each in zip(poses, np.where(measured, ranges, np.nan), strict=True)]
-        rays = rays_of(steps, slam.robot, sensor.bias)
+        rays = rays_of(steps, slam.mounted, sensor.bias)
         (fit,) = KnownPlaces(slam.segments, grid.view, sensor).weigh(np.zeros((1, 3)), rays)
         return fit.is_on_map
 

@@ -15,6 +15,9 @@ from limslam_env.geometry import FloatArray
 
 _NOISY_STD = 0.01  # m, standard deviation of a range
 
+MOST_TURNED = 16
+"""Robots with more beams have laser scanners, whose beams have the right directions."""
+
 WhenToCalibrate = Literal["always", "if_needed", "never"]
 _StdShare = Annotated[float, Bounds(0.0, 0.999)]
 
@@ -262,11 +265,14 @@ class RangeErrorConfig(Bounded):
     enabled
         False takes the sensor to be as specified.
     gate
-        Twice the logarithm of the Bayes factor for another bias or opening angle from which on it is used.
+        Twice the logarithm of the Bayes factor for another bias, opening angle or directions of the beams from which on
+        it is used.
     noise_gate
         Twice the logarithm of the likelihood ratio for another noise from which on it is used.
     bias_std, cone_std
         Standard deviations of a bias of all ranges, m, and of half the opening angle, rad.
+    turn_std
+        Standard deviation of the direction of a beam, rad.
     least_std
         Smaller noise is not estimated, m.
     least_ratio
@@ -280,10 +286,15 @@ class RangeErrorConfig(Bounded):
     noise_gate: NonNegative = 20.0
     bias_std: NonNegative = 0.02
     cone_std: NonNegative = 0.05
+    turn_std: NonNegative = 0.05
     least_std: NonNegative = 0.005
     least_ratio: Annotated[float, Bounds(1.01, 10.0)] = 1.25
     further_gate: NonNegative = 8.0
     further_ratio: Annotated[float, Bounds(1.01, 10.0)] = 1.1
+
+    def stds(self, beams: int) -> tuple[float, ...]:
+        """Standard deviations of a bias, m, an opening angle, rad, and the directions of a robot's beams, rad."""
+        return (self.bias_std, self.cone_std, *(self.turn_std,) * (beams if beams <= MOST_TURNED else 0))
 
 
 @dataclass(frozen=True)

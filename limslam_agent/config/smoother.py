@@ -56,6 +56,9 @@ class SensorConfig(Bounded):
         specified.
     noise_ratio
         The noise is as specified if the standard deviation of the residuals differs from it by at most this factor.
+    turn_gate, turn_std
+        Beams are turned if twice the logarithm of the Bayes factor for turned beams exceeds the gate; and the standard
+        deviation of the direction of a beam, rad.
     width_gate
         The beams have an opening angle if chi-square falls by more than this.
     max_width
@@ -64,6 +67,8 @@ class SensorConfig(Bounded):
 
     rounds: CountOrNone = 4
     noise_ratio: Annotated[float, Bounds(1.0, 100.0)] = 1.25
+    turn_gate: NonNegative = 40.0
+    turn_std: Annotated[float, Bounds(1e-6, 1.0)] = 0.05
     width_gate: NonNegative = 40.0
     max_width: Angle = math.radians(10.0)
 

@@ -416,7 +416,8 @@ def update_by_readings(
     x: FloatArray, P: FloatArray, begins_of: tuple[int, int, int], anchors: FloatArray, index: int, places: IntArray,
     readings: FloatArray, variances: FloatArray, iterations: int, huber: float,
 ) -> tuple[
-    FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, IntArray, FloatArray, FloatArray, FloatArray
+    FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, IntArray, FloatArray, FloatArray,
+    FloatArray, IntArray,
 ]:  # fmt: skip
     """Update a state with its whole covariance P by readings of one line, as Python calls it; x changes in place.
 
@@ -430,6 +431,8 @@ def update_by_readings(
         What ``predict_ranges`` fills (m, 7), and H (m, k) for these states (k,).
     factor, W, innovation
         As of :func:`iterate`.
+    chosen
+        Indices (m,) of the readings that are used.
     """
     first, start, size = begins_of[1] + 2 * index, begins_of[2], len(x)
     anchor = (anchors[index, 0], anchors[index, 1])
@@ -445,4 +448,4 @@ def update_by_readings(
     if height:
         top = dense_rows(P, np.arange(POSE))
         again = stack_changes(x, size, begins_of, anchors, len(anchors), top, moved, W, change, left, right)
-    return left, right, moved, again, H, with_zeros(H, begins, len(columns)), columns, factor, W, off
+    return left, right, moved, again, H, with_zeros(H, begins, len(columns)), columns, factor, W, off, chosen

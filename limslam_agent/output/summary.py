@@ -19,6 +19,12 @@ def calibration_record(calibration: Sequence[float], covariance: FloatArray) -> 
     return {name: number for part, error, std in pairs for name, number in ((part, error), (f"{part}_std", float(std)))}
 
 
+def turn_records(turns: FloatArray | None) -> list[dict[str, float]]:
+    """For a ``result.json``: by what each beam is turned to the left, with its standard deviation (n_beams, 2), rad."""
+    rows = () if turns is None else np.degrees(turns).tolist()
+    return [{"deg": turn, "std_deg": std} for turn, std in rows]
+
+
 def record_of(time: FloatArray, paths: Sequence[FloatArray], odometry: Sequence[FloatArray]) -> dict[str, Any]:
     """The ``record`` of a ``result.json``: how long it is, and where odometry ended.
 
@@ -65,6 +71,8 @@ def record_summary(result: Mapping[str, Any]) -> list[str]:
     lines += _places(record.get("places"))
     each = record.get("calibration")
     lines += [_calibration_line(found) for found in each if found] if isinstance(each, list) else []
+    if part_of(result, "metrics").get("status") != "lost":
+        lines += _turned_beams(record.get("beam_turns"))
     if "log" in config and (end := _pose(record)) is not None:
         lines.append(f"odometry    ended at x {end[0]:.2f} m, y {end[1]:.2f} m, heading {end[2]:.1f} deg")
     return lines
@@ -100,6 +108,17 @@ def _calibration_line(found: Any) -> str:
         f"{name} {100.0 * found[part]:+.2f} +- {100.0 * found[f'{part}_std']:.2f} %" for part, name in _SIZES.items()
     ]
     return f"calibrated  {', '.join(sizes)}"
+
+
+def _turned_beams(turns: Any) -> list[str]:
+    """Which beams are turned against the robot's settings by more than chance, as :func:`turn_records` has them."""
+    known = enumerate(turns) if isinstance(turns, list) else ()
+    sure = [
+        f"beam {number} by {each['deg']:+.1f} +- {each['std_deg']:.1f} deg"
+        for number, each in known
+        if isinstance(each, dict) and _has(each, "deg", "std_deg") and abs(each["deg"]) > 3.0 * each["std_deg"]
+    ]
+    return [f"turned      {', '.join(sure)} to the left, against the robot's settings"] if sure else []
 
 
 def _pose(record: Mapping[str, Any]) -> list[float] | None:

@@ -117,7 +117,7 @@ def _about_zeros(log: RecordedLog) -> list[str]:
 
 def _about_odometry(log: RecordedLog) -> list[str]:
     if log.odometry is None:
-        return []
+        return [] if log.wheels is None else _misread(log, _path(log.wheels, log.robot.axle), by_wheels=True)
     reach = float(np.hypot(*np.ptp(log.odometry[:, :2], axis=0)))
     if reach < LEAST_DRIVEN:
         spread = _spread(log)
@@ -135,11 +135,19 @@ def _about_odometry(log: RecordedLog) -> list[str]:
     return _misread(log, log.odometry)
 
 
-def _misread(log: RecordedLog, odometry: FloatArray) -> list[str]:
+def _path(wheels: FloatArray, axle: float) -> FloatArray:
+    """The poses (n, 3) by wheel travel (n, 2), m, alone."""
+    poses = [np.zeros(3)]
+    for travel in wheels[1:].astype(np.float64):
+        poses.append(se2.compose(poses[-1], se2.arc(*se2.wheels_to_arc(travel, axle))))
+    return np.array(poses)
+
+
+def _misread(log: RecordedLog, odometry: FloatArray, *, by_wheels: bool = False) -> list[str]:
     from limslam_agent.replay.misreading import misread
     from limslam_agent.replay.smoothing import log_data
 
-    found = misread(log_data(log, odometry, 0.0), GraphConfig())
+    found = misread(log_data(log, odometry, 0.0), GraphConfig(), by_wheels=by_wheels)
     return [found] if found else []
 
 

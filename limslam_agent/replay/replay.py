@@ -17,7 +17,7 @@ from limslam_agent.mapper import Mapper
 from limslam_agent.output.cost import run_cost
 from limslam_agent.output.export import map_content, write_covariances, write_json, write_map
 from limslam_agent.output.finished_run import COVARIANCES, UNPLACED
-from limslam_agent.output.summary import place_records, record_of
+from limslam_agent.output.summary import place_records, record_of, turn_records
 from limslam_agent.output.tum import write_tum
 from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.places.saved_map import SavedMap
@@ -99,6 +99,8 @@ class Replay:
         Number of readings that were skipped: no readings (NaN), and negative numbers.
     self_calibration
         Systematic odometry errors that the filter has estimated. None if this was not asked for.
+    beam_turns
+        By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad; None if no beam is.
     slam_ms, job_ms, wall_clock
         Cost of the SLAM for each event (n,), and of the jobs of the online graph beside it (n,), ms; and cost of the
         whole replay, s.
@@ -128,6 +130,7 @@ class Replay:
     places: PlaceHistory
     smoothed: "Smoothed | None" = None
     handed_over: int | None = None
+    beam_turns: FloatArray | None = None
 
 
 def replay_log(
@@ -192,6 +195,7 @@ def replay_log(
         wall_clock=time.perf_counter() - begin,
         places=estimate.places,
         handed_over=estimate.handed_over,
+        beam_turns=slam.beam_turns,
     )
     if log.odometry is not None and config.smoothing is not None:
         from limslam_agent.replay.smoothing import smoothed_by_graph
@@ -310,7 +314,11 @@ def write_replay(
         "metrics": {**scores, **found, **statuses, **counts},
         "cost": cost,
         "config": {**source, "robot": asdict(log.robot), "agent": asdict(config)},
-        "record": {**record, "places": place_records(log.time, replay.places.records)},
+        "record": {
+            **record,
+            "beam_turns": turn_records(replay.beam_turns),
+            "places": place_records(log.time, replay.places.records),
+        },
         "versions": versions,
         "seed": None,
     }

@@ -39,6 +39,7 @@ from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, com
 from limslam_agent.status.smoothed_status import smoothed_status, unplaced_status
 from limslam_agent.status.status import LEVELS, Status
 from limslam_env.geometry import FloatArray
+from limslam_env.interface import RobotSpec
 
 # The finished map is searched as one window, so it needs finer bins, and more lines, than a few metres of driving.
 _DRAWN_LINES = WallLineConfig(
@@ -269,17 +270,18 @@ def smoothed_by_lines(
         status = places.doubt
     seconds = time.process_time() - begin
     smoothed = Smoothed(poses, _line_figures(found), None, seconds, found.covariances[:, 0], status, run)
+    grid = draw_grid(replay, drawn, found.robot)
     return replace(
-        replay, landmarks=found.landmarks, segments=found.segments, grid=draw_grid(replay, drawn), smoothed=smoothed
+        replay, landmarks=found.landmarks, segments=found.segments, grid=grid, smoothed=smoothed, beam_turns=found.turns
     )
 
 
-def draw_grid(replay: Replay, poses: FloatArray) -> GridView:
-    """The occupancy grid of a log's first readings from their poses (n, 3)."""
+def draw_grid(replay: Replay, poses: FloatArray, robot: RobotSpec | None = None) -> GridView:
+    """The occupancy grid of a log's first readings from their poses (n, 3), by the log's robot or by one like it."""
     log = replay.log
     rows = np.flatnonzero(log.has_scan[: len(poses)])
     ranges = log.ranges[rows, None].astype(np.float64)
-    return drawn_grid(replay.config.grid, log.robot, poses[rows, None], ranges, np.isfinite(ranges))
+    return drawn_grid(replay.config.grid, robot or log.robot, poses[rows, None], ranges, np.isfinite(ranges))
 
 
 def _line_figures(found: SmoothedRun) -> dict[str, Any]:

@@ -75,6 +75,9 @@ class Episode:
         Each robot's odometry calibration and its covariance (3, 3) at the end; None where none was needed.
     sensor
         How the range sensors measure, as the SLAM takes it at the end. None if it estimates nothing of the kind.
+    beam_turns
+        By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad, as the SLAM takes it at
+        the end; None if it takes no beam to be turned.
     snapshot
         What is believed at the end.
     coverage_grid
@@ -120,6 +123,7 @@ class Episode:
     wall_clock: float
     joined: Joined | None = None
     sensor: RangeSensor | None = None
+    beam_turns: FloatArray | None = None
 
     @property
     def placed_steps(self) -> slice:
@@ -226,6 +230,7 @@ def run_episode(
         wall_clock=time.perf_counter() - clock,
         joined=joined,
         sensor=team.slam.sensor,
+        beam_turns=team.slam.beam_turns,
         **_in_shared_frame(
             _in_one_frame(_columns(rows), team.mapper.prior_frame, team.mapper.places), joined or parted
         ),

@@ -30,7 +30,7 @@ def kernels_of_smoother() -> list[tuple[Any, str]]:
         (chain_kernels.expected_readings, "f2 i1 f2 i1 f2 f2 f2"),
         (chain_kernels.add_motions, "f3 f3 f3 f2 f3 f3 f3 f2 f2 f1"),
         (chain_kernels.add_motions, "f3 f3 f3 f2 f3 f3 f3 f2 F2 f1"),
-        (chain_kernels.add_readings, "i1 i1 f2 f1 f1 i1 i f3 f3 f2 f2 f1"),
+        (chain_kernels.add_readings, "i1 i1 f2 f1 f1 i1 i1 f1 i f3 f3 f2 f2 f1"),
         (chain_kernels.eliminate, "f3 f3 f3 f2 i1 i1 f2 f1 f3 f3 f3 f2"),
         (chain_kernels.substitute, "f3 f3 f3 f2 f1 f2"),
         (chain_kernels.pose_marginals, "f3 f3 f3 f2 f2 f3"),

@@ -14,7 +14,7 @@ import numpy as np
 from limslam_agent.output.cost import run_cost
 from limslam_agent.output.export import WallsAndGrid, finite, map_content, write_covariances, write_json, write_map
 from limslam_agent.output.finished_run import COVARIANCES, UNPLACED, WORLD, policy_words
-from limslam_agent.output.summary import calibration_record, place_records, record_of
+from limslam_agent.output.summary import calibration_record, place_records, record_of, turn_records
 from limslam_agent.output.tum import write_tum
 from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.episode import Episode
@@ -235,10 +235,12 @@ def _config(episode: Episode) -> dict[str, Any]:
 
 
 def _record(episode: Episode) -> dict[str, Any]:
+    smoothed = episode.smoothed
     record = record_of(episode.time, list(episode.true.swapaxes(0, 1)), list(episode.odometry.swapaxes(0, 1)))
     return {
         **record,
         "places": place_records(episode.time, episode.places.records),
+        "beam_turns": turn_records(episode.beam_turns if smoothed is None else smoothed.turns),
         "calibration": [found and calibration_record(*found) for found in episode.calibrations],
     }
 

@@ -100,7 +100,7 @@ def final_map(episode: "Episode") -> FinalMap:
     is_new = np.array([config.robot.measures(step) for step in range(len(ranges))])[:, None]
     measured = is_new & ~np.isnan(ranges) & ~episode.dropped
     known = episode.places.placed
-    grid = drawn_grid(config.agent.grid, config.robot, smoothed.poses[known], ranges[known], measured[known])
+    grid = drawn_grid(config.agent.grid, smoothed.robot, smoothed.poses[known], ranges[known], measured[known])
     return FinalMap(smoothed.segments, smoothed.landmarks, grid, smoothed.poses)
 
 

@@ -300,6 +300,19 @@ class LineSlam:
         """How ranges are taken to be measured: :attr:`sensor`, or as specified for the published estimator."""
         return self.sensor or RangeSensor(self.config.range_std, cone=self.robot.cone)
 
+    @property
+    def beam_turns(self) -> FloatArray | None:
+        """By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad; None if no beam is."""
+        estimator, turns = self._estimator, self.range_sensor.turns
+        if not (turns and isinstance(estimator, ConsistentEstimator) and len(estimator.further_turns)):
+            return None
+        return np.asarray(estimator.further_turns + np.column_stack((turns, np.zeros(len(turns)))))
+
+    @property
+    def mounted(self) -> RobotSpec:
+        """The robot with its beams as they are taken to be mounted."""
+        return self.range_sensor.mounted(self.robot)
+
     def assume(self, sensor: RangeSensor) -> None:
         """Take the sensor to measure like this from now on, and correct the estimate for what was assumed before."""
         if isinstance(self._estimator, ConsistentEstimator):

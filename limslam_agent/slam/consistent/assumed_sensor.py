@@ -7,12 +7,15 @@ import numpy as np
 from limslam_agent.config.consistent import RangeErrorConfig
 from limslam_agent.slam.consistent.range_noise import RangeNoise
 from limslam_agent.slam.consistent.segmentation import WallSegment
-from limslam_agent.slam.consistent.separate_bias import RangeErrors
+from limslam_agent.slam.consistent.separate_bias import COMMON, TURNS, RangeErrors
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.interface import LARGEST_CONE
 
 LEAST_ERRORS = (2e-3, math.radians(0.25))
 """A bias, m, and an opening angle, rad, that differ by less are as assumed."""
+
+LEAST_TURN = math.radians(0.25)
+"""Beams that are all turned by less, rad, are as assumed."""
 
 
 class AssumedSensor:
@@ -60,18 +63,21 @@ class AssumedSensor:
         Parameters
         ----------
         errors
-            Bias and opening angle as estimated beside the filter; None if they are not estimated.
+            Errors as estimated beside the filter; None if they are not estimated.
         """
         if not self._is_counted or errors is None:
             return None
         self._is_counted = False
         config, sensor, noise = self._config, self.sensor, self._noise.estimate
-        change, evidence = errors.estimate[0], errors.evidence
+        change, evidence = errors.estimate_of(COMMON)[0], errors.evidence
         change[1] = np.clip(change[1], -sensor.cone, LARGEST_CONE - sensor.cone)
         evidence = np.where(np.abs(change) > LEAST_ERRORS, evidence, 0.0)
         gate, noise_gate = config.gate, config.noise_gate
         if sensor != self._specified:
             gate = noise_gate = config.further_gate
+        turned = self._turned(errors)
+        if turned is not None:
+            return turned
         # What a model of wide cones leaves unexplained would be taken for a bias.
         may_be_biased = sensor.cone == self._specified.cone
         is_biased = may_be_biased and evidence[0] > (config.further_gate if sensor.bias else config.gate)
@@ -81,4 +87,25 @@ class AssumedSensor:
         # evidence for the other one counts. A bias is not found that early.
         change = np.where([is_biased, evidence[1] > 0.0], change, 0.0)
         std, growth = (noise.std, noise.growth) if noise.evidence > 0.0 else (sensor.std, sensor.growth)
-        return RangeSensor(std, growth, sensor.cone + float(change[1]), sensor.bias + float(change[0]))
+        cone, bias = sensor.cone + float(change[1]), sensor.bias + float(change[0])
+        return RangeSensor(std, growth, cone, bias, sensor.turns)
+
+    def _turned(self, errors: RangeErrors) -> RangeSensor | None:
+        """The sensor with other directions of its beams, if the readings require that.
+
+        Turned beams look like noise, a bias or an opening angle, so they are corrected first and alone. Beams that are
+        known to be turned are corrected whenever that explains the readings better than chance would: the first
+        estimate, from few metres, is some tenths of a degree off.
+        """
+        sensor, count = self.sensor, len(errors.stds) - 2
+        if not count:
+            return None
+        evidence, gate = (
+            (errors.turn_gain, self._config.further_gate + count)
+            if sensor.turns
+            else (errors.turn_evidence, self._config.gate)
+        )
+        turns = errors.estimate_of(TURNS)[0]
+        if evidence < gate or np.abs(turns).max() < LEAST_TURN:
+            return None
+        return sensor._replace(turns=tuple((turns + (sensor.turns or np.zeros(count))).tolist()))

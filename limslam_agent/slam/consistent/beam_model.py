@@ -123,14 +123,35 @@ def expected_of(rows: FloatArray) -> Expected:
     return Expected(rows[:, 0], rows[:, 1:4], rows[:, 4:6], rows[:, 6])
 
 
-def by_range_errors(expected: Expected) -> FloatArray:
-    """Derivatives (n, 2) of predicted ranges by a bias of all ranges, and by half the opening angle of the beams.
+def by_range_errors(
+    expected: Expected, readings: Readings, headings: FloatArray, theta: float, beams: int
+) -> FloatArray:
+    """Derivatives (n, 2 + beams) of predicted ranges by the errors of ``RangeErrors``.
 
-    A wider cone reads the wall under a ray that is nearer to the perpendicular, and so a shorter range.
+    These are a bias of all ranges, half the opening angle of the beams, and the directions of the robot's beams. At the
+    angle phi to the normal, a beam reads r tan(phi) more for each radian that it is turned away from the normal. A
+    wider cone reads the wall under a ray that is nearer to the perpendicular, and so a shorter range.
+
+    Parameters
+    ----------
+    expected, readings
+        What is predicted, and the readings.
+    headings
+        Those of the poses that the readings were taken from (n,), rad.
+    theta
+        Direction of the line's normal, rad.
+    beams
+        Number of beams of the robot; 0 if their directions are not estimated.
     """
     cosines = np.maximum(np.abs(expected.cosines), LEAST_COSINE)
     sines = np.sqrt(np.maximum(1.0 - cosines**2, 0.0))
-    return np.column_stack((np.ones(len(cosines)), -expected.ranges * sines / cosines))
+    by_width = -expected.ranges * sines / cosines
+    by_errors = np.zeros((len(cosines), 2 + beams))
+    by_errors[:, 0], by_errors[:, 1] = 1.0, by_width
+    if beams:
+        slants = angle_between(headings + readings.towards(theta, headings).angles - theta)
+        by_errors[np.arange(len(slants)), 2 + readings.sources[:, 1]] = -np.sign(slants) * by_width
+    return by_errors
 
 
 def hit_points(poses: FloatArray, readings: Readings) -> FloatArray:

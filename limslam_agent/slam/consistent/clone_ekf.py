@@ -70,11 +70,12 @@ class CloneEKF(LineEKF):
     """
 
     def __init__(
-        self, pose: FloatArray, calibration: FloatArray | None = None, range_errors: tuple[float, float] | None = None
+        self, pose: FloatArray, calibration: FloatArray | None = None, range_errors: tuple[float, ...] | None = None
     ) -> None:
         super().__init__(pose)
         self._bias = None if calibration is None else OdometryErrors(self._poses_end, calibration)
         self._range_errors = None if range_errors is None else RangeErrors(self._poses_end, range_errors)
+        self._beams = max(len(range_errors or ()) - 2, 0)
         self._anchors = np.zeros((0, 2))
         self._memory = SpareMemory()
         self._clones = CloneSlots()
@@ -202,8 +203,7 @@ class CloneEKF(LineEKF):
         self._add_slots(missing)
         number, slot = self._clones.fill()
         part = slice(self.clones_from + POSE * slot, self.clones_from + POSE * slot + POSE)
-        self.x[part] = self.x[moved]
-        self.P[part] = self.P[moved]
+        self.x[part], self.P[part] = self.x[moved], self.P[moved]
         self.P[:, part] = self.P[part].T
         self.P[part, part] = self.P[moved, moved]
         for bias in self._biases:
@@ -288,7 +288,7 @@ class CloneEKF(LineEKF):
         """
         from limslam_agent.kernels.updates import update_by_readings
 
-        left, right, moved, moved_again, expected, H, columns, factor, W, innovation = update_by_readings(
+        left, right, moved, moved_again, expected, H, columns, factor, W, innovation, chosen = update_by_readings(
             self.x, self.P, self._parts, self._anchors, index, self.places(readings.clones), readings.rows,
             readings.variances(std), iterations, float(huber),
         )  # fmt: skip
@@ -297,10 +297,11 @@ class CloneEKF(LineEKF):
         if not factor[-1, -1] > 0.0:
             raise np.linalg.LinAlgError("the innovation's covariance is not positive")
         self._add_product(left, right)
+        own, theta = readings.select(chosen), float(self.x[self._part(index)][1])
+        direct = by_range_errors(expected_of(expected), own, self.clone_poses(own.clones)[:, 2], theta, self._beams)
         for bias in self._biases:
             bias.transport(moved)
-            direct = by_range_errors(expected_of(expected)) if bias is self._range_errors else None
-            bias.update(H, columns, innovation, factor, W, direct)
+            bias.update(H, columns, innovation, factor, W, direct if bias is self._range_errors else None)
             bias.transport(moved_again)
         self._restore_angles()
 
@@ -395,9 +396,9 @@ class CloneEKF(LineEKF):
         return self._range_errors
 
     def correct_ranges(self, errors: FloatArray) -> None:
-        """Correct the state for the errors (2,) of ``RangeErrors``, and begin anew to estimate further ones."""
+        """Correct the state for the errors (k,) of ``RangeErrors``, and begin anew to estimate further ones."""
         if self._range_errors is not None:
-            change = self._range_errors.by_errors @ errors
+            change = self._range_errors.by_errors[:, : len(errors)] @ errors
             self._range_errors = RangeErrors(len(self.x), self._range_errors.stds)
             self._correct(change)
 
@@ -500,11 +501,10 @@ class CloneEKF(LineEKF):
         (d, theta), other = self.x[first], self.x[second]
         between = self._anchors[younger] - self._anchors[older]
         cos, sin = np.cos(theta), np.sin(theta)
-        turned = np.cos(theta - other[1]) < 0.0
-        sign = -1.0 if turned else 1.0
+        sign = -1.0 if np.cos(theta - other[1]) < 0.0 else 1.0
         off = np.array([
             sign * (d - between[0] * cos - between[1] * sin) - other[0],
-            wrap_angle(float(theta - other[1]) + (np.pi if turned else 0.0)),
+            wrap_angle(float(theta - other[1]) + (np.pi if sign < 0.0 else 0.0)),
         ])  # fmt: skip
         H = np.array([[sign, sign * (between[0] * sin - between[1] * cos), -1.0, 0.0], [0.0, 1.0, 0.0, -1.0]])
         columns = np.array([first.start, first.start + 1, second.start, second.start + 1])

@@ -85,11 +85,8 @@ class ConsistentEstimator(Estimator):
         sensor: RangeSensor | None = None,
     ) -> None:
         calibration, errors = config.self_calibration, config.range_errors
-        self._filter = CloneEKF(
-            start,
-            calibration.covariance if calibration.calibrate != "never" else None,
-            (errors.bias_std, errors.cone_std) if errors.enabled else None,
-        )
+        stds = errors.stds(len(robot.beams) if len(start) == 1 else 0) if errors.enabled else None
+        self._filter = CloneEKF(start, None if calibration.calibrate == "never" else calibration.covariance, stds)
         if calibration.calibrate == "always":
             self._filter.calibrate()
         self._config = config
@@ -133,6 +130,11 @@ class ConsistentEstimator(Estimator):
     def sensor(self) -> RangeSensor:
         """How the sensor measures, as specified or as the data require."""
         return self._sensor.sensor
+
+    @property
+    def further_turns(self) -> FloatArray:
+        """By what beams are turned beyond ``sensor``, with standard deviations (n_beams, 2), rad; empty if unknown."""
+        return np.zeros((0, 2)) if self._filter.range_errors is None else self._filter.range_errors.turns
 
     @property
     def map_state(self) -> MapState:
@@ -211,13 +213,13 @@ class ConsistentEstimator(Estimator):
     def _assume(self, sensor: RangeSensor) -> None:
         """Take the sensor to measure like this from now on."""
         self._sensor.assume(sensor)
+        self._mounted = sensor.mounted(self.robot)
         self._std, self._usual_std = sensor.std, self._sensor.usual_std
         self._settings = self._config.for_ranges(self._usual_std)
 
     def assume(self, sensor: RangeSensor) -> None:
         """Take the sensor to measure like this from now on, and correct the state for what was assumed before."""
-        change = np.array([sensor.bias - self.sensor.bias, sensor.cone - self.sensor.cone])
-        self._filter.correct_ranges(change)
+        self._filter.correct_ranges(sensor.change_from(self.sensor))
         self._assume(sensor)
 
     def _correct_sensor(self) -> None:
@@ -229,7 +231,8 @@ class ConsistentEstimator(Estimator):
     def _readings(self, pending: PendingReadings, side: Side) -> Readings:
         """The pending readings of a side, as the sensor takes them."""
         readings, sensor = pending.readings(side), self.sensor
-        return readings._replace(ranges=readings.ranges - sensor.bias, growth=sensor.growth, cone=sensor.cone)
+        readings = readings._replace(ranges=readings.ranges - sensor.bias, growth=sensor.growth, cone=sensor.cone)
+        return readings._replace(angles=self._mounted.beam_angles[readings.sources[:, 1]])
 
     def _points(self, readings: Readings, theta: float | None = None) -> FloatArray:
         """Estimated end points of readings in the world (n, 2), m, on a wall with its normal at ``theta``, rad, or any.
@@ -249,7 +252,7 @@ class ConsistentEstimator(Estimator):
         rays = np.empty((beams, 2)), np.empty((beams, 2)), np.empty(beams), np.empty(beams)
         x, y, heading = self._filter.P.diagonal()[at : at + POSE].tolist()
         pose, variances = self._filter.x[at : at + POSE], (sensor.std**2, float(sensor.growth), x + y, heading)
-        count = aim_beams(pose, front.ranges, front.measured, self.robot.beam_table, variances, *rays)
+        count = aim_beams(pose, front.ranges, front.measured, self._mounted.beam_table, variances, *rays)
         origins, towards, ranges, stds = (each[:count] for each in rays)
         self._map.clear_along_beams(origins, towards, ranges, stds)
 

@@ -40,8 +40,13 @@ class SeparateBias:
     @property
     def estimate(self) -> tuple[FloatArray, FloatArray]:
         """The errors (k,) and their covariance (k, k)."""
-        covariance = self._prior @ np.linalg.inv(np.eye(len(self._prior)) + self._information @ self._prior)
-        return covariance @ self._score, 0.5 * (covariance + covariance.T)
+        return self.estimate_of(slice(None))
+
+    def estimate_of(self, part: slice) -> tuple[FloatArray, FloatArray]:
+        """Some of the errors (m,) and their covariance (m, m), if the others are zero."""
+        prior, information = self._prior[part, part], self._information[part, part]
+        covariance = prior @ np.linalg.inv(np.eye(len(prior)) + information @ prior)
+        return covariance @ self._score[part], 0.5 * (covariance + covariance.T)
 
     def predict(self, moved: slice, by_pose: FloatArray) -> None:
         """A pose has moved: the derivative (3, 3) of the new pose by the old one."""
@@ -157,28 +162,56 @@ class OdometryErrors(SeparateBias):
         self.evidence = max(self.evidence_of(slice(first, first + POSE)) for first in range(0, len(self._score), POSE))
 
 
+COMMON, TURNS = slice(0, 2), slice(2, None)
+"""Those of the ``RangeErrors`` that all beams share, and the directions of single beams."""
+
+
 class RangeErrors(SeparateBias):
-    """Constant errors of all ranges: a bias, m, and by what half the opening angle exceeds the assumed one, rad.
+    """Constant errors of the ranges.
+
+    The first two are a bias of all ranges, m, and by what half the opening angle exceeds the assumed one, rad. The
+    others are by what each beam is turned to the left, rad, if that is estimated.
 
     Parameters
     ----------
     size
         Length of the filter's state.
     stds
-        Prior standard deviations of the two errors.
+        Prior standard deviations of the errors.
     """
 
-    def __init__(self, size: int, stds: tuple[float, float]) -> None:
+    def __init__(self, size: int, stds: tuple[float, ...]) -> None:
         super().__init__(size, np.diag(np.square(stds)))
         self.stds = stds
 
     @property
     def evidence(self) -> FloatArray:
-        """Twice the logarithm of the Bayes factor for each error (2,), beside the other one, against the other alone.
+        """Twice the logarithm of the Bayes factor for bias and opening angle (2,), against the other one alone.
 
         So a bias is not taken for an opening angle, nor the other way round.
         """
-        variances = self._prior.diagonal()
-        narrowed = 1.0 + self._information.diagonal() * variances
-        alone = self._score**2 * variances / narrowed - np.log(narrowed)
-        return np.asarray(self.evidence_of(slice(None)) - alone[::-1])
+        variances = self._prior.diagonal()[COMMON]
+        narrowed = 1.0 + self._information.diagonal()[COMMON] * variances
+        alone = self._score[COMMON] ** 2 * variances / narrowed - np.log(narrowed)
+        return np.asarray(self.evidence_of(COMMON) - alone[::-1])
+
+    @property
+    def turns(self) -> FloatArray:
+        """By what each beam is turned, and its standard deviation (n_beams, 2), rad; empty if that is not estimated."""
+        turns, covariance = self.estimate_of(TURNS)
+        return np.column_stack((turns, np.sqrt(covariance.diagonal())))
+
+    @property
+    def turn_gain(self) -> float:
+        """By how much the estimated directions of the beams lower chi-square, those of the prior included."""
+        turns, covariance = self.estimate_of(TURNS)
+        return float(turns @ np.linalg.solve(covariance, turns))
+
+    @property
+    def turn_evidence(self) -> float:
+        """Twice the logarithm of the Bayes factor for turned beams.
+
+        It is the smaller one of two: turned beams against none, and turned beams beside a bias and another opening
+        angle against these alone.
+        """
+        return min(self.evidence_of(TURNS), self.evidence_of(slice(None)) - self.evidence_of(COMMON))

@@ -1,10 +1,12 @@
-"""How a range sensor measures: its noise, the opening angle of its beams, and the bias of its ranges."""
+"""How a range sensor measures: its noise, the opening angle and directions of its beams, and the bias of its ranges."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from limslam_env.geometry import FloatArray
+from limslam_env.interface import RobotSpec
 
 USUAL_RANGE = 0.7
 """The usual length of a range is this share of the longest one."""
@@ -23,16 +25,19 @@ class RangeSensor(NamedTuple):
         Half the opening angle of the beams, rad; 0 for rays.
     bias
         By what all ranges are too long, m.
+    turns
+        By what each beam is turned to the left against the robot's settings, rad; empty if no beam is.
     """
 
     std: float
     growth: float = 0.0
     cone: float = 0.0
     bias: float = 0.0
+    turns: tuple[float, ...] = ()
 
     @property
     def numbers(self) -> tuple[float, float, float, float]:
-        """All of it as plain numbers, for compiled code."""
+        """All of it but the turns as plain numbers, for compiled code."""
         return float(self.std), float(self.growth), float(self.cone), float(self.bias)
 
     def variances(self, ranges: FloatArray) -> FloatArray:
@@ -46,3 +51,16 @@ class RangeSensor(NamedTuple):
     def usual_std(self, reach: float) -> float:
         """Standard deviation of a range of usual length, m, if the longest one is ``reach``, m."""
         return float(self.stds(np.array([USUAL_RANGE * reach]))[0]) if self.growth else self.std
+
+    def mounted(self, robot: RobotSpec) -> RobotSpec:
+        """The robot with its beams as they are mounted. Each beam keeps its side."""
+        if not self.turns:
+            return robot
+        beams = zip(robot.beams, self.turns, strict=True)
+        return replace(robot, beams=tuple(replace(beam, angle=beam.angle + turn) for beam, turn in beams))
+
+    def change_from(self, other: "RangeSensor") -> FloatArray:
+        """By what bias, opening angle and the turns of the beams, if there are any, exceed those of another sensor."""
+        count = max(len(self.turns), len(other.turns))
+        turns = np.subtract(self.turns or np.zeros(count), other.turns or np.zeros(count))
+        return np.array([self.bias - other.bias, self.cone - other.cone, *turns])

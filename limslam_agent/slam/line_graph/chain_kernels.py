@@ -15,7 +15,7 @@ from limslam_agent.slam.line_graph.compilation import compiled, entry
 from limslam_env.geometry import FloatArray, IntArray
 
 CALIBRATED = 4
-"""Number of parameters in the calibration of a robot."""
+"""Number of parameters in the calibration of a robot, without the directions of its beams."""
 
 RANGE, BY_POSE, BY_LINE, COSINE, COLUMNS = 0, 1, 4, 6, 7
 """Columns of a row about a reading: its expected range, derivatives by pose (3) and line (2), and the cosine."""
@@ -180,6 +180,8 @@ def add_readings(
     residuals: FloatArray,
     weights: FloatArray,
     biases: IntArray,
+    turns: IntArray,
+    by_turns: FloatArray,
     first_line: int,
     diagonal: FloatArray,
     border: FloatArray,
@@ -189,7 +191,8 @@ def add_readings(
 ) -> None:
     """Add readings to the normal equations of all poses (p, ...), of calibration and lines.
 
-    ``biases`` (k,) are the columns of the range biases, or negative; ``first_line`` is the column of the first line.
+    ``biases`` (k,) are the columns of the range biases, or negative. ``turns`` (k,) are those of the beams' directions,
+    or negative, with the derivatives ``by_turns`` (k,). ``first_line`` is the column of the first line.
     """
     for k in range(len(places)):
         weight = weights[k]
@@ -214,6 +217,37 @@ def add_readings(
         if bias >= 0:
             shared[bias, bias] += weight
             shared_right[bias] += weight * residuals[k]
+        _add_turn(
+            turns[k], by_turns[k], bias, column, rows[k], weight, residuals[k], border[place], shared, shared_right
+        )
+
+
+@compiled
+def _add_turn(
+    turn: int,
+    by_turn: float,
+    bias: int,
+    column: int,
+    row: FloatArray,
+    weight: float,
+    residual: float,
+    border: FloatArray,
+    shared: FloatArray,
+    shared_right: FloatArray,
+) -> None:
+    """Add what a reading says of its beam's direction, the column ``turn``, if that is estimated."""
+    if turn < 0:
+        return
+    scaled = weight * by_turn
+    for i in range(3):
+        border[i, turn] += scaled * row[BY_POSE + i]
+    for i in range(2):
+        shared[column + i, turn] += scaled * row[BY_LINE + i]
+        shared[turn, column + i] += scaled * row[BY_LINE + i]
+    shared[bias, turn] += scaled
+    shared[turn, bias] += scaled
+    shared[turn, turn] += scaled * by_turn
+    shared_right[turn] += scaled * residual
 
 
 @entry

@@ -14,7 +14,7 @@ import numpy as np
 from limslam_agent.slam.line_graph import chain_kernels as kernels
 from limslam_agent.slam.line_graph.chain_kernels import CALIBRATED, COSINE, RANGE
 from limslam_agent.slam.line_graph.elimination import Chain, Couplings, Factored, eliminated
-from limslam_agent.slam.line_graph.problem import Problem, State, moved, rows_of
+from limslam_agent.slam.line_graph.problem import Problem, State, by_turns, moved, rows_of
 from limslam_env.geometry import FloatArray, IntArray
 
 GRAZING = 0.2  # cosine between beam and normal; below this value a reading depends mostly on the beam's angle error
@@ -167,7 +167,8 @@ class _Equations:
     def __init__(self, problem: Problem, state: State, labels: IntArray, rows: FloatArray, weights: FloatArray) -> None:
         self._problem, self._state = problem, state
         count, steps = state.poses.shape[:2]
-        self._first_line = 0 if problem.prior is None else CALIBRATED * count
+        self._width = 0 if problem.prior is None else len(problem.prior)
+        self._first_line = self._width * count
         size = self._first_line + 2 * len(state.lines)
         self._shared, self._shared_right = np.zeros((size, size)), np.zeros(size)
         self._diagonal, self._right = np.zeros((count, steps, 3, 3)), np.zeros((count, steps, 3))
@@ -191,7 +192,7 @@ class _Equations:
         motions += np.einsum("nsij,nsj->nsi", self._by_after, moves[:, 1:])
         calibration = np.zeros_like(self._state.calibration)
         if self._first_line:
-            calibration = solved[factored.first_shared : factored.first_line].reshape(-1, CALIBRATED)
+            calibration = solved[factored.first_shared : factored.first_line].reshape(-1, self._width)
             motions += self._by_axle * calibration[:, 2, None, None]
         lines = solved[factored.first_line :].reshape(-1, 2)
         return _Step(motions, lines, calibration, float(np.abs(moves).max()))
@@ -220,7 +221,7 @@ class _Equations:
         """Derivatives (t - 1, 3, c) of a robot's motions minus its reported wheel travel, by all calibrations."""
         by_all = np.zeros((self._problem.steps - 1, 3, self._first_line))
         if self._first_line:
-            first = CALIBRATED * number
+            first = self._width * number
             by_all[:, 0, first] = -self._problem.wheels[number, :, 0]
             by_all[:, 1, first + 1] = -self._problem.wheels[number, :, 1]
             by_all[:, :, first + 2] = self._by_axle[number]
@@ -229,11 +230,14 @@ class _Equations:
     def _add_readings(self, labels: IntArray, rows: FloatArray, weights: FloatArray) -> None:
         problem, readings = self._problem, self._problem.readings
         biases, border = np.full(len(readings), -1), (problem.steps * len(problem.starts), 3, self._first_line)
+        turns, by_turn = biases, np.zeros(len(readings))
         if self._first_line:
-            biases = CALIBRATED * (readings.places // problem.steps) + 3
+            biases = self._width * (readings.places // problem.steps) + CALIBRATED - 1
+        if self._width > CALIBRATED:
+            turns, by_turn = biases + 1 + readings.beams, by_turns(problem, self._state, rows)
         kernels.add_readings(
             readings.places, labels, rows, range_residuals(problem, self._state, rows),
-            weights / problem.range_std**2, biases, self._first_line,
+            weights / problem.range_std**2, biases, turns, by_turn, self._first_line,
             self._diagonal.reshape(-1, 3, 3), self._border.reshape(border),
             self._right.reshape(-1, 3), self._shared, self._shared_right,
         )  # fmt: skip
@@ -243,7 +247,7 @@ class _Equations:
         if self._problem.prior is None:
             return
         for number, off in enumerate(self._state.calibration - self._problem.assumed_calibration):
-            own = slice(CALIBRATED * number, CALIBRATED * (number + 1))
+            own = slice(self._width * number, self._width * (number + 1))
             self._shared[own, own] += self._problem.prior
             self._shared_right[own] -= self._problem.prior @ off
 

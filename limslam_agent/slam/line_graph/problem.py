@@ -14,7 +14,7 @@ from limslam_agent.config.smoother import CalibrationPrior
 from limslam_agent.slam.core.contact import LooseMotion, slips_of
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph import chain_kernels as kernels
-from limslam_agent.slam.line_graph.chain_kernels import BY_LINE, BY_POSE, COLUMNS, RANGE
+from limslam_agent.slam.line_graph.chain_kernels import BY_LINE, BY_POSE, CALIBRATED, COLUMNS, RANGE
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.line import angle_between
 from limslam_env.interface import NominalNoise, RobotSpec
@@ -56,7 +56,7 @@ class Problem:
     Attributes
     ----------
     robot
-        Body and beams of each robot.
+        Body and beams of each robot. The beams are those that are assumed.
     starts
         Known poses (n, 3) of the first step, m and rad.
     wheels, stds
@@ -67,11 +67,13 @@ class Problem:
     looks
         The readings of walls, and the beams that met no wall, each with the length of its free path.
     prior, beam_width
-        Inverse covariance (4, 4) of a robot's calibration, or None; and half the opening angle of all beams, rad.
+        Inverse covariance of a robot's calibration, or None; and half the opening angle of all beams, rad.
     kinds
         Lengths of the boards and of the walls with two faces that are known, m.
     bias
         By what all ranges are too long as far as that is known, m. A calibration estimates it from there on.
+    turns
+        By what each beam (n_beams,) is turned to the left against the specified robot, rad; None if no beam is.
     jumps
         Motions (n, t - 1, 3) of carried robots, m, of which the wheels say nothing; None if no robot was carried.
     loose
@@ -90,6 +92,7 @@ class Problem:
     kinds: tuple[float, float] = (0.0, 0.0)
     growth: float = 0.0
     bias: float = 0.0
+    turns: FloatArray | None = None
     jumps: FloatArray | None = None
     loose: tuple[LooseMotion, ...] = ()
 
@@ -125,8 +128,10 @@ class Problem:
 
     @cached_property
     def assumed_calibration(self) -> FloatArray:
-        """The calibration (n, 4) of robots that are as specified, but for the known bias."""
-        return np.tile((0.0, 0.0, 0.0, self.bias), (len(self.starts), 1))
+        """The calibration (n, 4 or more) of robots that are as specified, but for the known bias."""
+        count = 0 if self.prior is None else len(self.prior) - CALIBRATED
+        turns = np.zeros(count) if self.turns is None else -self.turns[:count]
+        return np.tile((0.0, 0.0, 0.0, self.bias, *turns), (len(self.starts), 1))
 
     def axle(self, calibration: FloatArray) -> float:
         """The distance between the wheels (m) of a robot with a calibration (4,)."""
@@ -167,6 +172,8 @@ class State:
         Lines (m, 2) as (d, alpha) about one anchor point each, m and rad, and the anchors (m, 2), m.
     calibration
         Calibration (n, 4): relative excess of left wheel, right wheel and axle, and the bias of all ranges, m.
+        Where the directions of the beams are estimated, they follow (n, 4 + n_beams): by what each beam is turned to
+        the left against the assumed one, rad.
     """
 
     motions: FloatArray
@@ -224,12 +231,14 @@ def make_problem(
     readings = _listed(looked & (ranges < robot.too_far), ranges)
     looks = _listed(looked, np.minimum(ranges, robot.max_ranges))
     sensor = sensor or RangeSensor(noise.range_std, cone=robot.cone)
+    robot = sensor.mounted(robot)
     contact_std = max(noise.range_std, LEAST_RANGE_STD)
     return Problem(
         robot, np.asarray(starts, dtype=float), motions, stds, readings, looks,
         range_std=max(sensor.usual_std(float(robot.max_ranges.max())), LEAST_RANGE_STD),
         prior=None if prior is None else prior.information, beam_width=sensor.cone,
         growth=sensor.growth / sensor.std if sensor.growth else 0.0, bias=sensor.bias,
+        turns=np.array(sensor.turns) if sensor.turns else None,
         loose=slips_of(robot, contact_std, reported, stds, ranges, measured),
     )  # fmt: skip
 
@@ -268,14 +277,29 @@ def moved(
 
 def rows_of(problem: Problem, state: State, labels: IntArray) -> FloatArray:
     """One row (k, 7) for each reading, given its line (k,) or -1, laid out as in :mod:`.chain_kernels`."""
-    rows = np.zeros((len(problem.readings), COLUMNS))
+    rows, beams = np.zeros((len(problem.readings), COLUMNS)), problem.beams
+    if state.calibration.shape[1] > CALIBRATED:
+        beams = beams.copy()
+        beams[:, 2] += state.calibration[problem.readings.places // problem.steps, CALIBRATED + problem.readings.beams]
     kernels.expected_readings(
-        state.flat_poses, problem.readings.places, problem.beams, labels, state.lines, state.anchors, rows
+        state.flat_poses, problem.readings.places, beams, labels, state.lines, state.anchors, rows
     )
     if problem.beam_width:
-        headings = state.flat_poses[problem.readings.places, 2] + problem.beams[:, 2]
+        headings = state.flat_poses[problem.readings.places, 2] + beams[:, 2]
         widen(rows, state.lines[labels, 1] - headings, problem.beam_width)
     return rows
+
+
+def by_turns(problem: Problem, state: State, rows: FloatArray) -> FloatArray:
+    """Derivatives (k,) of the expected ranges of :func:`rows_of` by the directions of their beams.
+
+    A robot that turns about its centre turns its beams, and moves their origins.
+    """
+    headings = state.flat_poses[problem.readings.places, 2]
+    x, y = problem.beams[:, :2].T
+    arms = np.cos(headings) * x - np.sin(headings) * y, np.sin(headings) * x + np.cos(headings) * y
+    by_x, by_y, by_heading = rows[:, BY_POSE : BY_POSE + 3].T
+    return np.asarray(by_heading + arms[1] * by_x - arms[0] * by_y)
 
 
 def widen(rows: FloatArray, angles: FloatArray, width: float) -> None:

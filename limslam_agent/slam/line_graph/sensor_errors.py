@@ -1,35 +1,45 @@
-"""Errors of the range sensors that were not specified: the size of the noise, and the width of the beams.
+"""Errors of the range sensors that were not specified: the size of the noise, the width and directions of the beams.
 
-Both are estimated from the residuals of readings with known lines, and used only where the residuals require it. A run
+They are estimated from the residuals of readings with known lines, and used only where the residuals require it. A run
 with sensors as specified is solved as if nothing could be estimated.
 """
 
+import math
 from dataclasses import replace
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.special import ndtr, ndtri
 
+from limslam_agent.config.consistent import MOST_TURNED
 from limslam_agent.config.smoother import SmootherConfig
+from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.slam.line_graph.chain_kernels import CALIBRATED
 from limslam_agent.slam.line_graph.elimination import DegenerateError
 from limslam_agent.slam.line_graph.line_smoother import range_residuals, solve
 from limslam_agent.slam.line_graph.problem import LEAST_RANGE_STD, Problem, rows_of
 from limslam_agent.slam.line_graph.reassociation import GATE, Association
+from limslam_env.geometry import FloatArray
 
 _FIXED_POINT = 20
 _SETTLED = 1.05
 _TRIED_WIDTHS, _NEAR_WIDTHS = (0.02, 0.04), (-0.01, 0.01)  # rad: beyond a stated angle, and about one that was found
 _SETTLED_GATE, _LEAST_STEP = 4.0, 5e-4  # chi-square, and rad
+_LEAST_TURN = math.radians(0.1)
 
 
 def fitted_sensor(problem: Problem, found: Association, config: SmootherConfig, stated: float) -> Problem:
-    """The problem with the beam width and the noise that the residuals of a solution require.
+    """The problem with the directions and width of the beams and the noise that the residuals of a solution require.
 
     It is the same object if they require no change. ``stated`` is the specified standard deviation of a range, m: a
-    departure from it needs more evidence than a further change.
+    departure from it needs more evidence than a further change. Turned beams look like noise, and like wide beams: what
+    explains the residuals better is corrected first.
     """
     ratio = max(residual_std(problem, found, GATE), LEAST_RANGE_STD) / problem.range_std
     most = config.sensor.noise_ratio if problem.range_std == stated else _SETTLED
-    changed = _with_width(problem, found, config)
+    (turned, evidence), (changed, gain) = _with_turns(problem, found, config), _with_width(problem, found, config)
+    if turned is not problem and evidence > gain:
+        return turned
     if 1.0 / most <= ratio <= most:
         return changed
     return replace(changed, range_std=ratio * problem.range_std)
@@ -52,8 +62,52 @@ def residual_std(problem: Problem, found: Association, gate: float) -> float:
     return std
 
 
-def _with_width(problem: Problem, found: Association, config: SmootherConfig) -> Problem:
-    """The problem with the width that minimises chi-square, if chi-square then falls by more than the gate.
+def beam_turns(problem: Problem, found: Association, config: SmootherConfig) -> tuple[FloatArray, FloatArray]:
+    """By what the beams of one robot are turned against the specified ones (b,), rad, and the covariance (b, b).
+
+    They are estimated with all other variables, wheels and ranges with constant errors included.
+
+    Raises
+    ------
+    DegenerateError
+        If the equations cannot be solved.
+    """
+    count = len(problem.robot.beams)
+    prior = block_diag(config.calibration.information, np.eye(count) / config.sensor.turn_std**2)
+    sized = replace(problem, prior=prior)
+    calibration = np.hstack((found.state.calibration, np.zeros((1, count))))
+    solution = solve(sized, replace(found.state, calibration=calibration), found.labels)
+    first = solution.factored.first_shared + CALIBRATED
+    turns = solution.state.calibration[0, CALIBRATED:] + (0.0 if problem.turns is None else problem.turns)
+    return turns, solution.factored.covariance[first : first + count, first : first + count]
+
+
+def _with_turns(problem: Problem, found: Association, config: SmootherConfig) -> tuple[Problem, float]:
+    """The problem with the directions of the beams, and twice the logarithm of the Bayes factor for turned beams.
+
+    It is the same problem if the readings do not require other directions than those that are assumed. The Bayes factor
+    is the ratio of the prior and the posterior density of beams that are not turned (Savage-Dickey).
+    """
+    count, known = len(problem.robot.beams), problem.turns
+    if len(problem.starts) > 1 or count > MOST_TURNED:
+        return problem, 0.0
+    try:
+        turns, covariance = beam_turns(problem, found, config)
+    except DegenerateError:
+        return problem, 0.0
+    evidence = float(turns @ np.linalg.solve(covariance, turns)) + float(np.linalg.slogdet(covariance)[1])
+    evidence -= 2.0 * count * math.log(config.sensor.turn_std)
+    change = turns if known is None else turns - known
+    if (known is None and evidence < config.sensor.turn_gate) or np.abs(change).max() < _LEAST_TURN:
+        return problem, evidence
+    turned = RangeSensor(0.0, turns=tuple(change.tolist())).mounted(problem.robot)
+    return replace(problem, robot=turned, turns=turns), evidence
+
+
+def _with_width(problem: Problem, found: Association, config: SmootherConfig) -> tuple[Problem, float]:
+    """The problem with the width that minimises chi-square, and by how much chi-square then falls.
+
+    It is the same problem if chi-square does not fall by more than the gate.
 
     Chi-square at the optimum of all other variables is nearly quadratic in the width, since the width is small. Where
     the noise is small, what is missing to a quadratic function can exceed the gate. So the minimum is solved for, too.
@@ -78,5 +132,5 @@ def _with_width(problem: Problem, found: Association, config: SmootherConfig) ->
         gain = slope * (width - best) - bend * (width - best) ** 2
         is_better = abs(best - width) > _LEAST_STEP and gain > gate and gain_of(best) > gate
     except DegenerateError:
-        return problem
-    return replace(problem, beam_width=best) if is_better else problem
+        return problem, 0.0
+    return (replace(problem, beam_width=best), float(gain)) if is_better else (problem, 0.0)

@@ -18,7 +18,7 @@ from limslam_agent.slam.line_graph.map_score import score, tally
 from limslam_agent.slam.line_graph.mending import is_contradicted, is_repaired, mend
 from limslam_agent.slam.line_graph.problem import FEWEST_READINGS, Problem, Readings, make_problem, state_from_poses
 from limslam_agent.slam.line_graph.reassociation import Association, reassociate, with_kinds
-from limslam_agent.slam.line_graph.sensor_errors import fitted_sensor
+from limslam_agent.slam.line_graph.sensor_errors import beam_turns, fitted_sensor
 from limslam_agent.slam.line_graph.smoothed_map import smoothed_map
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
@@ -94,6 +94,9 @@ class SmoothedRun:
         as the readings require.
     contradictions
         Share of all looks that passed through a wall of the solution.
+    robot, turns
+        The robot with its beams as they are mounted, and by what each beam is turned to the left against the specified
+        robot, with its standard deviation (n_beams, 2), rad; None where the beams are taken to be as specified.
     """
 
     poses: FloatArray
@@ -105,6 +108,8 @@ class SmoothedRun:
     contradictions: float
     range_std: float
     beam_width: float
+    robot: RobotSpec
+    turns: FloatArray | None = None
 
 
 def completed(found: SmoothedRun, poses: FloatArray, covariances: FloatArray) -> SmoothedRun:
@@ -141,7 +146,7 @@ def smooth_run(run: FilteredRun, config: SmootherConfig | None = None) -> Smooth
     """
     config = config or SmootherConfig()
     best = settle(run, config)
-    return None if best is None else _smoothed(best)
+    return None if best is None else _smoothed(best, config)
 
 
 def settle(run: FilteredRun, config: SmootherConfig) -> Settled | None:
@@ -275,7 +280,7 @@ def _contradictions(problem: Problem, found: Association) -> float:
     return tally(replace(problem, looks=kept), found).contradictions / max(len(kept), 1)
 
 
-def _smoothed(best: Settled) -> SmoothedRun:
+def _smoothed(best: Settled, config: SmootherConfig) -> SmoothedRun:
     problem, found = best.problem, best.association
     poses = np.moveaxis(found.state.poses, 0, 1).copy()
     poses[..., 2] = wrap_angle(poses[..., 2])
@@ -290,4 +295,18 @@ def _smoothed(best: Settled) -> SmoothedRun:
         contradictions=_contradictions(problem, found),
         range_std=problem.range_std,
         beam_width=problem.beam_width,
+        robot=problem.robot,
+        turns=_turns(best, config),
     )
+
+
+def _turns(best: Settled, config: SmootherConfig) -> FloatArray | None:
+    """The turns of the beams and their standard deviations (n_beams, 2), rad; None if no beam is turned."""
+    problem = best.problem
+    if problem.turns is None:
+        return None
+    try:
+        _, covariance = beam_turns(problem, best.association, config)
+    except DegenerateError:
+        return np.column_stack((problem.turns, np.full(len(problem.turns), config.sensor.turn_std)))
+    return np.column_stack((problem.turns, np.sqrt(covariance.diagonal())))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from support.command_line import call
 from support.corridors import SIX_BEAMS, corridor_log
+from support.drives import ROBOT, along, drive, room
 
 from limslam_agent.cli.main import main
 from limslam_agent.config.presets import preset
@@ -166,3 +167,27 @@ def test_a_sensor_that_looks_backwards_is_noticed(laps):
     about = se2.compose(laps.odometry, np.array([0.0, 0.0, np.pi]))
     (warning,) = log_warnings(replace(laps, odometry=about))
     assert "is the sensor mounted backwards" in warning
+
+
+def wheel_log(change):
+    """A log of wheel travel of three rounds through a ring of corridors, with the wheels changed."""
+    walls = np.vstack((room(-0.5, -0.5, 3.5, 2.5), room(0.5, 0.5, 2.5, 1.5)))
+    lap = [(0.0, 0.0), (3.0, 0.0), (3.0, 2.0), (0.0, 2.0)]
+    observations, _ = drive(walls, np.zeros(3), along([*lap, *lap, *lap, (0.0, 0.0)]), noise=0.01)
+    ranges, wheels = (np.array([each[name] for each in observations]) for name in ("ranges", "wheels"))
+    count = len(observations)
+    scans = np.ones(count, dtype=bool)
+    return RecordedLog(ROBOT, 0.1 * np.arange(count), ranges, scans, np.zeros(3), wheels=wheels.astype(float) @ change)
+
+
+@pytest.mark.parametrize(
+    ("change", "question"),
+    [
+        ([[1, 0], [0, 1]], None),
+        ([[0, 1], [1, 0]], "are the wheels exchanged, or the beams in the wrong order?"),
+        ([[-1, 0], [0, -1]], "do the encoders of both wheels count backwards?"),
+    ],
+)
+def test_exchanged_and_reversed_wheels_are_noticed(change, question):
+    found = log_warnings(wheel_log(np.array(change, dtype=float)))
+    assert not found if question is None else found[0].endswith(question)

@@ -1,6 +1,7 @@
 """Beams with an opening angle, and what the filter finds out about a sensor that is not as specified."""
 
 import math
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from support.drives import ROBOT, along, drive, ranges_at, room
 from limslam_agent.config.consistent import ConsistentConfig, RangeErrorConfig
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.mapper import Mapper
+from limslam_agent.output.summary import record_summary, turn_records
 from limslam_agent.slam.consistent.beam_model import Readings, by_range_errors, expected_ranges
 from limslam_agent.slam.consistent.range_noise import RangeNoise
 from limslam_agent.slam.core.range_sensor import RangeSensor
@@ -63,7 +65,9 @@ def test_the_derivatives_of_a_cone_equal_central_differences(slant: float, cone:
     wider = distance_to(LINE, bearing, cone + step, pose) - distance_to(LINE, bearing, cone - step, pose)
     np.testing.assert_allclose(found.by_pose[0], np.array(by_pose) / (2.0 * step), atol=1e-6)
     np.testing.assert_allclose(found.by_line[0], np.array(by_line) / (2.0 * step), atol=1e-6)
-    np.testing.assert_allclose(by_range_errors(found)[0], [1.0, wider / (2.0 * step)], atol=1e-6)
+    turned = distance_to(LINE, bearing + step, cone, pose) - distance_to(LINE, bearing - step, cone, pose)
+    by_errors = by_range_errors(found, one_reading(bearing, cone), pose[2:], float(LINE[1]), 1)
+    np.testing.assert_allclose(by_errors[0], [1.0, wider / (2.0 * step), turned / (2.0 * step)], atol=1e-6)
 
 
 def counted(factor: float, growth: float, seed: int = 0) -> RangeNoise:
@@ -93,13 +97,13 @@ def test_other_noise_is_found(factor: float, growth: float) -> None:
 
 
 def observed(
-    cone: float, seed: int, *, noise: float = NOISE, bias: float = 0.0
+    cone: float, seed: int, *, noise: float = NOISE, bias: float = 0.0, turns: tuple[float, ...] = ()
 ) -> tuple[list[Observation], FloatArray]:
     """Observations of a sensor along two laps, and the true poses."""
     generator = np.random.default_rng(seed)
     exact, poses = drive(WALLS, np.zeros(3), ROUTE)
     turned = [
-        replace(ROBOT, beams=tuple(replace(beam, angle=beam.angle + share * cone) for beam in ROBOT.beams))
+        RangeSensor(NOISE, turns=tuple(share * cone + np.array(turns or np.zeros(len(ROBOT.beams))))).mounted(ROBOT)
         for share in np.linspace(-1.0, 1.0, 5)
     ]
     observations: list[Observation] = []
@@ -181,6 +185,36 @@ def test_a_bias_is_no_opening_angle() -> None:
     sensor = mapped(observed(0.0, 2, bias=0.03)[0], config_of())[0].slam.sensor
     assert sensor is not None
     assert sensor.cone < 0.01
+
+
+def test_turned_beams_are_found_and_named() -> None:
+    turns = np.radians([3.0, -4.0, 3.0, -3.0, 4.0, -3.0])
+    mapper, _, _ = mapped(observed(0.0, 3, turns=tuple(turns))[0], config_of())
+    found = mapper.slam.beam_turns
+    assert found is not None
+    # The beams at the sides stand nearly perpendicular to their walls, and their ranges hardly tell their directions.
+    np.testing.assert_allclose(found[1:5, 0], turns[1:5], atol=math.radians(1.2))
+    (line,) = record_summary({"record": {"beam_turns": turn_records(found)}})
+    assert re.search(r"^turned .*beam 1 by -[345]\.\d \+- 0\.\d deg.* to the left, against the robot's settings$", line)
+    assert not record_summary({"record": {"beam_turns": turn_records(found)}, "metrics": {"status": "lost"}})
+    assert mapper.slam.mounted.beam_angles == pytest.approx(ROBOT.beam_angles + found[:, 0], abs=math.radians(1.0))
+
+
+def test_later_turns_correct_the_state_and_reach_monitors_and_grid() -> None:
+    observations, _ = observed(0.0, 0)
+    mapper, _, _ = mapped(observations[:200], config_of())
+    monitor, drawer, before = mapper._present.monitors[0], mapper._present.drawers[0], mapper.slam.pose
+    mapper.slam.assume(RangeSensor(NOISE, turns=(0.05, 0.0, 0.0, 0.0, 0.0, 0.0)))
+    assert np.abs(mapper.slam.pose - before).max() > 0.0
+    mapper._present.process((observations[200],), 0)
+    assert mapper._present.monitors[0] is not monitor
+    assert mapper._present.drawers[0] is not drawer
+
+
+def test_each_beam_keeps_its_side_when_it_is_turned() -> None:
+    turned = RangeSensor(NOISE, turns=(0.0, 0.0, math.radians(10.0), 0.0, 0.0, 0.0)).mounted(ROBOT)
+    assert turned.beams[2] == replace(ROBOT.beams[2], angle=ROBOT.beams[2].angle + math.radians(10.0))
+    assert RangeSensor(NOISE).mounted(ROBOT) is ROBOT
 
 
 def test_a_stated_opening_angle_keeps_the_filter_consistent() -> None:

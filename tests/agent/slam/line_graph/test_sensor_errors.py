@@ -10,9 +10,9 @@ from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.kernels.range_sensor import read_share
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.line_graph.problem import rows_of, state_from_poses
+from limslam_agent.slam.line_graph.problem import by_turns, rows_of, state_from_poses
 from limslam_agent.slam.line_graph.reassociation import solve_labels
-from limslam_agent.slam.line_graph.sensor_errors import fitted_sensor, residual_std
+from limslam_agent.slam.line_graph.sensor_errors import beam_turns, fitted_sensor, residual_std
 from limslam_agent.slam.line_graph.smoother import FilteredRun, settle
 from limslam_env.interface import NominalNoise
 
@@ -102,6 +102,41 @@ def test_derivatives_of_wide_beams_are_differences(width):
             for sign in (1.0, -1.0)
         )
         assert ((after - before)[smooth, 0] / (2.0 * step)) == pytest.approx(rows[smooth, column], abs=1e-4)
+
+
+def padded(state, turns):
+    """A state with directions of the beams, rad, in its calibration."""
+    return replace(state, calibration=np.hstack((state.calibration, [turns])))
+
+
+@pytest.mark.parametrize("width", [0.0, 0.25])
+def test_derivatives_by_the_directions_of_beams_are_differences(width):
+    problem, poses = noisy_run(5, 0.02)
+    wide, found, step = replace(problem, beam_width=width), solved(problem, poses), 1e-6
+    rows = rows_of(wide, found.state, found.labels)
+    slants = np.arccos(np.minimum(np.abs(rows[:, 6]), 1.0))
+    smooth = (found.labels >= 0) & (np.abs(slants - width) > 1e-3) & (np.abs(rows[:, 6]) > 0.2)
+    after, before = (
+        rows_of(wide, padded(found.state, np.full(6, sign * step)), found.labels)[smooth, 0] for sign in (1.0, -1.0)
+    )
+    assert (after - before) / (2.0 * step) == pytest.approx(by_turns(wide, found.state, rows)[smooth], abs=1e-4)
+
+
+def test_turned_beams_are_found_and_are_no_width():
+    problem, poses = noisy_run(4, 0.02, places=3 * ROUND)
+    turns = np.radians([0.0, 4.0, 0.0, -3.0, 0.0, 0.0])
+    # The beams that are assumed are turned the other way.
+    other = replace(problem, robot=RangeSensor(0.02, turns=tuple(-turns)).mounted(problem.robot))
+    fitted = fitted_sensor(other, solved(other, poses), CONFIG, other.range_std)
+    assert fitted.beam_width == 0.0
+    assert fitted.turns == pytest.approx(turns, abs=np.radians(0.6))
+    assert fitted.robot.beam_angles == pytest.approx(problem.robot.beam_angles, abs=np.radians(0.6))
+    after = solved(fitted, poses)
+    assert position_error(after.state, poses) < position_error(solved(other, poses).state, poses)
+    again, covariance = beam_turns(fitted, after, CONFIG)
+    off = (again - turns)[1:]  # the first beam sees no wall
+    assert off @ np.linalg.solve(covariance[1:, 1:], off) < 16.0
+    assert covariance[0, 0] == pytest.approx(CONFIG.sensor.turn_std**2)
 
 
 @pytest.mark.parametrize("slant", [0.0, 0.1, 0.4, 1.2])
