@@ -76,8 +76,9 @@ class Chunks:
     def loop(self, first: int, second: int, found: Match, source: str, grid: SearchGrid | None = None) -> Loop:
         """A loop with the covariance of its match, from the first chunk's grid or another grid in its frame."""
         step = self.config.loops.turn_step
+        backward = self.grid(second), self.maps[first].points
         mean, covariance = match_covariance(
-            grid or self.grid(first), self.maps[second].points, found.pose, step, self.config.matching
+            grid or self.grid(first), self.maps[second].points, found.pose, step, self.config.matching, backward
         )
         return Loop(first, second, mean, np.asarray(np.linalg.inv(covariance)), found.score, source)
 
