@@ -38,8 +38,8 @@ from limslam_agent.places.revisions import BEGUN_ANEW, NOT_CONFIRMED
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.monitor import StatusMonitor, covariance_of_lost
-from limslam_agent.status.sudden_changes import CLEAR
 from limslam_agent.status.status import Status
+from limslam_agent.status.sudden_changes import CLEAR
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, transform_points
 from limslam_env.interface import RobotSpec

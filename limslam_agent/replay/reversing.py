@@ -22,6 +22,8 @@ from limslam_agent.slam.graph.loop_search import TURN_STEP
 from limslam_agent.slam.graph.matching import NO_MATCH, Window
 from limslam_env.geometry import FloatArray, IntArray
 
+_LEAST_PERIOD = 0.2  # s, over which a speed is measured
+
 
 def with_reversing(data: LogData, config: GraphConfig) -> LogData:
     """The log with the motions turned round that the ranges say were driven backwards.
@@ -136,10 +138,19 @@ class _Drive:
 
 def _stretches(time: FloatArray, travel: FloatArray, settings: ReversingConfig) -> IntArray:
     """First and last event (k, 2) of the stretches between stops."""
-    lengths, periods = np.diff(travel), np.diff(np.maximum.accumulate(time))
-    speeds = lengths / np.maximum(periods, 1e-3)
-    driving = speeds[lengths > 0.0]
+    speeds = _speeds(np.maximum.accumulate(time), travel)
+    driving = speeds[np.diff(travel) > 0.0]
     moving = speeds >= settings.slow * np.median(driving) if len(driving) else np.zeros(len(speeds), dtype=np.bool_)
     changes = np.diff(np.concatenate(([False], moving, [False])).astype(np.int64))
     found = np.column_stack((np.flatnonzero(changes > 0), np.flatnonzero(changes < 0)))
     return np.asarray(found[travel[found[:, 1]] - travel[found[:, 0]] >= settings.least])
+
+
+def _speeds(time: FloatArray, travel: FloatArray) -> FloatArray:
+    """Mean speeds (n - 1,) between events, m/s, each over ``_LEAST_PERIOD`` at least.
+
+    Odometry that is read twice at nearly the same time, for itself and with a scan, has not stopped in between.
+    """
+    middles, half = 0.5 * (time[1:] + time[:-1]), 0.5 * np.maximum(np.diff(time), _LEAST_PERIOD)
+    ends = np.interp(middles + half, time, travel)
+    return np.asarray((ends - np.interp(middles - half, time, travel)) / (2.0 * half))

@@ -87,7 +87,10 @@ class Chunks:
 
     def loop(self, first: int, second: int, found: Match, source: str, grid: SearchGrid | None = None) -> Loop:
         """A loop with the covariance of its match, from the first chunk's grid or another grid in its frame."""
-        mean, covariance = match_covariance(grid or self.grid(first), self.maps[second].points, found.pose, TURN_STEP)
+        backward = self.grid(second), self.maps[first].points
+        mean, covariance = match_covariance(
+            grid or self.grid(first), self.maps[second].points, found.pose, TURN_STEP, backward
+        )
         return Loop(first, second, mean, np.asarray(np.linalg.inv(covariance)), found.score, source)
 
 

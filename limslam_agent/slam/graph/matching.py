@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from limslam_agent.slam.graph.local_maps import Cells, LocalMap
 from limslam_env.compilation import entry_of
-from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry import FloatArray, IntArray, se2
 
 # A kernel calls only kernels of its own file.
 kernel = entry_of(__name__)
@@ -27,6 +27,9 @@ _PRIOR = 0.05  # penalty of a match at the border of its window, for shift and f
 _SHARPNESS = 0.25  # from a difference in score to one in log-likelihood, for each point
 _FLOOR_POSITION, _FLOOR_TURN = 0.06, math.radians(1.2)  # least standard deviations of a match, m and rad
 NO_MATCH = -9.0
+_FAR_CELLS = 60  # by which points are shifted to see how well a match is known
+_FALL = 2.0  # the loss of log-likelihood at two standard deviations
+_UNKNOWN_STD = 10.0  # m, of a match along a direction in which nothing speaks against any shift
 
 Sums = NDArray[np.int16]
 FlatCells = NDArray[np.int8]
@@ -112,11 +115,17 @@ def match(grid: SearchGrid, points: FloatArray, guess: FloatArray, window: Windo
 
 
 def match_covariance(
-    grid: SearchGrid, points: FloatArray, pose: FloatArray, turn_step: float
+    grid: SearchGrid,
+    points: FloatArray,
+    pose: FloatArray,
+    turn_step: float,
+    backward: tuple[SearchGrid, FloatArray] | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Mean (3,) and covariance (3, 3) of a match, from the scores of all poses around it.
 
-    The likelihood of a pose is exp(``_SHARPNESS`` times the number of points times the score).
+    The likelihood of a pose is exp(``_SHARPNESS`` times the number of points times the score). Along the direction that
+    is known least, only cells that are known speak against a pose. ``backward`` has the grid of the chunk of the points
+    and the points of the chunk of the grid, which speak against poses as well.
     """
     scores = _volume(grid.padded, points, pose, grid.low, grid.cell, turn_step, _VOLUME_CELLS, _VOLUME_TURNS)
     weight = np.exp((scores - scores.max()) * len(points) * _SHARPNESS)
@@ -127,7 +136,29 @@ def match_covariance(
     mean = weight.ravel() @ offsets
     apart = offsets - mean
     floor = np.diag([_FLOOR_POSITION**2, _FLOOR_POSITION**2, _FLOOR_TURN**2])
-    return pose + mean, (apart * weight.reshape(-1, 1)).T @ apart + floor
+    pose, covariance = pose + mean, (apart * weight.reshape(-1, 1)).T @ apart + floor
+    along = np.append(np.linalg.eigh(covariance[:2, :2])[1][:, 1], 0.0)
+    lost = _lost(grid, points, pose, along)
+    if backward:
+        lost += _lost(*backward, se2.inverse(pose), -se2.compose(np.array([0.0, 0.0, -pose[2]]), along))
+    missing = _variance_along(_SHARPNESS * lost, grid.cell) - along @ covariance @ along
+    return pose, covariance + max(missing, 0.0) * np.outer(along, along)
+
+
+def _lost(grid: SearchGrid, points: FloatArray, pose: FloatArray, along: FloatArray) -> FloatArray:
+    """How many points (2 ``_FAR_CELLS`` + 1,) no longer fit if all are shifted along a direction (3,), cell by cell.
+
+    Two chunks of one corridor fit best where they overlap most, since unknown cells count for nothing in a score. That
+    says nothing about the distance along the corridor, so the points in unknown cells are left out here.
+    """
+    sums, known = _profile(grid.padded, points, pose, along, grid.low, grid.cell, _FAR_CELLS)
+    return sums[_FAR_CELLS] / max(known[_FAR_CELLS], 1.0) * known - sums
+
+
+def _variance_along(lost: FloatArray, cell: float) -> float:
+    """Variance, m^2, from the log-likelihood that is lost by shifts (2 ``_FAR_CELLS`` + 1,) to both sides."""
+    falls = [int(np.argmax(side >= _FALL)) for side in (lost[_FAR_CELLS::-1], lost[_FAR_CELLS:])]
+    return (cell * max(falls)) ** 2 / (2.0 * _FALL) if all(falls) else _UNKNOWN_STD**2
 
 
 def score_at(grid: SearchGrid, points: FloatArray, pose: FloatArray) -> float:
@@ -345,3 +376,24 @@ def _volume(
             _add_rows(sums, padded, pixels[k, 0] - cells, pixels[k, 1] - cells)
         scores[t] = sums / (5.0 * count)
     return scores
+
+
+@kernel
+def _profile(
+    padded: Cells, points: FloatArray, pose: FloatArray, direction: FloatArray, low: float, cell: float, cells: int
+) -> tuple[FloatArray, FloatArray]:
+    """Sums of the cells at points that are moved along a direction, as shares of hits, and numbers of known cells.
+
+    Both have the shape (2 cells + 1,), from the shift by ``-cells`` cells on.
+    """
+    sums, known = np.zeros(2 * cells + 1), np.zeros(2 * cells + 1)
+    pixels, size = np.empty((len(points), 2), np.int64), padded.shape[0]
+    for t in range(2 * cells + 1):
+        shift = cell * (t - cells)
+        x, y = pose[0] + shift * direction[0], pose[1] + shift * direction[1]
+        _pixels(points, x, y, pose[2], low, cell, 0, size, pixels)
+        for k in range(len(points)):
+            value = padded[pixels[k, 0], pixels[k, 1]]
+            sums[t] += value / 5.0
+            known[t] += 1.0 if value else 0.0
+    return sums, known

@@ -1,5 +1,7 @@
 """Matching of local maps: branch and bound against trying everything, and matches that must be found."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -115,6 +117,28 @@ def test_a_corridor_is_uncertain_along_and_sure_across():
     _, covariance = match_covariance(search_grid(chunk, 1.0), points, np.zeros(3), np.radians(3.0))
     assert covariance[0, 0] > 10.0 * covariance[1, 1]
     assert np.all(np.linalg.eigvalsh(covariance) > 0.0)
+
+
+def corridor(*ends):
+    """A corridor of 8 m with end walls at these x, seen from its axis."""
+    along = np.linspace(-4.0, 4.0, 160)
+    walls = [np.column_stack((along, np.full(160, y))) for y in (-1.0, 1.0)]
+    return np.vstack((*walls, *[np.column_stack((np.full(40, x), np.linspace(-1.0, 1.0, 40))) for x in ends]))
+
+
+@pytest.mark.parametrize(("ends", "std"), [((), (5.0, 20.0)), ((4.0,), (0.05, 0.3)), ((-4.0,), (0.05, 0.3))])
+def test_a_match_is_known_along_a_corridor_only_by_what_stands_out_there(ends, std):
+    places = corridor(*ends)
+    origins = np.column_stack((0.9 * places[:, 0], np.zeros(len(places))))
+    grid = draw_grid(places, origins, 160, MAPS)
+    chunk = LocalMap(0, 0.0, places, origins, thinned(places, MAPS.cell), grid, MAPS.cell)
+    search, guess = search_grid(chunk, 4.0), np.array([0.0, 0.0, 0.3])
+    points = se2.transform_points(se2.inverse(guess), chunk.points)
+    turned = se2.transform_points(se2.inverse(guess), places), se2.transform_points(se2.inverse(guess), origins)
+    back = search_grid(replace(chunk, points=points, grid=draw_grid(*turned, 160, MAPS)), 4.0)
+    _, covariance = match_covariance(search, points, guess, np.radians(3.0), (back, chunk.points))
+    assert std[0] < np.sqrt(covariance[0, 0]) < std[1]
+    assert np.sqrt(covariance[1, 1]) < 0.2
 
 
 def test_a_grid_is_free_along_the_beams_and_hit_at_their_ends():
