@@ -40,10 +40,9 @@ def main() -> None:
     mean, std = evaluate_policy(model, make_env(), n_eval_episodes=2)
     # The reward is the area seen, m^2, minus penalties for time and collisions.
     print(f"{model.num_timesteps} steps: reward {mean:.1f} +- {std:.1f}")
+    plans = range(1000, 1000 + options.plans)  # the training begins with the plan of seed 0
     for name, actor, wrap in (("PPO", model, wrapped), ("frontier", "frontier", None)):
-        results = evaluate(
-            actor, "LimSlam-Random-v0", range(options.plans), max_time=60.0, wrap=wrap, sensor_noise=0.02
-        )
+        results = evaluate(actor, "LimSlam-Random-v0", plans, max_time=60.0, wrap=wrap, sensor_noise=0.02)
         print(f"{name:8} sees {medians(results)['coverage_true']:.0%} of a floor plan in a minute")
     if options.out:
         model.save(options.out)

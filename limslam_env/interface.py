@@ -101,8 +101,8 @@ class SensorSpec:
                 f"a beam's place and max_range must be metres, within {LARGEST_BODY:g} m of the robot's centre and at "
                 f"most {LARGEST_RANGE:g} m, not x {self.x:g}, y {self.y:g} and max_range {self.max_range:g}"
             )
-        if abs(self.angle) > 2.0 * math.pi + 1e-9:
-            raise ValueError(f"a beam's angle is within 2 pi rad, not {self.angle:g}: is it in rad?")
+        if abs(self.angle) > 4.0 * math.pi:
+            raise ValueError(f"a beam's angle is within 4 pi rad, not {self.angle:g}: is it in rad?")
         if not 0.0 <= self.min_range < self.max_range:
             raise ValueError(f"a beam needs 0 <= min_range < max_range, not {self.min_range} and {self.max_range}")
         if self.side is None:

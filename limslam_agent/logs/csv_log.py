@@ -197,7 +197,7 @@ class _Rows:
         if self.separator != b",":
             fields = [field.replace(b",", b".") for field in fields]
         count = self.leading + len(self.directions)
-        if not fields[-1] and len(fields) == (len(self.options.columns) or count) + 1:
+        while not fields[-1] and (len(fields) > (len(self.options.columns) or count) or fields[-2:-1] == [NO_SCAN]):
             fields.pop()
         if self.options.columns:
             # A mark that stands once instead of the ranges comes after all other columns that are used.

@@ -160,7 +160,10 @@ def _continued(travel: FloatArray, columns: FloatArray, farthest: float) -> Floa
     They count as such counters if the jump is right in at least one row: without it, no wheel travels more than
     ``farthest``.
     """
-    bits = max(int(np.ptp(columns, axis=0).max()).bit_length(), FEWEST_COUNTER_BITS)
+    largest = float(np.ptp(columns, axis=0).max())
+    if not largest < 2.0**63:  # no counter has more bits
+        return travel
+    bits = max(int(largest).bit_length(), FEWEST_COUNTER_BITS)
     jumps = np.round(travel / 2.0**bits)
     continued = travel - jumps * 2.0**bits
     is_proof = jumps.any(axis=1) & (np.abs(continued) <= farthest).all(axis=1)

@@ -1,5 +1,6 @@
 """A finished run or replay in a few lines of text, for the command line."""
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -72,7 +73,7 @@ def record_summary(result: Mapping[str, Any]) -> list[str]:
     each = record.get("calibration")
     lines += [_calibration_line(found) for found in each if found] if isinstance(each, list) else []
     if part_of(result, "metrics").get("status") != "lost":
-        lines += _turned_beams(record.get("beam_turns"))
+        lines += _turned_beams(record.get("beam_turns"), beams)
     if "log" in config and (end := _pose(record)) is not None:
         lines.append(f"odometry    ended at x {end[0]:.2f} m, y {end[1]:.2f} m, heading {end[2]:.1f} deg")
     return lines
@@ -110,13 +111,14 @@ def _calibration_line(found: Any) -> str:
     return f"calibrated  {', '.join(sizes)}"
 
 
-def _turned_beams(turns: Any) -> list[str]:
-    """Which beams are turned against the robot's settings by more than chance, as :func:`turn_records` has them."""
-    known = enumerate(turns) if isinstance(turns, list) else ()
+def _turned_beams(turns: Any, beams: Any) -> list[str]:
+    """Which of a robot's beams are turned against its settings by more than chance, as :func:`turn_records` has it."""
+    known = zip(beams, turns, strict=False) if isinstance(turns, list) and isinstance(beams, list | tuple) else ()
     sure = [
-        f"beam {number} by {each['deg']:+.1f} +- {each['std_deg']:.1f} deg"
-        for number, each in known
-        if isinstance(each, dict) and _has(each, "deg", "std_deg") and abs(each["deg"]) > 3.0 * each["std_deg"]
+        f"the beam at {math.degrees(beam['angle']):.4g} deg by {turn['deg']:+.1f} +- {turn['std_deg']:.1f} deg"
+        for beam, turn in known
+        if isinstance(beam, dict) and _has(beam, "angle") and isinstance(turn, dict)
+        if _has(turn, "deg", "std_deg") and abs(turn["deg"]) > 3.0 * turn["std_deg"]
     ]
     return [f"turned      {', '.join(sure)} to the left, against the robot's settings"] if sure else []
 

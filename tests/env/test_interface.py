@@ -100,7 +100,7 @@ def test_radians_where_degrees_are_expected_are_refused(degrees):
 
 
 def test_degrees_where_radians_are_expected_are_refused():
-    with pytest.raises(ValueError, match=r"a beam's angle is within 2 pi rad, not 90: is it in rad\?"):
+    with pytest.raises(ValueError, match=r"a beam's angle is within 4 pi rad, not 90: is it in rad\?"):
         SensorSpec(0.05, 0.0, 90.0)
 
 

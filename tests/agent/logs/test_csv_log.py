@@ -100,12 +100,20 @@ def test_headers_may_be_written_in_many_ways(write, head):
 
 
 @pytest.mark.parametrize("names", [HEAD, ""])
-@pytest.mark.parametrize("change", [lambda row: f"{row},", lambda row: '"' + row.replace(",", '","') + '"'])
+@pytest.mark.parametrize(
+    "change", [lambda row: f"{row},", lambda row: f"{row},,", lambda row: '"' + row.replace(",", '","') + '"']
+)
 def test_quotation_marks_and_separators_at_the_ends_of_lines_do_not_matter(write, change, names):
     rows = f"{names}0.0,1.0,2.0,3.0,0.5,1.5,2.5\n0.2,1.5,2.0,3.5,0.6,1.6,\n"
     options = TableOptions(columns=() if names else tuple(HEAD.strip().split(",")))
     log = read_log(write("".join(f"{change(row)}\n" for row in rows.splitlines())), table=options)
     np.testing.assert_array_equal(log.ranges, np.float32([[0.5, 1.5, 2.5], [0.6, 1.6, math.nan]]))
+
+
+@pytest.mark.parametrize("mark", ["-,", "-,-,-,"])
+def test_a_row_without_a_scan_may_end_with_a_separator(write, mark):
+    log = read_log(write(f"{HEAD.strip()},\n0.0,1.0,2.0,3.0,{mark}\n0.2,1.5,2.0,3.5,0.6,1.6,2.5,\n"))
+    np.testing.assert_array_equal(log.has_scan, [False, True])
 
 
 def test_dots_stand_for_the_beams_between(write):

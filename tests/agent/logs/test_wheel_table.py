@@ -8,6 +8,7 @@ import pytest
 from support.data import refusal
 
 from limslam_agent.logs.log_reader import read_log
+from limslam_agent.logs.recorded_log import LogError
 from limslam_agent.logs.table_options import TableOptions
 from limslam_agent.replay.plausibility import log_warnings
 from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim
@@ -316,3 +317,8 @@ def test_impossible_units_are_refused(wrong, words):
 def test_other_logs_take_no_such_options(write):
     words = "is not a table in plain text, so --robot, units, --columns and --zero-is-nothing do not go with it"
     assert words in refusal(write("ODOM 0 0 0 0 0 0 0 a 0\n", "a.log"), table=TICK_OPTIONS)
+
+
+def test_counters_beyond_any_number_of_bits_are_refused(write):
+    with pytest.raises(LogError, match="travels"):
+        read_log(write(HEAD + "0,0,0,500,500,500\n50,1.7e308,0,500,500,500\n"), table=TICK_OPTIONS)

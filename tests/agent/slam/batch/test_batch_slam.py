@@ -135,7 +135,7 @@ def followed(
 
 def test_loops_are_closed_alike() -> None:
     # Bad wheels: on coming back, the filter is so unsure that it begins a wall anew before it knows it again.
-    log = laps_of_square(0.0, 6, 2.0, ROBOT, wheel_variance=2e-4, start=(3.5, 1.0, 0.0))
+    log = laps_of_square(0.0, 10, 2.0, ROBOT, wheel_variance=2e-4, start=(3.5, 1.0, 0.0))
     # The curvature of so large errors looks like a constant error, for which a single robot would be calibrated.
     config = self_calibrating(preset("consistent", NominalNoise(0.0, 2e-4)), "never")
     slam, batch, _ = followed(log.observations, config, ROBOT, log.poses[0])

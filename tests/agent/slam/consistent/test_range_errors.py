@@ -2,7 +2,7 @@
 
 import math
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
@@ -194,9 +194,10 @@ def test_turned_beams_are_found_and_named() -> None:
     assert found is not None
     # The beams at the sides stand nearly perpendicular to their walls, and their ranges hardly tell their directions.
     np.testing.assert_allclose(found[1:5, 0], turns[1:5], atol=math.radians(1.2))
-    (line,) = record_summary({"record": {"beam_turns": turn_records(found)}})
-    assert re.search(r"^turned .*beam 1 by -[345]\.\d \+- 0\.\d deg.* to the left, against the robot's settings$", line)
-    assert not record_summary({"record": {"beam_turns": turn_records(found)}, "metrics": {"status": "lost"}})
+    result = {"record": {"beam_turns": turn_records(found)}, "config": {"robot": asdict(ROBOT)}}
+    line = record_summary(result)[-1]
+    assert re.search(r"^turned .*the beam at 45 deg by -[345]\.\d \+- 0\.\d deg.*, against the robot's settings$", line)
+    assert "turned" not in "".join(record_summary({**result, "metrics": {"status": "lost"}}))
     assert mapper.slam.mounted.beam_angles == pytest.approx(ROBOT.beam_angles + found[:, 0], abs=math.radians(1.0))
 
 
