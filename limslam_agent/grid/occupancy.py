@@ -1,7 +1,6 @@
 """A low-resolution occupancy grid that grows with the area that the robot has seen."""
 
 import copy
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +10,7 @@ from scipy.spatial import cKDTree
 from limslam_agent.config.presets import GridConfig
 from limslam_agent.dropouts import without_dropouts
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.se2 import inverse, transform_points
+from limslam_env.geometry.se2 import compose, inverse, transform_points
 from limslam_env.interface import RobotSpec
 
 _SPARE_CELLS = 32
@@ -189,17 +188,15 @@ class OccupancyGrid:
     def bend(self, anchors: FloatArray, motions: FloatArray) -> None:
         """Move each cell with what lies around the nearest of some points (m, 2), by the rigid motions (m, 3) there."""
         view, cell = self.view, self._config.cell
-        goals = anchors + motions[:, :2]
-        margin = np.abs(motions[:, :2]).max(initial=0.0)
-        low = self._known_low - math.ceil(margin / cell)
-        high = self._known_high + math.ceil(margin / cell)
+        before = np.column_stack((anchors, np.zeros(len(anchors))))
+        known = _moved_with_nearest(view.centres(np.argwhere(~view.unknown)), before, before + motions) / cell
+        # A cell at the border may leave the grid.
+        reached = np.concatenate((known, [self._known_low, self._known_high]))
+        low: IntArray = np.floor(reached.min(axis=0)).astype(np.int64)
+        high: IntArray = np.ceil(reached.max(axis=0)).astype(np.int64)
         columns, rows = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
         places = np.column_stack((columns.ravel(), rows.ravel()))
-        centres = (places + 0.5) * cell
-        nearest = cKDTree(goals).query(centres)[1]
-        off, (cos, sin) = centres - goals[nearest], np.array([np.cos(motions[nearest, 2]), np.sin(motions[nearest, 2])])
-        back = np.column_stack((cos * off[:, 0] + sin * off[:, 1], cos * off[:, 1] - sin * off[:, 0]))
-        values = view.values_at(anchors[nearest] + back)
+        values = view.values_at(_moved_with_nearest((places + 0.5) * cell, before + motions, before))
         self._grow(low, high)
         column, row = (places - self._low).T
         self._values[row, column] = values
@@ -225,6 +222,13 @@ class OccupancyGrid:
         column, row = old_low - new_low
         grown[row : row + rows, column : column + columns] = self._values
         self._low, self._values, self._stamps = new_low, grown, np.zeros_like(grown, dtype=np.int32)
+
+
+def _moved_with_nearest(points: FloatArray, before: FloatArray, after: FloatArray) -> FloatArray:
+    """Points (n, 2), each of which moves with the nearest of some poses (m, 3) from before to after."""
+    nearest = cKDTree(before[:, :2]).query(points)[1]
+    there = compose(inverse(before[nearest]), np.column_stack((points, np.zeros(len(points)))))
+    return np.asarray(compose(after[nearest], there)[:, :2])
 
 
 def drawn_grid(

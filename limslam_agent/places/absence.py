@@ -85,9 +85,8 @@ class Absence:
     placed, rays
         Distance at which the robot found its place, m, and the rays (n, 6) in the known frame by which it did so; None
         while it is lost.
-    returned, is_unlikely
-        Step at which the robot found its place, and whether that is far from where it believed to be, although nothing
-        says that it was carried away.
+    returned, is_far
+        Step at which the robot found its place, and whether that is far from where it believed to be.
     has_drifted
         Whether it found its place so near that it has only drifted: its odometry holds for all its motions.
     is_astray
@@ -112,7 +111,7 @@ class Absence:
     placed: float | None = None
     rays: FloatArray | None = None
     returned: int = 0
-    is_unlikely: bool = False
+    is_far: bool = False
     has_drifted: bool = False
     since: int = -1
     believed: FloatArray = field(default_factory=lambda: np.zeros(3))
@@ -126,6 +125,11 @@ class Absence:
     def is_placed(self) -> bool:
         """Whether the robot has found its place."""
         return self.placed is not None
+
+    @property
+    def is_unlikely(self) -> bool:
+        """Whether the place is far, although no loop explains it and nothing says that the robot was carried away."""
+        return self.is_far and self.renewed is None and not self.is_carried
 
     @property
     def was_moved(self) -> bool:

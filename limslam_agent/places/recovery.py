@@ -27,6 +27,7 @@ from limslam_agent.places.localisation import (
     FAR,
     KnownPlaces,
     Localisation,
+    NearFit,
     PlaceFit,
     agree,
     is_far,
@@ -166,7 +167,8 @@ class Recovery:
 
         A robot that had found its place without being sure of it goes back to the frame as it was before, and to what
         it believed and knew when it was lost from there: what it has read at a wrong place says nothing of the earlier
-        map. If the readings have said in which step the robot was carried away, the map until then is good.
+        map. A robot that had only drifted near by keeps its place, or it would be found there and lost in turns. If
+        the readings have said in which step the robot was carried away, the map until then is good.
         """
         status, first, is_dated, is_carried = self._first_doubt(own, slam)
         jump = math.sqrt(own.added_covariance[0, 0])
@@ -182,8 +184,9 @@ class Recovery:
                     jump, max(known.grid.view.values.shape) * known.grid.view.cell / math.sqrt(12.0)
                 )
         else:
-            if before.is_placed and not before.has_drifted:
-                self.breaks.pop()
+            if before.is_placed and (before.is_far or not before.has_drifted):
+                if not before.has_drifted:
+                    self.breaks.pop()
                 first, is_dated, is_carried = before.since, before.is_dated, before.is_carried
                 before.is_astray = first <= self.log.begin  # the steps at which it was lost are no longer kept
                 if not before.is_astray:
@@ -310,28 +313,24 @@ class Recovery:
         # A robot that was not carried away has drifted, and is near. If its readings fit near the believed pose,
         # nothing says any more that it was carried away: a robot that has drifted may also read sudden changes, and in
         # a large building, some other place fits nearly always.
-        is_far_likely = absence.is_carried and self._near_fit(absence, rays, self._config.on_map) is None
+        near = near_fit(absence.place, rays, absence.covariance)
+        is_far_likely = absence.is_carried and not self._fits_near(near, rays, self._config.on_map)
         far = 1.0 if is_far_likely else self._config.far
-        # A search of the whole map may miss it.
-        near = [near_fit(absence.place, rays, absence.covariance).fit] if len(rays) else []
-        decision = localise(absence.place, rays, self._config, likely, far, near)
+        # A search of the whole map may miss the place near by.
+        decision = localise(absence.place, rays, self._config, likely, far, [near.fit])
         absence.decisions.append(decision)
         if not earlier or not agree(earlier[-1], decision, self._config):
             return None
         return self._placement(absence, rays, decision, sensor)
 
-    def _near_fit(self, absence: Absence, rays: FloatArray, on_map: float) -> PlaceFit | None:
-        """The likeliest place of rays (n, 6) near the believed pose, if they fit the map there; None otherwise.
+    def _fits_near(self, near: NearFit, rays: FloatArray, on_map: float) -> bool:
+        """Whether rays (n, 6) fit the map at their likeliest place near the believed pose.
 
         Along a long wall, other places near by fit as well. So the covariance of the pose counts, too. ``on_map`` is
         the least logarithm of the likelihood ratio of the contradictions there.
         """
-        if absence.place is None or not len(rays):
-            return None
-        found = near_fit(absence.place, rays, absence.covariance)
-        is_near = not is_far(found.fit.pose, rays[:, :2].mean(axis=0))
-        fits = is_near and found.evidence >= self._config.lead and found.fit.is_on_map >= on_map
-        return found.fit if fits else None
+        fits = near.evidence >= self._config.lead and near.fit.is_on_map >= on_map  # without rays, they do not
+        return fits and not is_far(near.fit.pose, rays[:, :2].mean(axis=0))
 
     def seek_near(self, sensor: RangeSensor) -> Placement | None:
         """The placement of a robot that was just lost, if its readings since then fit the map near the believed pose.
@@ -346,10 +345,10 @@ class Recovery:
             return None  # the doubtful readings may be in that map already, and would fit there in any case
         rays = rays_of(self.log.since(absence.first), self._robot, sensor.bias)
         # Ground that the map does not have is unlikely beforehand, since nothing says that the robot was carried away.
-        fit = self._near_fit(absence, rays, 0.0)
-        if fit is None:
+        near = near_fit(absence.place, rays, absence.covariance)
+        if not self._fits_near(near, rays, 0.0):
             return None
-        found = Localisation(fit, 0.0, rays[:, :2].mean(axis=0), "")
+        found = Localisation(near.fit, 0.0, rays[:, :2].mean(axis=0), "")
         absence.decisions.append(found)
         return self._placement(absence, rays, found, sensor)
 
@@ -392,8 +391,7 @@ class Recovery:
         self.absence.placed, self.absence.sought = self.absence.driven, self.absence.moved
         self.absence.rays, self.absence.returned, self.absence.renewed = placement.rays, self.log.end, closed
         found = self.absence.decisions[-1]
-        is_unlikely = found.fit is not None and is_far(found.fit.pose, found.middle)
-        self.absence.is_unlikely = is_unlikely and closed is None and not self.absence.is_carried
+        self.absence.is_far = found.fit is not None and is_far(found.fit.pose, found.middle)
         self.absence.has_drifted = placement.has_drifted
         if not placement.has_drifted:
             self.breaks.append(placement.carried_at)

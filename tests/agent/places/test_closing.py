@@ -95,6 +95,19 @@ def test_cells_move_with_the_nearest_wall():
     np.testing.assert_array_equal(found, [-3, 0, 7])
 
 
+@pytest.mark.parametrize("turn", [0.15, -0.15])
+def test_a_turn_about_a_wall_takes_no_cells_from_the_border(turn):
+    values, anchor = np.zeros((40, 40), dtype=np.int16), np.array([0.0, 2.0])
+    values[:, -1] = -3
+    grid = OccupancyGrid.of(GridView(np.zeros(2), 0.1, values), GridConfig())
+    border = np.column_stack((np.full(40, 3.95), 0.1 * np.arange(40) + 0.05))
+    grid.bend(anchor[None], np.array([[0.0, 0.0, turn]]))
+    turned = transform_points(np.array([*anchor, turn]), border - anchor)
+    near = grid.view.centres(np.argwhere(grid.view.values == -3))
+    away = np.hypot(*(turned[:, None] - near).T).min(axis=0)
+    assert away.max() < 0.1
+
+
 @pytest.fixture(scope="module")
 def whole():
     return known(WAY, HALL)
@@ -143,6 +156,25 @@ def test_a_place_that_is_refuted_is_taken_back_as_a_whole(whole):
     recovery.lose(monitor(), slam, None)
     assert recovery.absence.is_astray, "the pose from before is no longer kept"
     assert recovery.absence.is_carried
+
+
+@pytest.mark.parametrize(("away", "is_undone"), [((3.0, 0.0, 0.0), True), ((0.3, 0.0, 0.0), False)])
+@pytest.mark.parametrize("is_closed", [True, False])
+def test_a_loop_that_is_refuted_is_taken_back_and_a_drift_near_by_is_not(whole, away, is_undone, is_closed):
+    recovery, believed = lost(whole, first=10), np.array([7.0, 8.0, 0.3])
+    recovery.absence.known, recovery.absence.believed = SimpleNamespace(explains=lambda *_: True, step=-1), believed
+    rays = rays_of(recovery.log.steps, ROBOT)
+    (fit,) = whole.weigh(np.array([away]), rays)
+    found = Localisation(fit, 0.0, rays[:, :2].mean(axis=0), "")
+    recovery.absence.decisions.append(found)
+    recovery.has_joined(recovery._placement(recovery.absence, rays, found, SENSOR), whole if is_closed else None)
+    recovery.breaks = [3]
+    recovery.absence.decisions.clear()  # as a renewal does
+    before, last = recovery.log[9].pose, recovery.log.end - 1
+    recovery.lose(monitor(), SimpleNamespace(covariance=np.eye(3), range_sensor=SENSOR), None)
+    np.testing.assert_array_equal(recovery.log[9].pose, believed if is_undone else before)
+    assert recovery.absence.first == (10 if is_undone else last - 3)
+    assert recovery.breaks == [3], "the odometry held"
 
 
 def test_a_robot_that_is_lost_again_in_its_local_frame_was_carried_away_before(whole):

@@ -11,7 +11,7 @@ from limslam_agent import Mapper, preset
 from limslam_agent.config.places import PlaceConfig
 from limslam_agent.places.absence import Absence
 from limslam_agent.places.history import StepLog
-from limslam_agent.places.localisation import Localisation
+from limslam_agent.places.localisation import Localisation, near_fit
 from limslam_agent.places.rays import rays_of
 from limslam_agent.places.recovery import Recovery
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
@@ -76,7 +76,8 @@ def test_a_few_readings_suffice_near_the_believed_pose(whole):
     recovery = lost(whole, NEAR)
     recovery.absence.first = recovery.log.end - 12
     rays = rays_of(recovery.log.since(recovery.absence.first), ROBOT)
-    assert recovery._near_fit(recovery.absence, rays, CONFIG.on_map) is None
+    near = near_fit(whole, rays, recovery.absence.covariance)
+    assert not recovery._fits_near(near, rays, CONFIG.on_map)
     assert recovery.seek_near(SENSOR) is not None
 
 

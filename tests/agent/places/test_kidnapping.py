@@ -161,7 +161,7 @@ def test_an_unlikely_place_is_judged_by_the_readings_since_the_return(whole, fra
     rays = np.tile(rays_of(moved_log((0.0, 0.0, 0.0)).since(0), ROBOT), (20, 1))
     found = Absence(None, 1, "", 1.0, whole, placed=0.0, rays=rays)
     assert not recovery._is_refuted(found, SENSOR)
-    found.is_unlikely = True
+    found.is_far = True
     assert recovery._is_refuted(found, SENSOR) is is_wrong
     recovery.absence, found.driven = found, CONFIG.far_confirmed
     slam.segments = whole.segments
@@ -177,7 +177,7 @@ def test_an_unlikely_place_is_not_confirmed_by_the_robots_new_walls_alone(whole,
     grid = replace(whole.grid, low=whole.grid.low + 50.0)
     before = KnownPlaces(whole.segments + 50.0, grid, SENSOR)
     found = Absence(None, 1, "", 1.0, before, driven=CONFIG.far_confirmed, placed=0.0, rays=rays)
-    recovery.absence, found.is_unlikely = found, is_unlikely
+    recovery.absence, found.is_far = found, is_unlikely
     slam = SimpleNamespace(range_sensor=SENSOR, segments=whole.segments)
     recovery.confirm(Status(), slam, whole.grid)
     assert (recovery.absence is found) is is_unlikely
@@ -186,9 +186,8 @@ def test_an_unlikely_place_is_not_confirmed_by_the_robots_new_walls_alone(whole,
 @pytest.mark.parametrize(("frame", "is_near"), [((0.3, -0.2, 0.1), True), (AWAY, False), ((20.0, 0.0, 0.3), False)])
 def test_readings_that_fit_near_the_believed_pose_take_back_that_the_robot_was_carried_away(whole, frame, is_near):
     recovery, rays = Recovery(ROBOT, preset("graph"), CONFIG), rays_of(moved_log(frame).since(0), ROBOT)
-    absence = Absence(None, 1, "", 0.0, whole, COVARIANCE)
-    assert (recovery._near_fit(absence, rays, CONFIG.on_map) is not None) is is_near
-    assert recovery._near_fit(absence, rays[:0], CONFIG.on_map) is None
+    assert recovery._fits_near(near_fit(whole, rays, COVARIANCE), rays, CONFIG.on_map) is is_near
+    assert not recovery._fits_near(near_fit(whole, rays[:0], COVARIANCE), rays[:0], CONFIG.on_map)
 
 
 @pytest.mark.parametrize(("std", "is_carried"), [(0.03, True), (0.5, False)])
