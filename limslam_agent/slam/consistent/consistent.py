@@ -189,7 +189,7 @@ class ConsistentEstimator(Estimator):
         del fronts
         return [
             PendingPoints(
-                number, side, self._points(pending.readings(side)), self._settings.pending.batch, pending.fresh[side]
+                number, side, self._points(self._readings(pending, side)), self._settings.pending.batch, pending.fresh[side]
             )
             for number, pending in enumerate(self._pending)
             for side in SIDES

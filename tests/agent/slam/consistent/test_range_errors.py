@@ -18,6 +18,7 @@ from limslam_agent.places.rays import rays_of
 from limslam_agent.slam.consistent.beam_model import Readings, by_range_errors, expected_ranges
 from limslam_agent.slam.consistent.range_noise import RangeNoise
 from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import NominalNoise, Observation, RobotSpec
@@ -231,6 +232,21 @@ def test_further_turns_reach_all_parts_of_the_mapper_and_keep_its_doubts() -> No
         np.testing.assert_array_equal(
             rays_of(recovery.log.steps, robot, sensor), rays_of(recovery.log.steps, mounted, RangeSensor(NOISE))
         )
+
+
+def test_a_correction_keeps_what_is_reported_of_the_turns() -> None:
+    turns = tuple(np.radians([3.0, -4.0, 3.0, -3.0, 4.0, -3.0]).tolist())
+    observations, _ = observed(0.0, 3, turns=turns)
+    slam = LineSlam(ROBOT, config_of(), sensor=RangeSensor(NOISE, turns=turns))
+    for seen in observations[:200]:
+        slam.step(seen)
+    before, sensor = slam.beam_turns, slam.range_sensor
+    assert before is not None
+    assert before[:, 1].min() < math.radians(0.5)
+    slam.assume(sensor._replace(std=1.2 * sensor.std))
+    assert slam.beam_turns == pytest.approx(before)
+    slam.assume(sensor._replace(turns=(sensor.turns[0] + 0.01, *sensor.turns[1:])))
+    assert slam.beam_turns == pytest.approx(before, abs=1e-3)  # the prior is about the assumed turns
 
 
 def test_each_beam_keeps_its_side_when_it_is_turned() -> None:
