@@ -80,8 +80,8 @@ class FrameMapper:
         self.slam_ms = _ms_since(begin)
         known, sensor = self.monitors[0].sensor, self.slam.range_sensor
         if sensor.turns != known.turns:
-            # The beams point elsewhere than was known. A further correction may be due to readings at a wrong place, and
-            # must not erase the doubts that these readings have raised.
+            # The beams point elsewhere than was known. A further correction may be due to readings at a wrong place,
+            # and must not erase the doubts that these readings have raised.
             self.drawers = self._new_drawers()
             if not known.turns:
                 self.reset_monitors()

@@ -201,7 +201,7 @@ def _own_steps(smoothed: SmoothedRun, replays: tuple[Replay, Replay]) -> tuple[F
 
 
 def grid_of(replays: Sequence[Replay], poses: Sequence[FloatArray], robot: RobotSpec | None = None) -> GridView:
-    """The occupancy grid of the readings of several logs from poses (n, 3) of each, by their robots or one like them."""
+    """The occupancy grid of the readings of several logs from poses (n, 3) of each, by their own or another robot."""
     grid = OccupancyGrid(replays[0].config.grid)
     for replay, path in zip(replays, poses, strict=True):
         log = replay.log
