@@ -78,10 +78,15 @@ class FrameMapper:
         begin = time.perf_counter()
         self.slam.step(*observations)
         self.slam_ms = _ms_since(begin)
-        if self.slam.range_sensor.turns != self.monitors[0].sensor.turns:
-            # The beams point elsewhere than was known.
+        known, sensor = self.monitors[0].sensor, self.slam.range_sensor
+        if sensor.turns != known.turns:
+            # The beams point elsewhere than was known. A further correction may be due to readings at a wrong place,
+            # and must not erase the doubts that these readings have raised.
             self.drawers = self._new_drawers()
-            self.reset_monitors()
+            if not known.turns:
+                self.reset_monitors()
+            for monitor in self.monitors:
+                monitor.mount(self.slam.mounted, sensor)
         before, self._extraction = self._extraction, self.slam.last_extraction
         for number in range(len(self.monitors)):
             self._watch(number, is_busy=before is not self._extraction)

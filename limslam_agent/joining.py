@@ -263,12 +263,14 @@ class JoiningMapper(Mapper):
     def _found_by(self, apart: Sequence[Mapper]) -> tuple[AgentConfig, RangeSensor | None]:
         """The settings of a SLAM, and its sensor, by what the robots have found out about odometry and sensor alone.
 
-        The robots share one kind of sensor. If each of them has found another one, the mean of both is assumed.
+        The robots share one kind of sensor. If each of them has found another one, the mean of both is assumed. A team
+        does not know how the beams of single robots are turned. What was found with turned beams does not hold without.
         """
         is_calibrated = any(mapper.slam.odometry_calibration is not None for mapper in apart)
         specified = RangeSensor(self.config.range_std, cone=self.robot.cone)
-        others = [mapper.slam.sensor for mapper in apart if mapper.slam.sensor not in (None, specified)]
-        mean = RangeSensor(*np.mean([each.numbers for each in others if each], axis=0).tolist()) if others else None
+        found = [mapper.slam.range_sensor for mapper in apart]
+        others = [each.numbers for each in found if each != specified and not each.turns]
+        mean = RangeSensor(*np.mean(others, axis=0).tolist()) if others else None
         return self_calibrating(self.config) if is_calibrated else self.config, mean
 
     def _separate_mappers(self) -> list[Mapper]:

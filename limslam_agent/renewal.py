@@ -173,7 +173,7 @@ class Renewal:
         sensor = slam.range_sensor
         _, ranges, measured, _, _ = zip(*self._rows[1:], strict=True)
         steps = [_Seen(*each) for each in zip(poses, np.where(measured, ranges, np.nan), strict=True)]
-        rays = rays_of(steps, slam.mounted, sensor.bias)
+        rays = rays_of(steps, slam.robot, sensor)
         (fit,) = KnownPlaces(slam.segments, grid.view, sensor).weigh(np.zeros((1, 3)), rays)
         return fit.is_on_map
 

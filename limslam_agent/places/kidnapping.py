@@ -99,7 +99,7 @@ class Kidnapping:
     Attributes
     ----------
     robot, config
-        Body and beams, and settings.
+        Body and beams as specified, and settings.
     """
 
     robot: RobotSpec
@@ -176,7 +176,7 @@ class Kidnapping:
     def _weigh(self, step: int, change: Suspicion, steps: Sequence[LoggedStep], sensor: RangeSensor) -> _Weighed:
         """Weigh a change by the steps since then."""
         place = KnownPlaces(change.known.segments, change.known.grid, sensor)
-        rays = rays_of(steps, self.robot, sensor.bias)
+        rays = rays_of(steps, self.robot, sensor)
         return _Weighed(step, change, rays, place, place.weigh(np.zeros((1, 3)), rays)[0].evidence)
 
     def is_refuted(self, step: int, change: Suspicion, log: StepLog, sensor: RangeSensor) -> bool:
@@ -201,9 +201,7 @@ class Kidnapping:
     def _fitted(self, beam: int, found: _Weighed, log: StepLog, sensor: RangeSensor) -> bool:
         """Whether the readings of a beam fitted the map before a change."""
         others = np.arange(len(self.robot.beams)) != beam
-        rays = rays_of(
-            [_without(step, others) for step in log.steps[: found.step - log.begin]], self.robot, sensor.bias
-        )
+        rays = rays_of([_without(step, others) for step in log.steps[: found.step - log.begin]], self.robot, sensor)
         fit = found.place.weigh(np.zeros((1, 3)), rays)[0]
         return fit.evidence >= self.config.suspected and fit.contradictions <= _MISFITS * len(rays)
 

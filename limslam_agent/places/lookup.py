@@ -95,7 +95,7 @@ class Lookup:
         ``start`` is the start pose (3,) in the robot's own frame, and ``sensor`` the sensor that is known now.
         """
         self._sought, self._place.sensor = self._driven, sensor
-        rays, before = rays_of(self.steps, self._robot, sensor.bias), self._latest
+        rays, before = rays_of(self.steps, self._robot, sensor), self._latest
         likely = [] if before is None else [fit.pose for fit in before.open]
         decision = self._latest = localise(self._place, rays, self._config, likely)
         self._refused += not decision.is_accepted

@@ -7,6 +7,7 @@ from typing import Protocol
 import numpy as np
 
 from limslam_agent.kernels.tables import RAY_LENGTH, RAY_REACH, RAY_TO_X, RAY_X
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.sudden_changes import dropouts
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import transform_points
@@ -32,12 +33,14 @@ class Seen(Protocol):
         """Readings (n_beams,), m. They are NaN where there is no new reading."""
 
 
-def rays_of(steps: Sequence[Seen], robot: RobotSpec, bias: float = 0.0) -> FloatArray:
+def rays_of(steps: Sequence[Seen], robot: RobotSpec, sensor: RangeSensor | None = None) -> FloatArray:
     """The latest rays (n, 6) of steps, in the order of time: origin, direction, reading and longest reading, m.
 
     A beam that has seen nothing has its longest reading. A reading that says nothing, because it is not new, too short,
-    or perhaps missed by the sensor, has no ray. ``bias`` (m) is by what all ranges are too long.
+    or perhaps missed by the sensor, has no ray. ``robot`` has its beams as specified. ``sensor`` is known to turn beams
+    and to have a bias; None if it is as specified.
     """
+    robot, bias = (robot, 0.0) if sensor is None else (sensor.mounted(robot), sensor.bias)
     steps, used = steps[-_STEPS:], slice(None, None, math.ceil(len(robot.beams) / _BEAMS))
     poses = np.array([step.pose for step in steps])
     ranges = np.array([step.ranges[used] for step in steps])

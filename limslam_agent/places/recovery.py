@@ -57,7 +57,7 @@ class Recovery:
     Parameters
     ----------
     robot, config
-        Body and settings.
+        Body and beams as specified, and settings. The sensor that is passed with each call may turn the beams.
     places
         Settings of the search.
 
@@ -279,13 +279,13 @@ class Recovery:
         place = absence.renewed or absence.place
         if absence.is_unlikely and self._later_fit(absence, absence.place, sensor).is_on_map < -self._config.on_map:
             return True
-        rays = np.concatenate((absence.rays, rays_of(self.log.since(absence.first), self._robot, sensor.bias)))
+        rays = np.concatenate((absence.rays, rays_of(self.log.since(absence.first), self._robot, sensor)))
         (fit,) = place.weigh(np.zeros((1, 3)), rays)
         return fit.is_on_map < -self._config.on_map
 
     def _later_fit(self, absence: Absence, place: KnownPlaces, sensor: RangeSensor) -> PlaceFit:
         """How well the readings since the robot found its place fit the map in which it was."""
-        rays = rays_of(self.log.since(absence.returned), self._robot, sensor.bias)
+        rays = rays_of(self.log.since(absence.returned), self._robot, sensor)
         return place.weigh(np.zeros((1, 3)), rays)[0]
 
     def is_due(self) -> bool:
@@ -307,7 +307,7 @@ class Recovery:
         assert absence.place is not None  # noqa: S101 (it was lost from a frame)
         absence.sought = absence.moved
         absence.place.sensor = sensor
-        rays = rays_of(self.log.since(absence.first), self._robot, sensor.bias)
+        rays = rays_of(self.log.since(absence.first), self._robot, sensor)
         earlier = absence.decisions[-1:]
         likely = [np.zeros(3), *(fit.pose for found in earlier for fit in found.open)]
         # A robot that was not carried away has drifted, and is near. If its readings fit near the believed pose,
@@ -343,7 +343,7 @@ class Recovery:
             return None
         if absence.known is not None and absence.first <= absence.known.step + 1:
             return None  # the doubtful readings may be in that map already, and would fit there in any case
-        rays = rays_of(self.log.since(absence.first), self._robot, sensor.bias)
+        rays = rays_of(self.log.since(absence.first), self._robot, sensor)
         # Ground that the map does not have is unlikely beforehand, since nothing says that the robot was carried away.
         near = near_fit(absence.place, rays, absence.covariance)
         if not self._fits_near(near, rays, 0.0):
@@ -422,7 +422,7 @@ class Recovery:
             if fit.evidence * config.far < config.lead or fit.is_on_map < config.on_map:
                 return
         assert absence.rays is not None  # noqa: S101 (the robot has found its place)
-        rays = rays_of(self.log.since(absence.first), self._robot, slam.range_sensor.bias)
+        rays = rays_of(self.log.since(absence.first), self._robot, slam.range_sensor)
         rays = np.concatenate((absence.rays, rays))
         found = localise(KnownPlaces(slam.segments, grid, slam.range_sensor), rays, config, [np.zeros(3)])
         if found.is_accepted and found.likeness <= config.runner_up:
@@ -450,7 +450,8 @@ class Recovery:
         step = log.begin + len(placed)
         if absence.known is not None and log.begin == absence.known.step and not absence.is_dated:
             step = carried_at(
-                log, placed, self._robot, absence.place.segments, sensor, self._agent.status.contradictions
+                log, placed, sensor.mounted(self._robot), absence.place.segments, sensor,
+                self._agent.status.contradictions,
             )  # fmt: skip
         pose = placed[step - 1 - log.begin]
         before = next((copy for copy in self._local_copies if absence.gone and copy.step > log.begin), None)

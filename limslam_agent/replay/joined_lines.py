@@ -17,6 +17,7 @@ from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, smo
 from limslam_agent.status.smoothed_status import smoothed_status
 from limslam_agent.status.status import LEVELS, Status
 from limslam_env.geometry import FloatArray, se2
+from limslam_env.interface import RobotSpec
 
 _ROCKING = 0.01
 """Wheel travel to and fro of a robot that waits, m: wheels that stand still for minutes make the equations singular."""
@@ -83,7 +84,7 @@ def joined_by_lines(replays: tuple[Replay, Replay]) -> JoinedLines | NotJoined:
         return _not_joined("the logs could not be smoothed together", decision.record)
     poses = _own_steps(smoothed, replays)
     frame = se2.compose(poses[1][0], se2.inverse(replays[1].log.start_pose))
-    grid = grid_of(replays, poses)
+    grid = grid_of(replays, poses, smoothed.robot)
     counts = [len(each.log) for each in replays]
     filtered, found = (
         (_held(poses_of, counts)[1:], _held(sizes_of, counts)[1:])
@@ -199,12 +200,12 @@ def _own_steps(smoothed: SmoothedRun, replays: tuple[Replay, Replay]) -> tuple[F
     return one, other
 
 
-def grid_of(replays: Sequence[Replay], poses: Sequence[FloatArray]) -> GridView:
-    """The occupancy grid of the readings of several logs from poses (n, 3) of each."""
+def grid_of(replays: Sequence[Replay], poses: Sequence[FloatArray], robot: RobotSpec | None = None) -> GridView:
+    """The occupancy grid of the readings of several logs from poses (n, 3) of each, by their own or another robot."""
     grid = OccupancyGrid(replays[0].config.grid)
     for replay, path in zip(replays, poses, strict=True):
         log = replay.log
         rows = np.flatnonzero(log.has_scan)
         ranges = log.ranges[rows].astype(np.float64)
-        grid.draw(log.robot, path[rows, None], ranges[:, None], np.isfinite(ranges)[:, None])
+        grid.draw(robot or log.robot, path[rows, None], ranges[:, None], np.isfinite(ranges)[:, None])
     return grid.view

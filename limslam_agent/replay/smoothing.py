@@ -102,7 +102,9 @@ def smoothed_by_graph(replay: Replay, config: GraphConfig, report: Callable[[str
     graph = _graph(found, log)
     smoothed = Smoothed(found.poses, figures, _loops(found, log), seconds, graph=graph, basis=found, data=used)
     grid = draw_grid(replace(replay, log=log.within(used.max_range)), found.poses)
-    return replace(replay, landmarks=landmarks, segments=ends_of(landmarks), grid=grid, smoothed=smoothed)
+    segments = ends_of(landmarks)
+    # The graph takes the beams to be mounted as specified, whatever the filter has found.
+    return replace(replay, landmarks=landmarks, segments=segments, grid=grid, smoothed=smoothed, beam_turns=None)
 
 
 _Judged = tuple[GraphResult, list[Landmark], PathSignals, LogData]

@@ -90,20 +90,20 @@ class LateBeams:
 
     Parameters
     ----------
-    robot
-        Body and beams.
     contradictions
         Which walls a beam should end at.
 
     Attributes
     ----------
+    robot
+        Body, and beams as they are taken to be mounted.
     found
         The beam that is late; None if no beam is. It stays until twice as much evidence says that the beam is
         not late.
     """
 
     def __init__(self, robot: RobotSpec, contradictions: ContradictionConfig) -> None:
-        self._robot, self._walls = robot, contradictions
+        self.robot, self._walls = robot, contradictions
         longest = max(round(_LONGEST_DELAY / robot.control_period), 1)
         self._delays = np.unique(np.linspace(min(2, longest), longest, 10).round().astype(int))
         self._most = max(round(_WINDOW / robot.control_period), longest + 2)
@@ -120,7 +120,7 @@ class LateBeams:
 
         poses, increments, ranges, measured = (np.array(each) for each in zip(*looks, strict=True))
         known = self._steps
-        clipped = np.minimum(ranges, self._robot.max_ranges)
+        clipped = np.minimum(ranges, self.robot.max_ranges)
         variances = np.empty((len(poses), 2))
         variances[:] = covariance[0, 0] + covariance[1, 1], covariance[2, 2]
         joined = np.concatenate((known.poses, poses))
@@ -131,14 +131,14 @@ class LateBeams:
         self._steps = _Steps(
             joined[first:],
             np.concatenate((known.ranges, clipped))[first:],
-            np.concatenate((known.usable, measured & (clipped > self._robot.too_near)))[first:],
+            np.concatenate((known.usable, measured & (clipped > self.robot.too_near)))[first:],
             np.concatenate((known.variances, variances))[first:],
         )
         self._since += len(poses)
 
     def forget(self) -> None:
         """Forget the steps so far, after which a step is missing."""
-        self._steps = _Steps.none(len(self._robot.beams))
+        self._steps = _Steps.none(len(self.robot.beams))
 
     def search(self, segments: FloatArray, sensor: RangeSensor) -> None:
         """Look for a late beam by the walls (k, 4), m, of the map, and the sensor, as they are known now."""
@@ -152,7 +152,7 @@ class LateBeams:
             if gained < -_COUNTER_EVIDENCE * _EVIDENCE:
                 self.found = None
             return
-        count = len(self._robot.beams)
+        count = len(self.robot.beams)
         beams = np.unique((self._first_beam + np.arange(min(count, _MOST_BEAMS))) % count)
         self._first_beam = (self._first_beam + _MOST_BEAMS) % count
         seen = self._compared(segments, sensor, beams)
@@ -164,14 +164,14 @@ class LateBeams:
             self._lag, self._since = int(delays[row]), 0
             delay, std = self._delay(seen, int(column), self._lag)
             beam = int(beams[column])
-            self.found = LateBeam(beam, float(self._robot.beam_angles[beam]), delay, std)
+            self.found = LateBeam(beam, float(self.robot.beam_angles[beam]), delay, std)
 
     def _compared(self, segments: FloatArray, sensor: RangeSensor, beams: IntArray) -> "Predicted":
         """The last steps beside the map, for some beams."""
         from limslam_agent.kernels.crossings import WALL_COLUMNS, Predicted, compare_steps
 
         poses, ranges, usable, variances = self._steps
-        walls, table = self._walls, np.array(self._robot.beam_table[beams])
+        walls, table = self._walls, np.array(self.robot.beam_table[beams])
         ranges, usable = np.take(ranges, beams, axis=1), np.take(usable, beams, axis=1)
         rules = np.array([walls.inset, walls.least_cosine, *self._limits, _BEYOND_END])
         seen = Predicted.of(ranges, usable)
@@ -187,7 +187,7 @@ class LateBeams:
     def _delay(self, seen: "Predicted", column: int, lag: int) -> tuple[float, float]:
         """The delay of a beam and its standard deviation, s: by the derivative of the predicted range with time."""
         before, at, after = slice(0, -lag - 1), slice(1, -lag), slice(2, len(seen.ranges) - lag + 1)
-        period = self._robot.control_period
+        period = self.robot.control_period
         known, ranges = seen.known[:, column], seen.predicted[:, column]
         slope = (ranges[after] - ranges[before]) / (2.0 * period)
         residual = seen.ranges[lag + 1 :, column] - ranges[at]

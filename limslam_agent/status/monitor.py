@@ -79,7 +79,7 @@ class StatusMonitor:
     Parameters
     ----------
     robot
-        Body and beams.
+        Body, and beams as they are taken to be mounted.
     config
         When an estimate is unsure or lost.
     sensor
@@ -106,6 +106,11 @@ class StatusMonitor:
         self._doubted, self._contradicted = 0, 0
         self._sudden_changes = SuddenChanges(robot, config.contradictions)
         self.status = Status()
+
+    def mount(self, robot: RobotSpec, sensor: RangeSensor) -> None:
+        """The beams are known to be mounted otherwise, as those of this robot. All doubts remain."""
+        self._robot = self._late_beams.robot = self._sudden_changes.robot = robot
+        self.sensor = sensor
 
     def observe(self, sight: Sight, *, is_busy: bool) -> bool:
         """Note the motion and the readings of one step.

@@ -121,13 +121,13 @@ class SuddenChanges:
 
     Parameters
     ----------
-    robot
-        Body and beams.
     contradictions
         Which walls a beam should end at.
 
     Attributes
     ----------
+    robot
+        Body, and beams as they are taken to be mounted.
     suspicions
         The suspicions that the map has not refuted so far.
     latest
@@ -137,7 +137,7 @@ class SuddenChanges:
     """
 
     def __init__(self, robot: RobotSpec, contradictions: ContradictionConfig) -> None:
-        self._robot, self._walls = robot, contradictions
+        self.robot, self._walls = robot, contradictions
         self._sights: list[tuple[int, Sight]] = []
         self.weighed, self._was_found = -1, False
         # The map at the latest calls. A wrong pose soon changes it.
@@ -210,7 +210,7 @@ class SuddenChanges:
 
     def _evidence(self, sights: list[Sight], moment: Moment) -> tuple[FloatArray, BoolArray]:
         """The evidence of each beam in the steps but the first two and the last few, and the readings that count."""
-        robot = self._robot
+        robot = self.robot
         ranges, measured = np.array([each.ranges for each in sights]), np.array([each.measured for each in sights])
         measured &= ~moment.ignored & ~dropouts(ranges >= robot.too_far)
         last = 1 - LASTING
@@ -222,7 +222,7 @@ class SuddenChanges:
     def _suspect(self, step: int, sight: Sight, usable: BoolArray, evidence: FloatArray, moment: Moment) -> None:
         """Begin a suspicion, unless the map explains how the readings changed."""
         earlier = [known for number, known in self._known if number <= step]
-        known, robot = earlier[-1] if earlier else self._known[0][1], self._robot
+        known, robot = earlier[-1] if earlier else self._known[0][1], self.robot
         outcome, expected = compared(robot, sight, usable, known, moment.covariance, moment.sensor, self._walls)
         change = float(np.minimum(evidence, self._unexplained(sight, outcome, expected)).sum())
         if change <= _BEGIN:
@@ -238,7 +238,7 @@ class SuddenChanges:
         """The evidence (n_beams,) that the map alone would give for each reading, at least 0."""
         evidence = np.full(len(sight.ranges), np.inf)
         beams = np.flatnonzero(outcome.expected)
-        stds, limits = expected.stds[0, beams], self._robot.max_ranges[beams]
+        stds, limits = expected.stds[0, beams], self.robot.max_ranges[beams]
         off = (np.minimum(sight.ranges[beams], limits) - expected.ranges[0, beams]) / stds
         evidence[beams] = np.maximum(0.5 * off**2 - _sharpness(stds, limits), 0.0)
         return evidence
@@ -246,7 +246,7 @@ class SuddenChanges:
     def _weigh(self, suspicion: Suspicion, sight: Sight, moment: Moment) -> None:
         """Compare readings with the map of a suspicion."""
         known, cov, sensor = suspicion.known, moment.covariance, moment.sensor
-        outcome, expected = compared(self._robot, sight, moment.usable, known, cov, sensor, self._walls)
+        outcome, expected = compared(self.robot, sight, moment.usable, known, cov, sensor, self._walls)
         self._count(suspicion, sight, outcome, expected)
 
     def _count(self, suspicion: Suspicion, sight: Sight, outcome: Comparison, expected: ExpectedRanges) -> None:
@@ -258,14 +258,14 @@ class SuddenChanges:
             wall = int(expected.walls[0, beam])
             if wall not in suspicion.walls:
                 suspicion.walls.add(wall)
-                sharp = float(_sharpness(expected.stds[0, beam], self._robot.max_ranges[beam]))
+                sharp = float(_sharpness(expected.stds[0, beam], self.robot.max_ranges[beam]))
                 suspicion.evidence -= _FIT * min(max(sharp, 0.0), _SHARP) / _SHARP
 
     def _count_contradiction(
         self, suspicion: Suspicion, sight: Sight, beam: int, outcome: Comparison, expected: ExpectedRanges
     ) -> None:
         """Count a beam that contradicts the map, unless the map was contradicted there before."""
-        robot = self._robot
+        robot = self.robot
         reach = float(sight.ranges[beam] if outcome.in_free[beam] else expected.ranges[0, beam])
         end = robot.beam_origins[beam] + min(reach, robot.max_ranges[beam]) * robot.beam_directions[beam]
         row, column = self._cells(transform_points(sight.pose, end[None]))[0]

@@ -100,12 +100,11 @@ class AssumedSensor:
         sensor, count = self.sensor, len(errors.stds) - 2
         if not count:
             return None
-        evidence, gate = (
-            (errors.turn_gain, self._config.further_gate + count)
-            if sensor.turns
-            else (errors.turn_evidence, self._config.gate)
-        )
-        turns = errors.estimate_of(TURNS)[0]
+        turns, evidence, gate = errors.estimate_of(TURNS)[0], errors.turn_evidence, self._config.gate
+        if sensor.turns:
+            # The gain is that beside a prior about the assumed directions. The prior of all turns is about zero.
+            gain, gate = errors.turn_gain, self._config.further_gate + count
+            evidence = gain - 2.0 * float(turns @ np.array(sensor.turns)) / self._config.turn_std**2
         if evidence < gate or np.abs(turns).max() < LEAST_TURN:
             return None
         return sensor._replace(turns=tuple((turns + (sensor.turns or np.zeros(count))).tolist()))

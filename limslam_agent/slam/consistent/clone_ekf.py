@@ -399,7 +399,7 @@ class CloneEKF(LineEKF):
         """Correct the state for the errors (k,) of ``RangeErrors``, and begin anew to estimate further ones."""
         if self._range_errors is not None:
             change = self._range_errors.by_errors[:, : len(errors)] @ errors
-            self._range_errors = RangeErrors(len(self.x), self._range_errors.stds)
+            self._range_errors = self._range_errors.corrected(errors)
             self._correct(change)
 
     @property

@@ -187,10 +187,9 @@ class ConsistentEstimator(Estimator):
     def pending_points(self, fronts: Sequence[FrontEnd]) -> list[PendingPoints]:
         """End points of the pending readings, by robot and side."""
         del fronts
+        batch = self._settings.pending.batch
         return [
-            PendingPoints(
-                number, side, self._points(pending.readings(side)), self._settings.pending.batch, pending.fresh[side]
-            )
+            PendingPoints(number, side, self._points(self._readings(pending, side)), batch, pending.fresh[side])
             for number, pending in enumerate(self._pending)
             for side in SIDES
         ]

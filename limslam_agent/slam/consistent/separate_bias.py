@@ -183,6 +183,15 @@ class RangeErrors(SeparateBias):
     def __init__(self, size: int, stds: tuple[float, ...]) -> None:
         super().__init__(size, np.diag(np.square(stds)))
         self.stds = stds
+        # Information and score from before the state was corrected, for what is reported.
+        self._earlier = np.zeros_like(self._information), np.zeros_like(self._score)
+
+    def corrected(self, errors: FloatArray) -> "RangeErrors":
+        """The further errors after the state was corrected for the first of the errors (m,), which begin anew."""
+        further, (information, score) = RangeErrors(len(self._by_errors), self.stds), self._earlier
+        information = information + self._information
+        further._earlier = information, score + self._score - information[:, : len(errors)] @ errors
+        return further
 
     @property
     def evidence(self) -> FloatArray:
@@ -197,9 +206,13 @@ class RangeErrors(SeparateBias):
 
     @property
     def turns(self) -> FloatArray:
-        """By what each beam is turned, and its standard deviation (n_beams, 2), rad; empty if that is not estimated."""
-        turns, covariance = self.estimate_of(TURNS)
-        return np.column_stack((turns, np.sqrt(covariance.diagonal())))
+        """By what each beam is turned, and its standard deviation (n_beams, 2), rad; empty if that is not estimated.
+
+        It is known by all readings, also by those from before a correction, and other errors are unknown beside it.
+        """
+        information, score = self._earlier[0] + self._information, self._earlier[1] + self._score
+        covariance = self._prior @ np.linalg.inv(np.eye(len(score)) + information @ self._prior)
+        return np.column_stack((covariance @ score, np.sqrt(covariance.diagonal())))[TURNS]
 
     @property
     def turn_gain(self) -> float:

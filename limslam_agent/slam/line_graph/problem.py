@@ -231,10 +231,9 @@ def make_problem(
     readings = _listed(looked & (ranges < robot.too_far), ranges)
     looks = _listed(looked, np.minimum(ranges, robot.max_ranges))
     sensor = sensor or RangeSensor(noise.range_std, cone=robot.cone)
-    robot = sensor.mounted(robot)
     contact_std = max(noise.range_std, LEAST_RANGE_STD)
     return Problem(
-        robot, np.asarray(starts, dtype=float), motions, stds, readings, looks,
+        sensor.mounted(robot), np.asarray(starts, dtype=float), motions, stds, readings, looks,
         range_std=max(sensor.usual_std(float(robot.max_ranges.max())), LEAST_RANGE_STD),
         prior=None if prior is None else prior.information, beam_width=sensor.cone,
         growth=sensor.growth / sensor.std if sensor.growth else 0.0, bias=sensor.bias,

@@ -86,7 +86,8 @@ def _with_turns(problem: Problem, found: Association, config: SmootherConfig) ->
     """The problem with the directions of the beams, and twice the logarithm of the Bayes factor for turned beams.
 
     It is the same problem if the readings do not require other directions than those that are assumed. The Bayes factor
-    is the ratio of the prior and the posterior density of beams that are not turned (Savage-Dickey).
+    is the ratio of the prior and the posterior density of beams that are not turned (Savage-Dickey). For beams that are
+    known to be turned, it is by how much chi-square falls.
     """
     count, known = len(problem.robot.beams), problem.turns
     if len(problem.starts) > 1 or count > MOST_TURNED:
@@ -95,9 +96,10 @@ def _with_turns(problem: Problem, found: Association, config: SmootherConfig) ->
         turns, covariance = beam_turns(problem, found, config)
     except DegenerateError:
         return problem, 0.0
-    evidence = float(turns @ np.linalg.solve(covariance, turns)) + float(np.linalg.slogdet(covariance)[1])
-    evidence -= 2.0 * count * math.log(config.sensor.turn_std)
     change = turns if known is None else turns - known
+    evidence = float(change @ np.linalg.solve(covariance, change))
+    if known is None:
+        evidence += float(np.linalg.slogdet(covariance)[1]) - 2.0 * count * math.log(config.sensor.turn_std)
     if (known is None and evidence < config.sensor.turn_gate) or np.abs(change).max() < _LEAST_TURN:
         return problem, evidence
     turned = RangeSensor(0.0, turns=tuple(change.tolist())).mounted(problem.robot)

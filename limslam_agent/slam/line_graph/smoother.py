@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Iterable
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -301,12 +302,15 @@ def _smoothed(best: Settled, config: SmootherConfig) -> SmoothedRun:
 
 
 def _turns(best: Settled, config: SmootherConfig) -> FloatArray | None:
-    """The turns of the beams and their standard deviations (n_beams, 2), rad; None if no beam is turned."""
+    """The turns of the beams and their standard deviations (n_beams, 2), rad; None if no beam is turned.
+
+    The turns of several robots are not estimated. Those that are known of their sensors have the prior's uncertainty.
+    """
     problem = best.problem
     if problem.turns is None:
         return None
-    try:
-        _, covariance = beam_turns(problem, best.association, config)
-    except DegenerateError:
-        return np.column_stack((problem.turns, np.full(len(problem.turns), config.sensor.turn_std)))
-    return np.column_stack((problem.turns, np.sqrt(covariance.diagonal())))
+    stds = np.full(len(problem.turns), config.sensor.turn_std)
+    if len(problem.starts) == 1:
+        with suppress(DegenerateError):
+            stds = np.sqrt(beam_turns(problem, best.association, config)[1].diagonal())
+    return np.column_stack((problem.turns, stds))

@@ -41,7 +41,7 @@ def test_a_drive_is_placed_however_its_frame_is_turned(whole, frame):
 def test_a_drive_with_wide_and_biased_beams_is_placed_by_the_sensor_that_was_found():
     wide = RangeSensor(STD, cone=0.2, bias=0.08)
     place = known([[1.0, 0.7], [5.4, 0.6], [5.4, 1.8], [3.4, 1.8], [1.5, 1.6], [1.7, 4.2], [1.0, 1.0]], HALL)
-    rays = rays_of(drive(PART, HALL, sensor=wide), ROBOT, wide.bias)
+    rays = rays_of(drive(PART, HALL, sensor=wide), ROBOT, wide)
     (as_stated,) = place.weigh(np.zeros((1, 3)), rays)
     place.sensor = wide
     (as_found,) = place.weigh(np.zeros((1, 3)), rays)

@@ -12,11 +12,13 @@ from support.drives import ROBOT, along, drive, ranges_at, room
 
 from limslam_agent.config.consistent import ConsistentConfig, RangeErrorConfig
 from limslam_agent.config.presets import AgentConfig, preset
-from limslam_agent.mapper import Mapper
+from limslam_agent.mapper import MOST_RESTARTS, Mapper
 from limslam_agent.output.summary import record_summary, turn_records
+from limslam_agent.places.rays import rays_of
 from limslam_agent.slam.consistent.beam_model import Readings, by_range_errors, expected_ranges
 from limslam_agent.slam.consistent.range_noise import RangeNoise
 from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import NominalNoise, Observation, RobotSpec
@@ -210,6 +212,42 @@ def test_later_turns_correct_the_state_and_reach_monitors_and_grid() -> None:
     mapper._present.process((observations[200],), 0)
     assert mapper._present.monitors[0] is not monitor
     assert mapper._present.drawers[0] is not drawer
+
+
+def test_further_turns_reach_all_parts_of_the_mapper_and_keep_its_doubts() -> None:
+    observations, _ = observed(0.0, 0)
+    mapper, _, _ = mapped(observations[:200], config_of())
+    mapper._restarts = MOST_RESTARTS
+    further = 0.0, 0.0, 0.05, 0.0, 0.0, 0.0
+    for step, turns in enumerate(((0.05, *further[1:]), further), start=200):
+        mapper.slam.assume(RangeSensor(NOISE, turns=turns))
+        monitor = mapper._present.monitors[0]
+        mapper.step(observations[step])
+    assert mapper._present.monitors[0] is monitor
+    mounted, sensor, recovery = mapper.slam.mounted, mapper.slam.range_sensor, mapper._recovery
+    assert mounted.beam_angles == pytest.approx(ROBOT.beam_angles + further)
+    assert monitor.sensor == sensor
+    assert monitor._robot == monitor._late_beams.robot == monitor._sudden_changes.robot == mounted
+    assert recovery is not None
+    for robot in (recovery._robot, recovery._kidnapping.robot):
+        np.testing.assert_array_equal(
+            rays_of(recovery.log.steps, robot, sensor), rays_of(recovery.log.steps, mounted, RangeSensor(NOISE))
+        )
+
+
+def test_a_correction_keeps_what_is_reported_of_the_turns() -> None:
+    turns = tuple(np.radians([3.0, -4.0, 3.0, -3.0, 4.0, -3.0]).tolist())
+    observations, _ = observed(0.0, 3, turns=turns)
+    slam = LineSlam(ROBOT, config_of(), sensor=RangeSensor(NOISE, turns=turns))
+    for seen in observations[:200]:
+        slam.step(seen)
+    before, sensor = slam.beam_turns, slam.range_sensor
+    assert before is not None
+    assert before[:, 1].min() < math.radians(0.5)
+    slam.assume(sensor._replace(std=1.2 * sensor.std))
+    assert slam.beam_turns == pytest.approx(before)
+    slam.assume(sensor._replace(turns=(sensor.turns[0] + 0.01, *sensor.turns[1:])))
+    assert slam.beam_turns == pytest.approx(before, abs=1e-3)  # the prior is about the assumed turns
 
 
 def test_each_beam_keeps_its_side_when_it_is_turned() -> None:

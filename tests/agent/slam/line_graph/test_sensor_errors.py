@@ -8,12 +8,13 @@ from support.smoother_runs import ROUND, WHEEL_VARIANCE, noisy_run, position_err
 
 from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.kernels.range_sensor import read_share
+from limslam_agent.replay.joined_lines import joined_run
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph.problem import by_turns, rows_of, state_from_poses
 from limslam_agent.slam.line_graph.reassociation import solve_labels
 from limslam_agent.slam.line_graph.sensor_errors import beam_turns, fitted_sensor, residual_std
-from limslam_agent.slam.line_graph.smoother import FilteredRun, settle
+from limslam_agent.slam.line_graph.smoother import FilteredRun, settle, smooth_run
 from limslam_env.interface import NominalNoise
 
 CONFIG = SmootherConfig()
@@ -173,6 +174,15 @@ def test_the_sensor_that_the_filter_found_is_taken_over():
     assert found.problem.beam_width == pytest.approx(FOUND.cone, abs=0.012)
     assert found.association.state.calibration[0, 3] == pytest.approx(FOUND.bias, abs=0.01)
     assert position_error(found.association.state, poses) < 0.02
+
+
+def test_two_runs_with_known_turns_are_smoothed_as_one():
+    """The turns are not estimated again: their uncertainty is that of the prior."""
+    problem, poses = noisy_run(6, 0.02)
+    run = run_of(problem, poses, RangeSensor(0.02, turns=(0.01,) * 6))
+    smoothed = smooth_run(joined_run([run, run], np.zeros(3)), CONFIG)
+    assert smoothed.turns == pytest.approx(np.tile((0.01, CONFIG.sensor.turn_std), (6, 1)))
+    assert smoothed.robot.beam_angles == pytest.approx(problem.robot.beam_angles + 0.01)
 
 
 def test_a_sensor_as_specified_changes_no_bit():
