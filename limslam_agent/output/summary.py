@@ -115,12 +115,13 @@ def _turned_beams(turns: Any, beams: Any) -> list[str]:
     """Which of a robot's beams are turned against its settings by more than chance, as :func:`turn_records` has it."""
     known = zip(beams, turns, strict=False) if isinstance(turns, list) and isinstance(beams, list | tuple) else ()
     sure = [
-        f"the beam at {math.degrees(beam['angle']):.4g} deg by {turn['deg']:+.1f} +- {turn['std_deg']:.1f} deg"
+        f"the beam at {math.degrees(beam['angle']):.4g} deg by {abs(turn['deg']):.1f} +- {turn['std_deg']:.1f} deg"
+        f" to the {'left' if turn['deg'] > 0.0 else 'right'}"
         for beam, turn in known
         if isinstance(beam, dict) and _has(beam, "angle") and isinstance(turn, dict)
         if _has(turn, "deg", "std_deg") and abs(turn["deg"]) > 3.0 * turn["std_deg"]
     ]
-    return [f"turned      {', '.join(sure)} to the left, against the robot's settings"] if sure else []
+    return [f"turned      {', '.join(sure)}, against the robot's settings"] if sure else []
 
 
 def _pose(record: Mapping[str, Any]) -> list[float] | None:

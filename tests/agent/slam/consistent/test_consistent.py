@@ -569,7 +569,6 @@ def test_other_robots_map_a_room_in_bounded_time(robot: RobotSpec, milliseconds:
     check_covariance(slam)
 
 
-@pytest.mark.xfail(reason="a few beams on the neighbouring wall tilt a short new landmark, and it stays", strict=False)
 @pytest.mark.parametrize("robot", [ring(36), ring(360)])
 def test_dense_scanners_map_no_wall_twice(robot: RobotSpec) -> None:
     observations, _ = drive(ROOM, np.zeros(3), along(LOOP[:4], robot=robot), robot, noise=0.02)

@@ -198,7 +198,7 @@ def test_turned_beams_are_found_and_named() -> None:
     np.testing.assert_allclose(found[1:5, 0], turns[1:5], atol=math.radians(1.2))
     result = {"record": {"beam_turns": turn_records(found)}, "config": {"robot": asdict(ROBOT)}}
     line = record_summary(result)[-1]
-    assert re.search(r"^turned .*the beam at 45 deg by -[345]\.\d \+- 0\.\d deg.*, against the robot's settings$", line)
+    assert re.search(r"^turned .*the beam at 45 deg by [345]\.\d \+- 0\.\d deg to the right, ", line)
     assert "turned" not in "".join(record_summary({**result, "metrics": {"status": "lost"}}))
     assert mapper.slam.mounted.beam_angles == pytest.approx(ROBOT.beam_angles + found[:, 0], abs=math.radians(1.0))
 
