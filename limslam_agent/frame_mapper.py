@@ -83,10 +83,11 @@ class FrameMapper:
             # The beams point elsewhere than was known. A further correction may be due to readings at a wrong place,
             # and must not erase the doubts that these readings have raised.
             self.drawers = self._new_drawers()
-            if not known.turns:
+            if known.turns:
+                for monitor in self.monitors:
+                    monitor.mount(self.slam.mounted, sensor)
+            else:
                 self.reset_monitors()
-            for monitor in self.monitors:
-                monitor.mount(self.slam.mounted, sensor)
         before, self._extraction = self._extraction, self.slam.last_extraction
         for number in range(len(self.monitors)):
             self._watch(number, is_busy=before is not self._extraction)

@@ -14,7 +14,7 @@ from limslam_agent.output.run_folder import RESULT_FILE
 from limslam_agent.output.tum import TrajectoryError, read_tum
 from limslam_agent.safe_files import load_arrays, read_limited
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
+from limslam_env.geometry.se2 import driven, wrap_angle
 from limslam_env.messages import counted, one_line
 
 MAP, LOG, PICTURE, WORLD = "map.json", "log.npz", "map.png", "world.toml"
@@ -279,13 +279,4 @@ def _odometry_from_wheels(path: Path, result: dict[str, Any], poses: list[FloatA
     wheels = wheels[:, None] if wheels.ndim == 2 else wheels
     if wheels.shape != (len(poses[0]), len(poses), 2) or not np.isfinite(wheels).all():
         raise FolderError(f"{path}: its wheel travel does not fit the trajectories")
-    return [_driven(wheels[:, number], float(axle), start[0]) for number, start in enumerate(poses)]
-
-
-def _driven(wheels: FloatArray, axle: float, start: FloatArray) -> FloatArray:
-    poses = np.empty((len(wheels), 3))
-    pose = start
-    for number, travel in enumerate(wheels):
-        pose = compose(pose, arc(*wheels_to_arc(travel, axle)))
-        poses[number] = pose
-    return poses
+    return [driven(wheels[:, number], float(axle), start[0]) for number, start in enumerate(poses)]

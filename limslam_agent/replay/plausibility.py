@@ -136,11 +136,9 @@ def _about_odometry(log: RecordedLog) -> list[str]:
 
 
 def _path(wheels: FloatArray, axle: float) -> FloatArray:
-    """The poses (n, 3) by wheel travel (n, 2), m, alone."""
-    poses = [np.zeros(3)]
-    for travel in wheels[1:].astype(np.float64):
-        poses.append(se2.compose(poses[-1], se2.arc(*se2.wheels_to_arc(travel, axle))))
-    return np.array(poses)
+    """The poses (n, 3) by wheel travel (n, 2), m, alone. What was travelled before the first row says nothing."""
+    start = np.zeros(3)
+    return np.vstack((start, se2.driven(wheels[1:], axle, start)))
 
 
 def _misread(log: RecordedLog, odometry: FloatArray, *, by_wheels: bool = False) -> list[str]:

@@ -149,6 +149,15 @@ def wheels_to_arc(wheels: FloatArray, axle: float) -> tuple[float, float]:
     return 0.5 * (left + right), (right - left) / axle
 
 
+def driven(wheels: FloatArray, axle: float, start: FloatArray) -> FloatArray:
+    """Poses (n, 3) after each row of wheel travel (n, 2), m, that begins at a pose (3,): dead reckoning."""
+    poses, (x, y, heading) = np.empty((len(wheels), 3)), start.tolist()
+    for number, (left, right) in enumerate(wheels.tolist()):
+        x, y, heading = arc_end(x, y, heading, left, right, axle)
+        poses[number] = x, y, heading
+    return poses
+
+
 def _sinc(angle: float) -> float:
     return math.sin(angle) / angle if abs(angle) > 1e-6 else 1.0 - angle * angle / 6.0
 

@@ -97,7 +97,7 @@ class AssumedSensor:
         known to be turned are corrected whenever that explains the readings better than chance would: the first
         estimate, from few metres, is some tenths of a degree off.
         """
-        sensor, count = self.sensor, len(errors.stds) - 2
+        sensor, count = self.sensor, len(errors.stds[TURNS])
         if not count:
             return None
         turns, evidence, gate = errors.estimate_of(TURNS)[0], errors.turn_evidence, self._config.gate

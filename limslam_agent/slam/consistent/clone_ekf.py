@@ -15,7 +15,7 @@ from scipy.linalg.blas import dgemm
 
 from limslam_agent.slam.consistent.beam_model import Readings, by_range_errors, expected_of
 from limslam_agent.slam.consistent.clone_slots import CloneSlots
-from limslam_agent.slam.consistent.separate_bias import OdometryErrors, RangeErrors, SeparateBias
+from limslam_agent.slam.consistent.separate_bias import TURNS, OdometryErrors, RangeErrors, SeparateBias
 from limslam_agent.slam.consistent.spare_memory import SpareMemory
 from limslam_agent.slam.core.carried_anchors import KNOWN_PLACE, by_carried_anchor
 from limslam_agent.slam.core.ekf import POSE, LineEKF
@@ -75,7 +75,7 @@ class CloneEKF(LineEKF):
         super().__init__(pose)
         self._bias = None if calibration is None else OdometryErrors(self._poses_end, calibration)
         self._range_errors = None if range_errors is None else RangeErrors(self._poses_end, range_errors)
-        self._beams = max(len(range_errors or ()) - 2, 0)
+        self._beams = len((range_errors or ())[TURNS])
         self._anchors = np.zeros((0, 2))
         self._memory = SpareMemory()
         self._clones = CloneSlots()

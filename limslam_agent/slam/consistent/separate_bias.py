@@ -44,9 +44,7 @@ class SeparateBias:
 
     def estimate_of(self, part: slice) -> tuple[FloatArray, FloatArray]:
         """Some of the errors (m,) and their covariance (m, m), if the others are zero."""
-        prior, information = self._prior[part, part], self._information[part, part]
-        covariance = prior @ np.linalg.inv(np.eye(len(prior)) + information @ prior)
-        return covariance @ self._score[part], 0.5 * (covariance + covariance.T)
+        return _estimated(self._prior[part, part], self._information[part, part], self._score[part])
 
     def predict(self, moved: slice, by_pose: FloatArray) -> None:
         """A pose has moved: the derivative (3, 3) of the new pose by the old one."""
@@ -211,8 +209,8 @@ class RangeErrors(SeparateBias):
         It is known by all readings, also by those from before a correction, and other errors are unknown beside it.
         """
         information, score = self._earlier[0] + self._information, self._earlier[1] + self._score
-        covariance = self._prior @ np.linalg.inv(np.eye(len(score)) + information @ self._prior)
-        return np.column_stack((covariance @ score, np.sqrt(covariance.diagonal())))[TURNS]
+        errors, covariance = _estimated(self._prior, information, score)
+        return np.column_stack((errors, np.sqrt(covariance.diagonal())))[TURNS]
 
     @property
     def turn_gain(self) -> float:
@@ -228,3 +226,9 @@ class RangeErrors(SeparateBias):
         angle against these alone.
         """
         return min(self.evidence_of(TURNS), self.evidence_of(slice(None)) - self.evidence_of(COMMON))
+
+
+def _estimated(prior: FloatArray, information: FloatArray, score: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Errors (k,) and their covariance (k, k), from the prior covariance, information and score."""
+    covariance = prior @ np.linalg.inv(np.eye(len(prior)) + information @ prior)
+    return covariance @ score, 0.5 * (covariance + covariance.T)

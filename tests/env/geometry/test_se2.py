@@ -15,6 +15,7 @@ from limslam_env.geometry.se2 import (
     between,
     compose,
     compose_jacobians,
+    driven,
     inverse,
     transform_points,
     wheels_to_arc,
@@ -129,6 +130,15 @@ def test_compose_jacobians_match_central_differences(first, second):
 def test_arc_jacobian_matches_central_differences(distance, turn):
     numeric = central_difference(lambda motion: arc(*motion), np.array([distance, turn]))
     np.testing.assert_allclose(arc_jacobian(distance, turn), numeric, atol=1e-9)
+
+
+def test_dead_reckoning_composes_the_arcs_of_its_rows():
+    wheels, start = np.float32([[0.1, 0.2], [0.3, 0.3], [-0.2, 0.4], [0.5, -0.5]]), np.array([1.0, -2.0, 3.0])
+    pose, expected = start, []
+    for travel in wheels:
+        pose = compose(pose, arc(*wheels_to_arc(travel, 0.16)))
+        expected.append(pose)
+    np.testing.assert_allclose(driven(wheels, 0.16, start), expected, atol=1e-12)
 
 
 @given(st.floats(-2.0, 2.0), st.one_of(st.floats(-12.0, 12.0), st.sampled_from(SWITCHES)))
