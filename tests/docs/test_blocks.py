@@ -1,5 +1,6 @@
 """Every fenced block of the documentation works: Python runs, commands run or parse, data is read by its reader."""
 
+import math
 import re
 import runpy
 import tomllib
@@ -18,6 +19,7 @@ from limslam_agent.config.shared import OdometryConfig
 from limslam_agent.live.emulator.__main__ import app as emulator_app
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.table_options import TableOptions
+from limslam_agent.output.summary import record_summary
 from limslam_agent.replay.options import CalibrationRun
 from limslam_env.interface import RobotSpec, beams_on_rim
 from limslam_env.worlds.formats.loading import load_world
@@ -29,6 +31,7 @@ DIAGRAMS = {
     "simulator    geometry, interface <-": "which package may import which; test_architecture has the rules themselves",
     "# t1   t2": "relations of a tape; a test below reads them",
     "H,1,": "lines of the live protocol; tests/agent/live/test_protocol.py reads them",
+    "turned   ": "a line of the summary; a test below prints it",
 }
 # Python blocks that are compiled, but not run, by the words that they begin with.
 NOT_RUN = {
@@ -261,6 +264,13 @@ def test_a_table_is_read_as_a_log(block, tmp_path):
     rim = beams_on_rim((90.0, 54.0, 18.0, -18.0, -54.0, -90.0), 0.06)
     options = TableOptions(RobotSpec(beams=rim)) if "left" in block.text else None
     assert len(read_log(tmp_path / "log.csv", table=options)) == len(block.text.strip().splitlines()) - 1
+
+
+def test_a_turned_beam_is_printed_as_the_page_shows():
+    (block,) = (block for block in blocks(ROOT / "docs" / "logs.md") if block.text.startswith("turned   "))
+    beams, turns = [{"angle": math.radians(58.0)}], [{"deg": -4.2, "std_deg": 0.1}]
+    summary = record_summary({"record": {"beam_turns": turns}, "config": {"robot": {"beams": beams}}})
+    assert summary[-1] == block.text.strip()
 
 
 def test_the_tape_of_the_page_gives_the_numbers_of_the_page(tmp_path):
