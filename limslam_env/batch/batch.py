@@ -21,8 +21,9 @@ from limslam_env.kernels.coverage import BODY_MARGIN, RAY_MARGIN
 from limslam_env.kernels.random_numbers import Words, derive_keys
 from limslam_env.kernels.tables import LONGEST_RANGE, NUM_NOISES, OFFSET
 from limslam_env.kernels.tiles import LONGEST_LOOK
-from limslam_env.simulation.coverage import CELL
+from limslam_env.simulation.coverage import CELL, CoverageGrid
 from limslam_env.simulation.sensors import beam_table
+from limslam_env.worlds.world import World
 
 __all__ = ["BatchSimulation", "Results"]
 
@@ -146,6 +147,16 @@ class BatchSimulation:
         """Which coverable cells of an environment's grid (rows, columns) have been seen."""
         slot, sites = int(self._places.world_of[env]), self._places.sites
         return sites.to_cells(slot, sites.tiles[slot] & ~self._episodes.unseen[env])
+
+    def world(self, env: int) -> World:
+        """The world that an environment has in its episode."""
+        keys = derive_keys(self._homes[[env]], self._numbers[[env]], _PLACES)
+        return self._places.world(env, keys)
+
+    def coverage_grid(self, env: int) -> CoverageGrid:
+        """The cells that count for the coverage of an environment."""
+        slot, sites = int(self._places.world_of[env]), self._places.sites
+        return CoverageGrid(sites.areas[slot, :2], sites.to_cells(slot, sites.tiles[slot]))
 
     def close(self) -> None:
         """End the threads. May be called again; a later step starts new ones."""

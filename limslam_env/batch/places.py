@@ -100,9 +100,7 @@ class Places:
         if self._config is not None and not self._seeds:
             return self._begin_drawn(self._config, envs, keys, start)
         poses = np.zeros((len(envs), self.num_robots, 3))
-        slots = self._home[envs]
-        if self._seeds:
-            slots = ((keys >> np.uint64(11)) % np.uint64(len(self._seeds))).astype(np.int64)
+        slots = self._slots(envs, keys)
         moves: list[_Move] = []
         for slot, rows in _groups(slots):
             if start is None:
@@ -115,6 +113,21 @@ class Places:
         self.world_of[envs] = slots
         return poses
 
+    def world(self, env: int, key: Words) -> World:
+        """The world that :meth:`begin` gave an environment by a key (1,). Floor plans are drawn again."""
+        if self._config is not None and not self._seeds:
+            return self._plan(self._config, int(key[0]))
+        return self._world(int(self._slots(np.array([env]), key)[0]))
+
+    def _slots(self, envs: IntArray, keys: Words) -> IntArray:
+        """The slots (k,) of the worlds that environments (k,) get by keys (k,)."""
+        if self._seeds:
+            return ((keys >> np.uint64(11)) % np.uint64(len(self._seeds))).astype(np.int64)
+        return self._home[envs]
+
+    def _plan(self, config: FloorPlanConfig, seed: int) -> World:
+        return floor_plan(config, np.random.default_rng(seed), self._robot.radius)
+
     def _made_beforehand(self, config: FloorPlanConfig) -> Iterator[Site]:
         """The floor plans of all seeds, from the disk as far as they are there."""
         cache = PlanCache(config, self._robot, cache_folder())
@@ -124,7 +137,7 @@ class Places:
             site = cache.read(seed)
             if site is None:
                 missing.append(seed)
-                site = prepare_plan(floor_plan(config, np.random.default_rng(seed), self._robot.radius), self._robot)
+                site = prepare_plan(self._plan(config, seed), self._robot)
                 cache.write(seed, site)
             return site
 
@@ -142,7 +155,7 @@ class Places:
         """The world of a slot. Floor plans are drawn again, because thousands of them would be much memory."""
         if self._config is None:
             return self._worlds[slot]
-        return floor_plan(self._config, np.random.default_rng(self._seeds[slot]), self._robot.radius)
+        return self._plan(self._config, self._seeds[slot])
 
     def _begin_drawn(
         self, config: FloorPlanConfig, envs: IntArray, keys: Words, start: FloatArray | None
@@ -150,7 +163,7 @@ class Places:
         """Generate a separate floor plan for each environment."""
 
         def begun(row: int) -> tuple[Site, FloatArray]:
-            world = floor_plan(config, np.random.default_rng(int(keys[row])), self._robot.radius)
+            world = self._plan(config, int(keys[row]))
             if start is None:
                 site = prepare_plan(world, self._robot)
             else:

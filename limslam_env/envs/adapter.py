@@ -80,6 +80,7 @@ def info_of(truth: Truth, robot: int) -> dict[str, Any]:
         "time": truth.time,
         "coverage": truth.coverage,
         "collision": truth.contact[robot],
+        "cost": float(truth.contact[robot]),
         "wall_seen": truth.wall_seen[robot],
     }
 

@@ -224,6 +224,7 @@ def info_of(results: Results, robot: int, mask: BoolArray) -> dict[str, Any]:
         "time": results.time,
         "coverage": results.coverage,
         "collision": results.contact[:, robot],
+        "cost": results.contact[:, robot].astype(float),
         "wall_seen": results.wall_seen[:, robot],
     }
     # In one step the values of all are known; a reset of some leaves zeros for the others, as Gymnasium has it.

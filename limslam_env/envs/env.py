@@ -60,6 +60,7 @@ class LimSlamEnv(SimulationEnv, gym.Env[Observation, NDArray[np.floating[Any]]])
     | time      | float             | s         | time since the reset                                                    |
     | coverage  | float, 0 to 1     |           | fraction of the coverable cells that have been seen                     |
     | collision | bool              |           | whether the robot touches a wall, an obstacle or another robot          |
+    | cost      | float             |           | 1 in a step in contact, else 0, for learning under constraints          |
     | wall_seen | (n_beams,) int    |           | index of the wall that each beam hit; -1 for no hit, -2 for a robot     |
 
     ## Rewards

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 from stable_baselines3.common.vec_env import VecEnv
 from stable_baselines3.common.vec_env.base_vec_env import VecEnvIndices, VecEnvObs, VecEnvStepReturn
 
-from limslam_env.geometry import FloatArray
-
 
 class Sb3VecEnv(VecEnv):
     """An adapter of a `gymnasium.vector.VectorEnv` to Stable-Baselines3's interface.
@@ -92,9 +90,10 @@ class Sb3VecEnv(VecEnv):
         del wrapper_class
         return [False] * len(self._numbers(indices))
 
-    def get_images(self) -> Sequence[FloatArray | None]:
-        """No pictures: a batch draws none."""
-        return [None] * self.num_envs
+    def get_images(self) -> Sequence[NDArray[Any] | None]:
+        """A picture (height, width, 3) of each environment; None where the batch has no ``render_mode``."""
+        pictures: Sequence[Any] | None = self.env.render()
+        return pictures or [None] * self.num_envs
 
     def _numbers(self, indices: VecEnvIndices) -> list[int]:
         return list(self._get_indices(indices))

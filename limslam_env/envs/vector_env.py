@@ -9,6 +9,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
+from limslam_env.batch.batch import Results
 from limslam_env.config import RewardConfig
 from limslam_env.envs.adapter import action_space, observation_space
 from limslam_env.envs.arguments import BatchSource, NoiseSource, Plans, SensorNoise
@@ -20,8 +21,10 @@ from limslam_env.envs.batch_adapter import (
     infos_of,
     observation_of,
 )
+from limslam_env.envs.batch_pictures import BatchPictures
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
+from limslam_env.rendering.painter import RENDER_FPS
 
 
 class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[np.floating[Any]], NDArray[Any]]):
@@ -39,8 +42,8 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
     `ranges` (n, n_beams) and `wheels` (n, 2).
 
     ## Info
-    The keys are those of the single environment: `pose` (n, 3), `time` (n,), `coverage` (n,), `collision` (n,) and
-    `wall_seen` (n, n_beams). For each key a mask (n,) with the key's name after an underscore, such as `_pose`, tells
+    The keys are those of the single environment: `pose` (n, 3), `time` (n,), `coverage` (n,), `collision` (n,), `cost`
+    (n,) and `wall_seen` (n, n_beams). For each key a mask (n,) with the key's name after an underscore, such as `_pose`, tells
     for which environments the value is set.
 
     ## Episode End
@@ -67,12 +70,17 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
     | autoreset_mode    | NEXT_STEP        | see Episode End                                                      |
     | plans             | None             | number or seeds of floor plans that are generated once and then drawn from; None generates a new floor plan for each environment at each reset, which takes about 7 ms |
     | num_threads       | None             | largest number of threads; None for one per core                                 |
+    | render_mode       | None             | `"rgb_array"`: `render` draws a picture (640, 640, 3) of each environment        |
 
     ## Version History
     * v0: first release.
     """
 
-    metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+    metadata: dict[str, Any] = {  # noqa: RUF012
+        "render_modes": ["rgb_array"],
+        "render_fps": RENDER_FPS,
+        "autoreset_mode": AutoresetMode.NEXT_STEP,
+    }
 
     def __init__(
         self,
@@ -88,14 +96,16 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         plans: Plans = None,
         num_threads: int | None = None,
-        render_mode: None = None,
+        render_mode: str | None = None,
     ) -> None:
-        if render_mode is not None:
-            raise ValueError(f"a batch draws no pictures: render_mode must be None, not {render_mode!r}")
+        if render_mode not in {None, "rgb_array"}:
+            raise ValueError(f"render_mode of a batch must be rgb_array or None, not {render_mode!r}")
         self._set_up(
             world, num_envs, 1, robot, sensor_noise, noise, coverage_goal, rewards, max_episode_steps, plans,
             num_threads, autoreset_mode,
         )  # fmt: skip
+        self.render_mode = render_mode
+        self._pictures = None if render_mode is None else BatchPictures(self._simulation)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.single_action_space, self.single_observation_space = action_space(), observation_space(self.robot)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -125,6 +135,7 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
         results, mask = self._begin(generator, seed, options)
         if seed is not None:
             self._np_random, self._np_random_seed = generator, seed
+        self._follow(results)
         return observation_of(results, 0), info_of(results, 0, mask)
 
     def step(self, actions: ArrayLike) -> tuple[BatchObservation, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
@@ -140,8 +151,17 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
         if not self._is_running:
             raise gym.error.ResetNeeded("call reset before step")
         outcome = self._drive(checked_actions(actions, self.num_envs)[:, None])
+        self._follow(outcome.now)
         rewards = outcome.rewards[:, 0]
         return observation_of(outcome.now, 0), rewards, outcome.terminated, outcome.truncated, infos_of(outcome, 0)
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """A picture (640, 640, 3) of each environment; None without a render mode, and before the first reset."""
+        return None if self._pictures is None else self._pictures.paint()
+
+    def _follow(self, results: Results) -> None:
+        if self._pictures is not None:
+            self._pictures.follow(results)
 
     def close_extras(self, **_: Any) -> None:
         """End the threads."""

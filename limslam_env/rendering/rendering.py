@@ -145,9 +145,12 @@ class _Background:
     light: Image
 
 
-def render(state: RenderState) -> Image:
-    """The state as a picture (height, width, 3), RGB. The same state gives the same picture."""
-    background = _background(state.world)
+def render(state: RenderState, *, square: bool = False) -> Image:
+    """The state as a picture (height, width, 3), RGB. The same state gives the same picture.
+
+    A picture is as wide as its world needs it. With ``square`` it is as wide as high, so that all have one size.
+    """
+    background = _background(state.world, square=square)
     canvas = background.canvas.on(background.canvas.image.copy())
     if state.seen is not None and state.seen_low is not None:
         mask = _seen_mask(canvas, state.seen, state.seen_low, state.seen_cell)
@@ -169,7 +172,7 @@ def render(state: RenderState) -> Image:
 
 def thumbnail(world: World, height: int = 240) -> Image:
     """A world alone as a small picture (height, width, 3), RGB, with its doors and starts."""
-    canvas = _new_canvas(world, height, 10, height // 2)
+    canvas = _new_canvas(world, height, 10, height // 2, _WIDEST)
     _draw_floor(canvas, world, _SEEN)
     canvas.lines(world.doors, _DOOR, 1)
     _draw_walls(canvas, world)
@@ -179,8 +182,9 @@ def thumbnail(world: World, height: int = 240) -> Image:
 
 
 @functools.lru_cache(maxsize=8)
-def _background(world: World) -> _Background:
-    canvas = _new_canvas(world, HEIGHT, _MARGIN, _NARROWEST)
+def _background(world: World, *, square: bool) -> _Background:
+    widths = (HEIGHT, HEIGHT) if square else (_NARROWEST, _WIDEST)
+    canvas = _new_canvas(world, HEIGHT, _MARGIN, *widths, lowest=HEIGHT if square else 0)
     everything_seen = canvas.on(canvas.image.copy())
     for layer, floor in ((canvas, _UNSEEN), (everything_seen, _SEEN)):
         _draw_floor(layer, world, floor)
@@ -190,14 +194,16 @@ def _background(world: World) -> _Background:
     return _Background(canvas, light)
 
 
-def _new_canvas(world: World, height: int, margin: int, narrowest: int) -> _Canvas:
+def _new_canvas(world: World, height: int, margin: int, narrowest: int, widest: int, lowest: int = 0) -> _Canvas:
+    """A canvas of at most ``height`` by ``widest`` and at least ``lowest`` by ``narrowest`` pixels around a world."""
     corners = world.edges.reshape(-1, 2)
     low, extent = corners.min(axis=0), np.maximum(np.ptp(corners, axis=0), 1e-3)
-    scale = float(((_WIDEST - 2 * margin, height - 2 * margin) / extent).min())
+    scale = float(((widest - 2 * margin, height - 2 * margin) / extent).min())
     columns, rows = np.ceil(extent * scale).astype(int) + 2 * margin
     # Video codecs want even sides.
     columns, rows = max(columns + columns % 2, narrowest + narrowest % 2), rows + rows % 2
-    origin = np.array([0.5 * (columns - extent[0] * scale), rows - margin])
+    origin = np.array([0.5 * (columns - extent[0] * scale), rows - margin + max(lowest - rows, 0) // 2])
+    rows = max(rows, lowest)
     return _Canvas(np.full((rows, columns, 3), _PAPER, dtype=np.uint8), low, origin, scale)
 
 

@@ -132,13 +132,14 @@ def test_info_is_what_the_contract_says():
     np.testing.assert_array_equal(info["pose"], load_world("env1").starts[0])
     assert info["time"] == 0.0
     for step in range(1, 40):
-        assert set(info) == {"pose", "time", "coverage", "collision", "wall_seen"}
+        assert set(info) == {"pose", "time", "coverage", "collision", "cost", "wall_seen"}
         assert info["pose"].shape == (3,)
         assert info["pose"].dtype == np.float64
         assert type(info["time"]) is float
         assert type(info["coverage"]) is float
         assert 0.0 <= info["coverage"] <= 1.0
         assert type(info["collision"]) is bool
+        assert type(info["cost"]) is float
         assert info["wall_seen"].shape == (6,)
         assert np.issubdtype(info["wall_seen"].dtype, np.integer)
         assert (info["wall_seen"] >= -1).all()
@@ -453,6 +454,7 @@ def test_an_episode_goes_on_in_a_copy_to_the_last_bit(clone, name):
         results.append(env.step(action))
         assert bits(copied.step(action)) == bits(results[-1])
     assert any(info["collision"] for *_, info in results)
+    assert all(info["cost"] == (1.0 if info["collision"] else 0.0) for *_, info in results)
     # The next episode without a seed follows from the same generator, and the limit of steps is the same.
     for action in actions[600:]:
         assert env.step(action)[3] == copied.step(action)[3]

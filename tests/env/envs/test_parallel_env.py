@@ -158,7 +158,7 @@ def test_observations_and_info_are_what_the_contract_says():
             assert list(observation) == ["ranges", "wheels"]
             assert env.observation_space(name).contains(observation)
             assert observation["ranges"].dtype == observation["wheels"].dtype == np.float32
-            assert set(info) == {"pose", "time", "coverage", "collision", "wall_seen"}
+            assert set(info) == {"pose", "time", "coverage", "collision", "cost", "wall_seen"}
             assert info["pose"].shape == (3,)
             assert info["pose"].dtype == np.float64
             assert info["time"] == pytest.approx(0.1 * step)

@@ -73,6 +73,14 @@ def test_attributes_and_methods_are_the_batchs():
     env.close()
 
 
+def test_it_has_the_pictures_of_the_batch():
+    assert Sb3VecEnv(batch()).get_images() == [None] * 3
+    env = Sb3VecEnv(batch(render_mode="rgb_array"))
+    env.reset()
+    assert [picture.shape for picture in env.get_images()] == [(640, 640, 3)] * 3
+    assert env.render("rgb_array").shape == (1280, 1280, 3)
+
+
 def test_episodes_that_begin_a_step_later_are_refused():
     with pytest.raises(ValueError, match="autoreset_mode"):
         Sb3VecEnv(batch(autoreset_mode="NextStep"))

@@ -193,7 +193,7 @@ def test_gymnasium_makes_it_by_default(name):
     assert batch.single_action_space == single.action_space
     observations, infos = batch.reset(seed=0)
     assert batch.observation_space.contains(observations)
-    for key in ("pose", "time", "coverage", "collision", "wall_seen"):
+    for key in ("pose", "time", "coverage", "collision", "cost", "wall_seen"):
         assert infos[f"_{key}"].dtype == bool
         assert infos[f"_{key}"].all()
         assert infos[key].shape[0] == 5
@@ -373,7 +373,7 @@ def test_wrappers_of_gymnasium_work():
         ({"plans": 4}, "plans are for worlds that are drawn"),
         ({"world": "random", "plans": 0}, "plans must be 1 or more"),
         ({"world": ["random", "env1", "env1"]}, "floor plans are drawn for all"),
-        ({"render_mode": "rgb_array"}, "draws no pictures"),
+        ({"render_mode": "human"}, "render_mode of a batch must be rgb_array or None, not 'human'"),
         ({"autoreset_mode": "sometimes"}, "not a valid AutoresetMode"),
         ({"num_envs": True}, "num_envs must be a whole number, 1 or more, not True"),
         ({"num_envs": 3.0}, "num_envs must be a whole number, 1 or more, not 3.0"),
