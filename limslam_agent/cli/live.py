@@ -40,14 +40,21 @@ def live(
 ) -> None:
     """Explore with a live robot, and draw its map. Ctrl-C stops the robot and draws the map of what it has seen."""
     arguments = locals()
+    from limslam_agent.runs.oracle import check_policy
+
     ros_arguments = arguments.pop("ros_arguments") or []
     given = Given.read(arguments.pop("config"), arguments)
     options = given.merged(LiveOptions(), ("agent", "robot"))
-    if (options.serial is not None) + (options.udp is not None) + options.ros2 != 1:
+    ways = {"--serial": options.serial is not None, "--udp": options.udp is not None, "--ros2": options.ros2}
+    places = [name for name, is_given in ways.items() if is_given]
+    if not places:
         raise ValueError("either --serial PORT, --udp PORT or --ros2 is needed, the place where the robot is")
+    if len(places) > 1:
+        raise ValueError(f"{places[0]} and {places[1]} are two places: the robot is at one of them only")
     if ros_arguments and not options.ros2:
         raise ValueError(f"{ros_arguments[0]}: only --ros2 takes arguments for ROS 2")
     agent = _agent_config(given, options)
+    check_policy(options.policy)
     warn(given.warnings(options.preset))
     with _wired(options, given.replay_robot(), ros_arguments) as wired:
         carry_out(options, agent, wired)

@@ -117,7 +117,9 @@ def _about_zeros(log: RecordedLog) -> list[str]:
 
 def _about_odometry(log: RecordedLog) -> list[str]:
     if log.odometry is None:
-        return [] if log.wheels is None else _misread(log, _path(log.wheels, log.robot.axle), by_wheels=True)
+        if log.wheels is None:
+            return []
+        return _still_wheels(log.wheels) or _misread(log, _path(log.wheels, log.robot.axle), by_wheels=True)
     reach = float(np.hypot(*np.ptp(log.odometry[:, :2], axis=0)))
     if reach < LEAST_DRIVEN:
         spread = _spread(log)
@@ -133,6 +135,18 @@ def _about_odometry(log: RecordedLog) -> list[str]:
     if per_metre > MOST_TURNS:
         return [f"by odometry the robot turns by {per_metre:.1f} rad on each metre: is its heading in radians?"]
     return _misread(log, log.odometry)
+
+
+def _still_wheels(wheels: FloatArray) -> list[str]:
+    """That no wheel moves, or one wheel alone, by the travel (n, 2) of both, m."""
+    left, right = np.abs(wheels[1:]).sum(axis=0).tolist()
+    if left == right == 0.0:
+        return ["the wheels never move: are the encoders connected, and are left and right their columns?"]
+    if min(left, right) > 0.0 or max(left, right) < LEAST_DRIVEN:
+        return []
+    still, moving = ("left", "right") if left == 0.0 else ("right", "left")
+    travel = f"while the {moving} wheel travels {max(left, right):.1f} m"
+    return [f"the {still} wheel never moves, {travel}: is its encoder connected, and is {still} its column?"]
 
 
 def _path(wheels: FloatArray, axle: float) -> FloatArray:
@@ -179,6 +193,8 @@ def _why_no_walls(replay: Replay) -> str:
         return "almost no reading saw anything"
     if all(beam.side == "none" for beam in log.robot.beams):
         return "no beam looks to the left or the right of the robot, and only such beams draw walls"
+    if driven == 0.0:
+        return "by odometry the robot never moves"
     if driven < LEAST_DRIVEN:
         return f"the robot drove only {driven:.2f} m by odometry. Is the odometry in metres?"
     return (

@@ -175,6 +175,22 @@ def policies_for(
     return policies_by_belief(policy, robot, config, robots=robots, seed=seed)
 
 
+def check_policy(policy: str) -> None:
+    """Refuse a policy that cannot act on the belief alone, before there is a robot to make it for.
+
+    Raises
+    ------
+    ValueError
+        If no policy has this name, the policy knows the truth, or its file does not exist.
+    """
+    if is_file_policy(policy):
+        file_and_name(policy)
+    elif policy not in POLICIES:
+        raise ValueError(f"no policy is called {policy!r}; there are {', '.join(POLICIES)}")
+    elif policy in _PRIVILEGED:
+        raise ValueError(f"the policy {policy!r} knows the truth: use limslam run --policy {policy}")
+
+
 def policies_by_belief(
     policy: str, robot: RobotSpec, config: AgentConfig, *, robots: int, seed: int
 ) -> list[Policy] | None:
@@ -185,12 +201,9 @@ def policies_by_belief(
     ValueError
         If no policy has this name, or the policy knows the truth.
     """
+    check_policy(policy)
     if is_file_policy(policy):
         return file_policies(policy, robot, config.policy, robots=robots, seed=seed)
-    if policy not in POLICIES:
-        raise ValueError(f"no policy is called {policy!r}; there are {', '.join(POLICIES)}")
-    if policy in _PRIVILEGED:
-        raise ValueError(f"the policy {policy!r} knows the truth: use limslam run --policy {policy}")
     if policy == "frontier":
         return None
     return [_policy_for(policy, robot, config, number, seed) for number in range(robots)]

@@ -119,7 +119,10 @@ def test_a_robot_behind_a_serial_port_is_driven_and_stopped(emulator, tmp_path):
     ("told", "words"),
     [
         ((), "either --serial PORT, --udp PORT or --ros2 is needed"),
-        (("--udp", 9, "--serial", "x"), "either --serial PORT, --udp PORT or --ros2 is needed"),
+        (("--udp", 9, "--serial", "x"), "--serial and --udp are two places: the robot is at one of them only"),
+        (("--udp", 0, "--policy", "nothing"), "no policy is called 'nothing'; there are frontier"),
+        (("--udp", 0, "--policy", "oracle"), "the policy 'oracle' knows the truth"),
+        (("--udp", 0, "--policy", "mine.py:Turn"), "mine.py: no such file"),
         (("--udp", 70000), "a UDP port is a number up to 65535, not 70000"),
         (("--serial", "/dev/there-is-none"), "there-is-none: cannot be opened"),
         (("--udp", 0, "--patience", 0.1), "no robot has answered within 0.1 s"),
@@ -133,6 +136,8 @@ def test_what_cannot_be_is_refused_in_one_line_and_leaves_nothing(told, words, t
         pytest.importorskip("serial", reason="needs the extra live (pyserial)")
     finished = call(main, "live", *told, "--out", tmp_path / "room", cwd=tmp_path)
     assert finished.returncode == 2
+    # What is wrong in the command is said before the wait for a robot.
+    assert ("waiting" in finished.stderr) == ("no robot has answered" in words)
     assert words in finished.stderr.splitlines()[-1]
     assert list(tmp_path.iterdir()) == []
 

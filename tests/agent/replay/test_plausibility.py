@@ -100,6 +100,7 @@ def test_without_readings_of_nothing_the_longest_range_does_not_matter(tmp_path)
     [
         ({"right": "800", "left": "900"}, "almost no reading saw anything"),
         ({"step": 0.00002}, "drove only 0.00 m by odometry. Is the odometry in metres?"),
+        ({"step": 0.0}, "by odometry the robot never moves"),
         ({"beams": (0, 180)}, "no beam looks to the left or the right"),
         ({"right": "nan", "left": "nan"}, "the log has no readings"),
     ],
@@ -186,6 +187,9 @@ def wheel_log(change):
         ([[1, 0], [0, 1]], None),
         ([[0, 1], [1, 0]], "are the wheels exchanged, or the beams in the wrong order?"),
         ([[-1, 0], [0, -1]], "do the encoders of both wheels count backwards?"),
+        ([[0, 0], [0, 0]], "the wheels never move: are the encoders connected, and are left and right their columns?"),
+        ([[0, 0], [0, 1]], " m: is its encoder connected, and is left its column?"),
+        ([[1, 0], [0, 0]], " m: is its encoder connected, and is right its column?"),
     ],
 )
 def test_exchanged_and_reversed_wheels_are_noticed(change, question):
