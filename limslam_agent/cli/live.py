@@ -40,7 +40,7 @@ def live(
 ) -> None:
     """Explore with a live robot, and draw its map. Ctrl-C stops the robot and draws the map of what it has seen."""
     arguments = locals()
-    from limslam_agent.runs.oracle import check_policy
+    from limslam_agent.runs.oracle import check_belief_policy
 
     ros_arguments = arguments.pop("ros_arguments") or []
     given = Given.read(arguments.pop("config"), arguments)
@@ -54,7 +54,7 @@ def live(
     if ros_arguments and not options.ros2:
         raise ValueError(f"{ros_arguments[0]}: only --ros2 takes arguments for ROS 2")
     agent = _agent_config(given, options)
-    check_policy(options.policy)
+    check_belief_policy(options.policy)
     warn(given.warnings(options.preset))
     with _wired(options, given.replay_robot(), ros_arguments) as wired:
         carry_out(options, agent, wired)

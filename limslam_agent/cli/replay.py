@@ -205,10 +205,13 @@ def scores_of(job: Job, result: "Replay", relations: Path | None) -> dict[str, A
     """
     from limslam_agent.replay.replay import relation_scores
     from limslam_agent.runs.results import trajectory_scores
+    from limslam_agent.runs.smoothing import path_scores
 
     scores: dict[str, Any] = {}
     if job.log.true_pose is not None:
         scores |= trajectory_scores(job.log.true_pose, result.estimated, result.odometry, result.covariances)
+        if result.smoothed is not None:
+            scores |= path_scores(job.log.true_pose, result.smoothed.poses, result.smoothed.covariances)
     if job.relations is not None:
         scores |= relation_scores(result, job.relations)
         if not scores["relations"]:

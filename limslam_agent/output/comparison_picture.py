@@ -124,7 +124,8 @@ def _draw_errors(left: Axes, right: Axes, runs: Sequence[FinishedRun]) -> None:
         axes.tick_params(labelsize=8)
         axes.grid(color="0.9", linewidth=0.7)
         axes.spines[["top", "right"]].set_visible(False)
-    left.legend(fontsize=8, frameon=False, loc="upper left")
+    # Above the plot, where it hides no curve.
+    left.legend(fontsize=8, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
 
 
 def _over_robots(each: Sequence[FloatArray]) -> FloatArray:

@@ -102,7 +102,8 @@ def _draw_errors(upper: Axes, lower: Axes, run: FinishedRun) -> None:
         axes.grid(color="0.9", linewidth=0.7)
         axes.spines[["top", "right"]].set_visible(False)
     if upper.lines:
-        upper.legend(fontsize=8, framealpha=0.8, edgecolor="none", loc="upper left")
+        # Between the plots, where it hides no curve.
+        upper.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.03), ncols=3)
     else:
         upper.text(0.5, 0.5, "neither truth nor odometry is known", ha="center", transform=upper.transAxes, fontsize=9)
 

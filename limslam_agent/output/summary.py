@@ -147,8 +147,6 @@ def run_summary(metrics: Mapping[str, Any], cost: Mapping[str, Any]) -> list[str
             f"covered     {share:.1%} of what can be seen, {collisions:g} collision{'' if collisions == 1 else 's'}"
         )
     lines += _status(metrics) + _errors(metrics)
-    if _has(metrics, "ate_smoothed_m"):
-        lines.append(f"smoothed    {metrics['ate_smoothed_m']:.3f} m rms, by all that was known at the end")
     if _has(metrics, "limit_ate_m", "ate_over_limit"):
         lines += _limit(metrics)
     if _has(metrics, "landmarks", "wall_f1_aligned"):
@@ -249,6 +247,8 @@ def _errors(metrics: Mapping[str, Any]) -> list[str]:
     if _has(metrics, "anees"):
         smoothed = f", smoothed {metrics['anees_smoothed']:.2g}" if _has(metrics, "anees_smoothed") else ""
         lines.append(f"consistency NEES / 3 is {metrics['anees']:.2g}{smoothed}; 1 is right, more is overconfident")
+    if _has(metrics, "ate_smoothed_m"):
+        lines.append(f"smoothed    {metrics['ate_smoothed_m']:.3f} m rms, by all that was known at the end")
     return lines
 
 

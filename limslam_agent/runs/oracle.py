@@ -175,19 +175,16 @@ def policies_for(
     return policies_by_belief(policy, robot, config, robots=robots, seed=seed)
 
 
-def check_policy(policy: str) -> None:
-    """Refuse a policy that cannot act on the belief alone, before there is a robot to make it for.
+def check_belief_policy(policy: str) -> None:
+    """Check that the policy exists and acts on the belief alone, before there is a robot to make it for.
 
     Raises
     ------
     ValueError
-        If no policy has this name, the policy knows the truth, or its file does not exist.
+        If it does not exist or knows the truth.
     """
-    if is_file_policy(policy):
-        file_and_name(policy)
-    elif policy not in POLICIES:
-        raise ValueError(f"no policy is called {policy!r}; there are {', '.join(POLICIES)}")
-    elif policy in _PRIVILEGED:
+    check_policy(policy, laps=0, robots=1)
+    if policy in _PRIVILEGED:
         raise ValueError(f"the policy {policy!r} knows the truth: use limslam run --policy {policy}")
 
 
@@ -201,7 +198,7 @@ def policies_by_belief(
     ValueError
         If no policy has this name, or the policy knows the truth.
     """
-    check_policy(policy)
+    check_belief_policy(policy)
     if is_file_policy(policy):
         return file_policies(policy, robot, config.policy, robots=robots, seed=seed)
     if policy == "frontier":

@@ -131,7 +131,7 @@ def smoothed_scores(episode: "Episode", limit: float | None) -> dict[str, float 
     if smoothed is None:
         return {}
     each = [
-        _path_scores(*(rows[:, number] for rows in (episode.true, smoothed.poses, smoothed.covariances)))
+        path_scores(*(rows[:, number] for rows in (episode.true, smoothed.poses, smoothed.covariances)))
         for number in range(episode.config.robots)
     ]
     scores = mean_scores(each)
@@ -141,12 +141,14 @@ def smoothed_scores(episode: "Episode", limit: float | None) -> dict[str, float 
     return scores
 
 
-def _path_scores(true: FloatArray, smoothed: FloatArray, covariances: FloatArray) -> dict[str, float | None]:
+def path_scores(true: FloatArray, smoothed: FloatArray, covariances: FloatArray | None) -> dict[str, float | None]:
+    """Metrics of a smoothed path (n, 3) with covariances (n, 3, 3) against the truth (n, 3)."""
     errors = metrics.trajectory_metrics(true, smoothed)
     found: dict[str, float | None] = {
         "ate_smoothed_m": errors["ate_m"], "heading_smoothed_rmse_deg": errors["heading_rmse_deg"],
-        "anees_smoothed": metrics.consistency_metrics(true, smoothed, covariances)["anees"],
     }  # fmt: skip
+    if covariances is not None:
+        found["anees_smoothed"] = metrics.consistency_metrics(true, smoothed, covariances)["anees"]
     return finite(found)
 
 

@@ -104,6 +104,7 @@ def test_a_runs_log_replays_to_the_same_trajectory(short_run, tmp_path):
     assert metrics["ate_m"] == told["ate_m"]
     shared = metrics.keys() & told.keys()
     assert len(shared) >= 10
+    assert {"ate_smoothed_m", "anees_smoothed"} <= shared
     assert {name: metrics[name] for name in shared} == {name: told[name] for name in shared}
 
 

@@ -13,9 +13,10 @@ from support.command_line import invoke
 from limslam_agent import Mapper, save_map
 from limslam_agent.cli.show import show, true_edges
 from limslam_agent.config import DEFAULT_PRESET
+from limslam_agent.output.comparison_picture import draw_comparison, sheet_size
 from limslam_agent.output.export import write_json
 from limslam_agent.output.finished_run import FolderError, heading_error, position_error, read_run
-from limslam_agent.output.run_picture import draw_run
+from limslam_agent.output.run_picture import SIZE, draw_run
 from limslam_agent.output.summary import place_records, record_summary, replay_summary, run_summary
 from limslam_agent.output.tum import write_tum
 from limslam_agent.runs.episode import run_episode
@@ -382,6 +383,21 @@ def test_the_band_of_a_run_is_what_the_filter_said_of_its_error(tmp_path):
         assert top == pytest.approx(2.0 * np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1]).max(), rel=1e-5)
     finally:
         plt.close(figure)
+
+
+def test_the_legends_stand_beside_the_curves(real_run):
+    run = read_run(real_run)
+    draws = [(SIZE, lambda figure: draw_run(figure, run, []))]
+    draws.append((sheet_size(2), lambda figure: draw_comparison(figure, [run, run], [None, None])))
+    for size, draw in draws:
+        figure = plt.figure(figsize=size, layout="constrained")
+        try:
+            draw(figure)
+            figure.canvas.draw()
+            (box,) = [axes.get_legend().get_window_extent() for axes in figure.axes if axes.get_legend()]
+            assert not any(box.overlaps(axes.get_window_extent()) for axes in figure.axes)
+        finally:
+            plt.close(figure)
 
 
 def test_long_lines_of_text_do_not_push_the_curves_aside(real_run):
