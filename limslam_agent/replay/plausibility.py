@@ -117,9 +117,7 @@ def _about_zeros(log: RecordedLog) -> list[str]:
 
 def _about_odometry(log: RecordedLog) -> list[str]:
     if log.odometry is None:
-        if log.wheels is None:
-            return []
-        return _still_wheels(log.wheels) or _misread(log, _path(log.wheels, log.robot.axle), by_wheels=True)
+        return [] if log.wheels is None else _about_wheels(log, log.wheels)
     reach = float(np.hypot(*np.ptp(log.odometry[:, :2], axis=0)))
     if reach < LEAST_DRIVEN:
         spread = _spread(log)
@@ -137,13 +135,13 @@ def _about_odometry(log: RecordedLog) -> list[str]:
     return _misread(log, log.odometry)
 
 
-def _still_wheels(wheels: FloatArray) -> list[str]:
-    """That no wheel moves, or one wheel alone, by the travel (n, 2) of both, m."""
+def _about_wheels(log: RecordedLog, wheels: FloatArray) -> list[str]:
+    """What is unlikely about the travel (n, 2) of both wheels, m: whether they move, and in which direction."""
     left, right = np.abs(wheels[1:]).sum(axis=0).tolist()
     if left == right == 0.0:
         return ["the wheels never move: are the encoders connected, and are left and right their columns?"]
     if min(left, right) > 0.0 or max(left, right) < LEAST_DRIVEN:
-        return []
+        return _misread(log, _path(wheels, log.robot.axle), by_wheels=True)
     still, moving = ("left", "right") if left == 0.0 else ("right", "left")
     travel = f"while the {moving} wheel travels {max(left, right):.1f} m"
     return [f"the {still} wheel never moves, {travel}: is its encoder connected, and is {still} its column?"]
