@@ -211,7 +211,10 @@ class _Rows:
         readings = fields[self.leading :]
         silent = bool(readings) and all(field == NO_SCAN for field in readings)
         if len(fields) != count and not (silent and len(readings) == 1):
-            raise ValueError(f"{len(fields)} columns where the header names {count}")
+            # 0,1,0,031 has twice as many fields as numbers, or nearly so if some of them are whole.
+            is_doubled = self.separator == b"," and 1.3 * count < len(fields) <= 2 * count
+            hint = ": a comma is a decimal mark only where ; or tabs stand between the columns" if is_doubled else ""
+            raise ValueError(f"{len(fields)} columns where the header names {count}{hint}")
         names = ("t", "left", "right") if self.leading == len(_WHEELS) else ("t", "x", "y", "theta")
         move = [parse_number(field, name) for field, name in zip(fields, names, strict=False)]
         move[0] *= self.options.seconds
@@ -375,4 +378,7 @@ def _between(before: list[float], after: list[str]) -> list[float]:
 
 def _reading(field: bytes) -> float:
     """A range, m. NaN where the field is empty: there is no reading."""
-    return parse_range(field, "a range") if field else math.nan
+    try:
+        return parse_range(field, "a range") if field else math.nan
+    except ValueError as error:
+        raise ValueError(f"{error}; an empty field or nan is no reading") from None

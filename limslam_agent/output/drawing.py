@@ -23,6 +23,7 @@ _DASHES, _DOTS = (0, (4, 2)), (0, (1, 1.5))
 _ONLINE_WIDTH = 0.9
 _START, _END = "o", "s"
 _LETTERS_PER_INCH, _LINE_HEIGHT = 11, 0.2  # of a title, and of a line of title or legend, inches
+_LETTERS_PER_INCH_OF_LEGEND, _HANDLE = 15, 0.6  # of a legend, and the line and the gap beside its text, inches
 _GRID = ListedColormap(["#c9ced6", "white", "#eef2f6"])
 _WIDEST_BAND = 3.0  # height of a plot of errors over the largest error in it
 _AROUND = 0.1  # share of the map's size around the map, beyond which odometry is cut off
@@ -107,15 +108,25 @@ def draw_map(path: Path, picture: MapPicture) -> None:
     handles = legend(picture)
     across = max(scale * width, 4.6) + 0.5
     remark = textwrap.wrap(picture.remark, int(_LETTERS_PER_INCH * across))
-    rows = -(-len(handles) // 3) + len(remark)
+    columns = _columns([str(handle.get_label()) for handle in handles], across)
+    rows = -(-len(handles) // columns) + len(remark)
     size = (across, scale * height + 0.95 + _LINE_HEIGHT * rows)
     figure = Figure(figsize=size, layout="constrained")
     axes = figure.add_subplot()
     paint_map(axes, picture)
     # A title of the axes may be cut off: their equal scales move it after the layout.
     figure.suptitle("\n".join((picture.title, *remark)), fontsize=11, parse_math=False)
-    figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 3), frameon=False, fontsize=9)
+    figure.legend(handles=handles, loc="outside lower center", ncols=columns, frameon=False, fontsize=9)
     figure.savefig(path, dpi=160, facecolor="white")
+
+
+def _columns(labels: list[str], width: float) -> int:
+    """How many columns, at most 3, of a legend with these labels fit beside each other in a width in inches."""
+    for count in range(min(len(labels), 3), 1, -1):
+        parts = np.array_split([len(label) for label in labels], count)
+        if sum(_HANDLE + part.max() / _LETTERS_PER_INCH_OF_LEGEND for part in parts) <= width:
+            return count
+    return 1
 
 
 def paint_map(axes: Axes, picture: MapPicture) -> None:

@@ -38,6 +38,9 @@ MOST_TURNS = 4.0
 MANY_NEGATIVE = 0.01
 """Above this share of negative readings, a negative number probably says that nothing was seen."""
 
+LARGEST_GAP = 0.5
+"""If a wheel travels farther than this from one row to the next, m, the path between them is not known."""
+
 MOST_NAMED = 5
 """A warning names at most so many times."""
 
@@ -50,7 +53,7 @@ def log_warnings(log: RecordedLog) -> list[str]:
     about_times = _about_times(log)
     about_odometry = [] if about_times else _about_odometry(log)
     about_ranges = [*_about_ranges(log), *_about_zeros(log), *_about_negatives(log)]
-    return [*_about_restarts(log), *about_times, *about_ranges, *about_odometry]
+    return [*_about_restarts(log), *about_times, *_about_gaps(log), *about_ranges, *about_odometry]
 
 
 def map_warnings(replay: Replay) -> list[str]:
@@ -77,6 +80,17 @@ def _about_times(log: RecordedLog) -> list[str]:
     if not len(steps) or SHORTEST_PERIOD <= (period := float(np.median(steps))) <= LONGEST_PERIOD:
         return []
     return [f"the median time between two events is {period:.3g} s: are the times in seconds? --time-unit converts"]
+
+
+def _about_gaps(log: RecordedLog) -> list[str]:
+    if log.wheels is None:
+        return []
+    travel = np.abs(log.wheels[1:]).max(axis=1, initial=0.0)
+    (rows,) = np.nonzero(travel > LARGEST_GAP)
+    gaps = [f"{travel[row]:.1f} m between {log.time[row]:.1f} s and {log.time[row + 1]:.1f} s" for row in rows]
+    more = ", ..." if len(gaps) > MOST_NAMED else ""
+    consequence = "what the robot did between these two rows is not known, so the map may break there"
+    return [f"a wheel travels {', '.join(gaps[:MOST_NAMED])}{more}: {consequence}"] if gaps else []
 
 
 def _about_ranges(log: RecordedLog) -> list[str]:

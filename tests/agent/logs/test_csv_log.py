@@ -168,6 +168,10 @@ def test_small_steps_back_in_time_stay_as_they_are(write):
     [
         ("0.2,0,0,0,1,1", "line 3: 6 columns where the header names 7"),
         ("0.2,0,0,0,1,1,1,1", "line 3: 8 columns where the header names 7"),
+        (
+            "0,2,0,0,1,5,0,1,1,1,1",
+            "line 3: 11 columns where the header names 7: a comma is a decimal mark only",
+        ),
         ("0.2", "line 3: 1 columns where the header names 7"),
         ("0.2,0,0,0", "line 3: 4 columns where the header names 7"),
         ("soon,0,0,0,1,1,1", "line 3: t is not a number: 'soon'"),
@@ -176,7 +180,7 @@ def test_small_steps_back_in_time_stay_as_they_are(write):
         ("0.2,inf,0,0,1,1,1", "line 3: x is inf"),
         ("0.2,0,nan,0,1,1,1", "line 3: y is nan"),
         ("0.2,0,0,nan,1,1,1", "line 3: theta is nan"),
-        ("0.2,0,0,0,1,far,1", "line 3: a range is not a number: 'far'"),
+        ("0.2,0,0,0,1,far,1", "line 3: a range is not a number: 'far'; an empty field or nan is no reading"),
         ("0.2,0,0,0,1,-,1", "line 3: a range is not a number: '-'"),
         ("-2.0,0,0,0,1,1,1", "line 3: the time steps back by 2.0 s"),
         ("0.2,1e4,0,0,1,1,1", "odometry jumps by 1e+04 m in row 1"),

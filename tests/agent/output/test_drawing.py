@@ -80,6 +80,18 @@ def test_odometry_that_runs_away_is_cut_off_and_the_legend_says_so():
     assert "path by odometry alone" in labels(MapPicture("log", WALLS, path(1.0), path(1.0, drift=0.1)))
 
 
+def test_the_legend_of_a_narrow_map_is_not_cut_off(tmp_path):
+    narrow = np.column_stack((0.1 * np.sin(np.arange(40)), np.linspace(0.0, 9.0, 40)))
+    away = narrow * (1.0, 30.0)
+    grid = GridView(low=np.zeros(2), cell=0.1, values=np.full((90, 4), -2.0))
+    draw_map(tmp_path / "map.png", MapPicture("log", NOTHING, narrow, away, grid=grid, online=narrow + 0.1))
+    with Pictures.open(tmp_path / "map.png") as image:
+        legend_rows = np.array(image.convert("L"))[-100:]
+    assert (legend_rows < 250).any()
+    assert (legend_rows[:, :8] == 255).all()
+    assert (legend_rows[:, -8:] == 255).all()
+
+
 def test_the_grid_lies_behind_everything_and_start_and_end_are_marked():
     values = np.zeros((30, 40))
     values[5:20, 5:30], values[0] = 3.0, -2.0

@@ -195,3 +195,16 @@ def wheel_log(change):
 def test_exchanged_and_reversed_wheels_are_noticed(change, question):
     found = log_warnings(wheel_log(np.array(change, dtype=float)))
     assert not found if question is None else found[0].endswith(question)
+
+
+def test_a_gap_in_a_wheel_log_is_named_with_its_times():
+    log = wheel_log(np.eye(2))
+    first, last = 100, 200
+    wheels = log.wheels.copy()
+    wheels[last] = wheels[first + 1 : last + 1].sum(axis=0)
+    kept = np.r_[: first + 1, last : len(log)]
+    gapped = replace(
+        log, time=log.time[kept], ranges=log.ranges[kept], has_scan=log.has_scan[kept], wheels=wheels[kept]
+    )
+    (warning,) = [found for found in log_warnings(gapped) if "wheel travels" in found]
+    assert f"{np.abs(wheels[last]).max():.1f} m between 10.0 s and 20.0 s: what the robot did" in warning
