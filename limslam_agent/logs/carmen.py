@@ -81,7 +81,9 @@ def read_carmen(
         except ValueError as error:
             raise LogError(f"{fspath(path)}: line {number}: {'cut short: ' if cut else ''}{error}") from error
     if not events.time:
-        raise LogError(f"{fspath(path)}: has no odometry: there is no ODOM or FLASER line")
+        # Any text that is no table is read here, so the message names both.
+        table = "nor, as a table, a header that begins with t,x,y,theta or t,left,right"
+        raise LogError(f"{fspath(path)}: has no odometry: no ODOM or FLASER line of CARMEN, {table}")
     if not events.ranges:
         raise LogError(f"{fspath(path)}: has no scan: there is no FLASER line")
     try:

@@ -248,7 +248,9 @@ def test_a_gzip_stream_that_is_cut_is_refused(write):
 def test_other_texts_are_no_tables(write):
     for text in ("ODOM 1 2 3\n", "# t x y\nODOM 1\n", "FLASER 180\n", "", "t x y yaw\n"):
         assert is_csv(write(text, "other.log")) == (text == "t x y yaw\n")
-    assert "has no odometry: there is no ODOM or FLASER line" in refusal(write("# a note\n", "carmen.log"))
+    assert "has no odometry: no ODOM or FLASER line of CARMEN, nor, as a table" in refusal(
+        write("# a note\n", "carmen.log")
+    )
 
 
 # Real logs
