@@ -79,9 +79,6 @@ class SegmentationConfig(Bounded):
         measure, creates no landmark, and it updates a landmark only if most of its points lie inside the landmark's
         known ends. The points on either side of such a hole may lie on two different walls. Holes between beams grow
         with the distance of the wall, and beams that reach farther meet farther walls.
-    corner_std
-        For ranges with at least this standard deviation, m, readings near a known wall that crosses their line are not
-        used. By default all are used: leaving them out helps some runs and harms others.
     """
 
     kink_gate: NonNegative = 12.0
@@ -91,7 +88,6 @@ class SegmentationConfig(Bounded):
     end_gate: NonNegative = 6.0
     gap_ahead: NonNegative = 0.9
     max_hole_share: NonNegative = 0.2
-    corner_std: NonNegative = 1e3
 
 
 @dataclass(frozen=True)

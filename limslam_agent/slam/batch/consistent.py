@@ -92,9 +92,7 @@ def process(
     max_gap = settings.gap_ahead if side == AHEAD else settings.segment_gap
     number = extract_lines(points, max_gap, settings, owner, lines, ends)
     for index in range(number):
-        members = uncontested(points, owner, lines, ends, number, index, settings.near_corner)
-        if settings.std >= settings.corner_std:
-            members = off_crossing_walls(ekf, walls, points, members, lines[index, 1], settings)
+        members = uncontested(points, owner, lines, ends, number, index, settings.near_line)
         if not len(members):
             continue
         # The lines before this one have updated the filter, so the end points are computed anew.
@@ -158,28 +156,6 @@ def uncontested(
             is_beside = min(first, last) - BESIDE_CORNER < along < max(first, last) + BESIDE_CORNER
             off = abs(points[i, 0] * cos + points[i, 1] * sin - lines[other, 0])
             is_own = not (is_beside and off < most)
-        if is_own:
-            chosen[count] = i
-            count += 1
-    return chosen[:count] if count >= FEWEST else chosen[:0]
-
-
-@algebra
-def off_crossing_walls(
-    ekf: Filter, walls: Walls, points: FloatArray, members: IntArray, theta: float, settings: Settings
-) -> IntArray:
-    """Indices (n,) of a line's points that cannot lie on a known wall that crosses the line; its normal is theta."""
-    chosen, count = np.empty(len(members), dtype=np.int64), 0
-    for i in members:
-        is_own = True
-        for index in range(ekf.counts[LINES]):
-            if is_own and turn_between(ekf.x, index, theta) > settings.min_kink:
-                own, (low, high) = ekf.x[POSE + 2 * index + 1], ends_of(walls, index)
-                x, y = points[i, 0] - ekf.anchors[index, 0], points[i, 1] - ekf.anchors[index, 1]
-                along = -math.sin(own) * x + math.cos(own) * y
-                off = math.cos(own) * x + math.sin(own) * y - ekf.x[POSE + 2 * index]
-                is_beside = low - BESIDE_CORNER < along < high + BESIDE_CORNER
-                is_own = not (is_beside and abs(off) < settings.near_corner)
         if is_own:
             chosen[count] = i
             count += 1

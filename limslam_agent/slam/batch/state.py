@@ -181,11 +181,9 @@ class Settings(NamedTuple):
     r_step: float
     theta_step: float
     near_line: float
-    near_corner: float
     segment_gap: float
     gap_ahead: float
     max_hole: float
-    corner_std: float
     segment_length: float
     only_best: bool
     kink_gate: float
@@ -242,7 +240,6 @@ def spec_of(robot: RobotSpec, config: AgentConfig, estimator: ConsistentConfig) 
         "r_step": bin_size(hough, std),
         "theta_step": hough.theta_step,
         "near_line": max_distance(hough, std),
-        "near_corner": max_distance(hough, std),
         "segment_gap": hough.max_gap,
         "segment_length": hough.min_length,
         "only_best": hough.only_best,

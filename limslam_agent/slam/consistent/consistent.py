@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.config.consistent import ConsistentConfig
-from limslam_agent.kernels.tables import FEWEST, TURN_SIGMAS
+from limslam_agent.kernels.tables import TURN_SIGMAS
 from limslam_agent.slam.consistent.assumed_sensor import AssumedSensor
 from limslam_agent.slam.consistent.beam_model import Readings
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF, Disagreement
-from limslam_agent.slam.consistent.corners import on_crossing_wall, uncontested
+from limslam_agent.slam.consistent.corners import uncontested
 from limslam_agent.slam.consistent.explanation import comparison
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.pending_readings import AHEAD, SIDES, PendingReadings
@@ -27,12 +27,12 @@ from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extr
 from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.front_end import FrontEnd
-from limslam_agent.slam.core.hough import ExtractedLine, extract_lines, max_distance
+from limslam_agent.slam.core.hough import extract_lines, max_distance
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import AS_SPECIFIED, Motion, OdometryCalibration
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, board_evidence, board_odds, is_wall
-from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import angle_between, direction
 from limslam_env.geometry.segment import sample
 from limslam_env.interface import RobotSpec, Side
@@ -272,7 +272,7 @@ class ConsistentEstimator(Estimator):
         )  # fmt: skip
         consumed = np.zeros(len(points), dtype=bool)
         driven = np.array([reading.driven for reading in pending.by_side[side]])
-        for line, members in self._uncontested(points, lines):
+        for line, members in uncontested(points, lines, max_distance(settings.hough, self._usual_std)):
             for segment in wall_segments(readings, members, line, self._filter, self._std, settings.segmentation):
                 is_complete = (
                     has_ended or pending.driven - driven[segment.members].max() > settings.pending.complete_after
@@ -298,17 +298,6 @@ class ConsistentEstimator(Estimator):
                     pending.by_side[side] = [reading for reading in each if reading.clone >= oldest]
             wanted = [clone for clone in wanted if clone >= oldest]
         self._filter.keep_clones(set(wanted))
-
-    def _uncontested(self, points: FloatArray, lines: list[ExtractedLine]) -> Iterator[tuple[FloatArray, IntArray]]:
-        """Each line, and its readings without those near a corner that could also belong to another wall."""
-        near, settings = max_distance(self._settings.hough, self._usual_std), self._settings.segmentation
-        for line, own in uncontested(points, lines, near):
-            members = own
-            if self._usual_std >= settings.corner_std:
-                theta, kink = float(line[1]), settings.min_kink
-                members = own[~on_crossing_wall(points[own], theta, near, kink, self._filter, self._map)]
-            if len(members) >= FEWEST:
-                yield line, members
 
     def _incorporate(
         self, robot: int, step: int, readings: Readings, segment: WallSegment, *, is_complete: bool
