@@ -7,6 +7,7 @@ import numpy as np
 
 from limslam_agent.config.presets import AgentConfig, ConsistentConfig
 from limslam_agent.config.published import PublishedConfig
+from limslam_agent.slam.consistent import limits
 from limslam_agent.slam.core.diagnostics import AssociationRecord, CandidateTest, Closure, Comparison, Extraction
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
@@ -44,11 +45,10 @@ def limits_of(config: AgentConfig) -> dict[str, float]:
             "loop_gate": loop.gate, "loop_overlap": loop.min_overlap, "loop_offset": loop.max_distance,
         }  # fmt: skip
     assert isinstance(settings, ConsistentConfig)  # noqa: S101 (there are two kinds of estimators)
-    wall, merging = settings.association, settings.merging
     return {
-        "gate": wall.gate, "far_gate": wall.far_gate, "ambiguity": wall.ambiguity,
-        "angle": wall.max_angle, "offset": wall.max_offset, "gap": wall.max_end_gap,
-        "loop_gate": merging.gate, "loop_overlap": merging.min_overlap, "loop_offset": wall.max_offset,
+        "gate": settings.association.gate, "far_gate": limits.FAR_GATE, "ambiguity": limits.AMBIGUITY,
+        "angle": limits.MAX_ANGLE, "offset": limits.MAX_OFFSET, "gap": limits.MAX_END_GAP,
+        "loop_gate": limits.ONE_WALL_GATE, "loop_overlap": limits.MIN_OVERLAP, "loop_offset": limits.MAX_OFFSET,
     }  # fmt: skip
 
 

@@ -13,9 +13,9 @@ from limslam_agent.slam.batch.pending_readings import readings_of
 from limslam_agent.slam.batch.segmentation import ANGLE_STD, EXTENT, MIDDLE_X, MIDDLE_Y, THETA
 from limslam_agent.slam.batch.state import CLONE, CLONES, CLOSURES, LINES, PENDING, States
 from limslam_agent.slam.consistent.consistent import ConsistentEstimator, _Candidate
-from limslam_agent.slam.consistent.corners import uncontested as plainly_uncontested
 from limslam_agent.slam.consistent.pending_readings import SIDES
 from limslam_agent.slam.consistent.segmentation import WallSegment
+from limslam_agent.slam.consistent.segmentation import uncontested as plainly_uncontested
 from limslam_agent.slam.core.hough import ExtractedLine
 from limslam_agent.slam.core.line_fit import LineFit, fit_line
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
