@@ -156,7 +156,7 @@ def _synchronised(data: LogData, config: GraphConfig) -> tuple[LogData, FloatArr
     """
     known = np.zeros(ERRORS)
     for _ in range(_SYNCHRONISATIONS):
-        keys = choose_keys(data, config.keys, config.motion)
+        keys = choose_keys(data, config.keys)
         if len(keys) < 2 or not len(keys.point_key):
             break
         delay = float(_local(keys, data, config, 0.0).bias[3])
@@ -168,7 +168,7 @@ def _synchronised(data: LogData, config: GraphConfig) -> tuple[LogData, FloatArr
 
 def _smoothed(data: LogData, start: FloatArray, config: GraphConfig, report: Report) -> GraphResult:
     """Smooth a log with odometry as it is."""
-    keys = choose_keys(data, config.keys, config.motion)
+    keys = choose_keys(data, config.keys)
     if len(keys) < 2 or not len(keys.point_key):
         return _unlooped(keys, "odometry", odometry_trajectory(keys, start))
     if len(chunk_middles(keys, config.maps, config.maps.hop * config.rounds.hops[0])) < 2:

@@ -56,7 +56,7 @@ class Chain:
     def of(cls, data: LogData, found: GraphResult, config: GraphConfig) -> "Chain":
         """The chain of a smoothed log."""
         data = corrected(data, found.errors)
-        keys = choose_keys(data, config.keys, config.motion)
+        keys = choose_keys(data, config.keys)
         poses = found.poses[keys.first_event]
         local = smooth_locally(keys, odometry_trajectory(keys, poses[0]), config, data.range_std)
         return cls(data, keys, local, Trajectory(poses, np.zeros(ERRORS)))
