@@ -5,9 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from limslam_agent.config.presets import AgentConfig, ConsistentConfig
-from limslam_agent.config.published import PublishedConfig
-from limslam_agent.slam.consistent import limits
 from limslam_agent.slam.core.diagnostics import AssociationRecord, CandidateTest, Closure, Comparison, Extraction
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
@@ -33,23 +30,6 @@ def rounded(values: Any, digits: int = 4) -> Any:
 def upper_triangle(covariance: FloatArray) -> list[float]:
     """The six numbers of a covariance (3, 3): xx, xy, xt, yy, yt, tt. Small numbers keep their digits."""
     return [float(f"{value:.4g}") for value in covariance[np.triu_indices(3)].tolist()]
-
-
-def limits_of(config: AgentConfig) -> dict[str, float]:
-    """The limits that decide about associations and loops, for the page to show beside the values."""
-    settings = config.estimator
-    if isinstance(settings, PublishedConfig):
-        near, loop = settings.association, settings.closing
-        return {
-            "gate": near.gate, "angle": near.max_angle, "offset": near.max_distance, "gap": near.max_end_gap,
-            "loop_gate": loop.gate, "loop_overlap": loop.min_overlap, "loop_offset": loop.max_distance,
-        }  # fmt: skip
-    assert isinstance(settings, ConsistentConfig)  # noqa: S101 (there are two kinds of estimators)
-    return {
-        "gate": settings.association.gate, "far_gate": limits.FAR_GATE, "ambiguity": limits.AMBIGUITY,
-        "angle": limits.MAX_ANGLE, "offset": limits.MAX_OFFSET, "gap": limits.MAX_END_GAP,
-        "loop_gate": limits.ONE_WALL_GATE, "loop_overlap": limits.MIN_OVERLAP, "loop_offset": limits.MAX_OFFSET,
-    }  # fmt: skip
 
 
 def extraction_event(extraction: Extraction, threshold: int, r_step: float) -> Event:

@@ -99,6 +99,15 @@ class ConsistentEstimator(Estimator):
         self._map = WallMap(self._filter, config.extents)
         self._pending = [PendingReadings(robot, config.pending, config.pending.beams) for _ in start]
 
+    @property
+    def limits(self) -> dict[str, float]:
+        """The limits that decide about associations and loops, for diagnostics to show beside the values."""
+        return {
+            "gate": self._settings.association.gate, "far_gate": limits.FAR_GATE, "ambiguity": limits.AMBIGUITY,
+            "angle": limits.MAX_ANGLE, "offset": limits.MAX_OFFSET, "gap": limits.MAX_END_GAP,
+            "loop_gate": limits.ONE_WALL_GATE, "loop_overlap": limits.MIN_OVERLAP, "loop_offset": limits.MAX_OFFSET,
+        }  # fmt: skip
+
     def know(self, landmarks: Sequence[Landmark], segments: FloatArray) -> None:
         """Begin with the walls (k, 4), m, of an earlier map, and the landmarks that they lie on."""
         for mark in landmarks:
