@@ -11,6 +11,7 @@ from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -139,11 +140,16 @@ def results_of(todo: Sequence[Job], jobs: int) -> Iterator[Row]:
             # Nobody waits for plans that are being run when the user stops the command.
             pool.shutdown(wait=False, cancel_futures=True)
             for child in set(multiprocessing.active_children()) - before:
-                if child.pid is not None:
-                    with suppress(OSError):  # it has ended, or has no group yet
-                        kill_group(child.pid)
-                child.kill()
+                _kill(child)
             raise
+
+
+def _kill(child: BaseProcess) -> None:
+    """Kill a process of the pool, and the commands of entries that it has started."""
+    if child.pid is not None:
+        with suppress(OSError):  # it has ended, or has no group yet
+            kill_group(child.pid)
+    child.kill()
 
 
 def _unfinished(submitted: dict["Future[Row]", int]) -> list[int]:

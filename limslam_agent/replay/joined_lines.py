@@ -84,25 +84,29 @@ def joined_by_lines(replays: tuple[Replay, Replay]) -> JoinedLines | NotJoined:
     poses = _own_steps(smoothed, replays)
     frame = se2.compose(poses[1][0], se2.inverse(replays[1].log.start_pose))
     grid = grid_of(replays, poses, smoothed.robot)
-    counts = [len(each.log) for each in replays]
-    filtered, found = (
-        (_held(poses_of, counts)[1:], _held(sizes_of, counts)[1:])
-        for poses_of, sizes_of in ((run.poses, run.covariances), (smoothed.poses, smoothed.covariances))
+    status = _status_of(run, smoothed, replays)
+    shift = max(
+        _shift(smoothed.poses[: len(each.log), number], run.poses[:, number]) for number, each in enumerate(replays)
     )
-    status = smoothed_status(
-        smoothed.contradictions, filtered, found,
-        while_driving=LEVELS[int(max(each.levels.max() for each in replays))],
-    )  # fmt: skip
-    shifts = [_shift(smoothed.poses[:count, number], run.poses[:, number]) for number, count in enumerate(counts)]
-    reason = _contradiction(status, frame, matched, max(shifts)) or _ambiguity(
-        place_map(smoothed.segments, grid), local
-    )
+    shared = place_map(smoothed.segments, grid)
+    reason = _contradiction(status, frame, matched, shift) or _ambiguity(shared, local)
     if reason:
         return _not_joined(f"joined and taken back: {reason}", decision.record)
     if status.level == "ok":
         status = next((each.places.doubt for each in replays if each.places.doubt.reason), status)
     record = {**decision.record, "event": "joined", "start": poses[1][0].tolist()}
     return JoinedLines(smoothed, record, poses, frame, grid, status)
+
+
+def _status_of(run: FilteredRun, smoothed: SmoothedRun, replays: Sequence[Replay]) -> Status:
+    """Whether both logs as one run can be trusted, by the poses before and after they were smoothed together."""
+    counts = [len(each.log) for each in replays]
+    filtered, found = (
+        (_held(poses, counts)[1:], _held(covariances, counts)[1:])
+        for poses, covariances in ((run.poses, run.covariances), (smoothed.poses, smoothed.covariances))
+    )
+    while_driving = LEVELS[int(max(each.levels.max() for each in replays))]
+    return smoothed_status(smoothed.contradictions, filtered, found, while_driving=while_driving)
 
 
 def _not_joined(reason: str, match: dict[str, Any]) -> NotJoined:
