@@ -151,6 +151,10 @@ class Trajectory:
     poses: FloatArray
     bias: FloatArray
 
+    def moved(self, motion: FloatArray) -> "Trajectory":
+        """The trajectory after a motion (3,) of its frame."""
+        return Trajectory(se2.compose(motion, self.poses), self.bias)
+
 
 def choose_keys(data: LogData, config: KeyPoseConfig) -> KeyPoses:
     """Divide a log into key poses, and collect the points of its scans."""

@@ -67,8 +67,8 @@ class GraphResult:
         G after each round of each search.
     verdicts
         The verdicts on all loops that were found in the round of the result.
-    chunk_events, chunk_poses, chunk_covariances
-        Middle events of the chunks (c,), their poses (c, 3), and covariances (c, 3, 3) from the graph of chunks.
+    chunk_events, chunk_covariances
+        Middle events of the chunks (c,), and the covariances (c, 3, 3) of their poses from the graph of chunks.
     errors
         The estimated constant errors (5,) of odometry, as in :class:`Trajectory`.
     keys, trajectory
@@ -87,7 +87,6 @@ class GraphResult:
     scores: dict[str, list[float]]
     verdicts: list[LoopVerdict]
     chunk_events: IntArray
-    chunk_poses: FloatArray
     chunk_covariances: FloatArray
     errors: FloatArray
     keys: KeyPoses = field(repr=False)
@@ -172,7 +171,7 @@ def _smoothed(data: LogData, start: FloatArray, config: GraphConfig, report: Rep
     if len(keys) < 2 or not len(keys.point_key):
         return _unlooped(keys, "odometry", odometry_trajectory(keys, start))
     if len(chunk_middles(keys, config.maps, config.maps.hop * config.rounds.hops[0])) < 2:
-        return _unlooped(keys, "local", _moved(_local(keys, data, config, 0.0), start))
+        return _unlooped(keys, "local", _local(keys, data, config, 0.0).moved(start))
     turns = config.rounds.orientations
     frames = [
         partial(_begun, keys, data, config, turn, saying(f"frame {number} of {len(turns)}", report))
@@ -349,31 +348,24 @@ def _next_round(log: LogProblem, trajectory: Trajectory, number: int, start: str
     return do_round(log, trajectory, number, Candidates(chunks, loops_along_the_way(chunks)), start)
 
 
-def _moved(trajectory: Trajectory, motion: FloatArray) -> Trajectory:
-    """The trajectory after a motion (3,) of its frame."""
-    return Trajectory(se2.compose(motion, trajectory.poses), trajectory.bias)
-
-
 def _placed_at(found: Round, start: FloatArray, turn: float) -> Round:
     """The round, transformed from the frame in which the log begins at (0, 0, ``turn``) to the frame of the result."""
     motion = se2.compose(np.asarray(start, dtype=float), np.array([0.0, 0.0, -turn]))
     cos, sin = math.cos(motion[2]), math.sin(motion[2])
     rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     covariances = rotation @ found.chunk_covariances @ rotation.T
-    return replace(found, trajectory=_moved(found.trajectory, motion), chunk_covariances=covariances)
+    return replace(found, trajectory=found.trajectory.moved(motion), chunk_covariances=covariances)
 
 
 def without_loops(found: GraphResult, start: FloatArray) -> GraphResult:
     """The result by odometry alone, which begins at the pose ``start`` (3,); all loops are rejected."""
     verdicts = [replace(each, reason=NOT_ADDED if each.kept else each.reason) for each in found.verdicts]
     plain = _unlooped(found.keys, "odometry", odometry_trajectory(found.keys, start))
-    middles = found.keys.event_key[found.chunk_events]
     return replace(
         plain,
         scores=found.scores,
         verdicts=verdicts,
         chunk_events=found.chunk_events,
-        chunk_poses=plain.trajectory.poses[middles],
         chunk_covariances=found.chunk_covariances,
     )
 
@@ -392,7 +384,6 @@ def _result(keys: KeyPoses, name: str, best: Round, scores: dict[str, list[float
         scores=scores,
         verdicts=best.verdicts,
         chunk_events=keys.first_event[best.middles],
-        chunk_poses=best.trajectory.poses[best.middles],
         chunk_covariances=best.chunk_covariances,
         errors=best.trajectory.bias,
         keys=keys,

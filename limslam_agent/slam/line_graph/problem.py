@@ -9,7 +9,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import block_diag
 
+from limslam_agent.config.consistent import SelfCalibrationConfig
 from limslam_agent.slam.core.contact import LooseMotion, slips_of
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph import chain_kernels as kernels
@@ -22,21 +24,13 @@ LEAST_RANGE_STD = 0.005  # m
 FEWEST_READINGS = 6
 """Least number of readings of a line."""
 
-# Standard deviations of the constant errors of wheels and beams: the common relative size error of both wheels, that of
-# the right wheel with respect to the left one, that of the axle, and the bias of all ranges, m.
-_SIZE_STD, _UNEVEN_STD, _AXLE_STD, _BIAS_STD = 0.03, 0.03, 0.03, 0.02
+_SIZES = SelfCalibrationConfig(size_std=0.03, uneven_std=0.03, axle_std=0.03)
+_BIAS_STD = 0.02  # m, of a bias of all ranges
 _ASIDE_STD = 1e-5  # m: keeps the equations regular, and adds up to less than a millimetre in a run
 _LEAST_VARIANCE = 1e-12  # m^2
 
 
-def _calibration_prior() -> FloatArray:
-    both, half = _SIZE_STD**2, 0.25 * _UNEVEN_STD**2
-    covariance = np.diag([both + half, both + half, _AXLE_STD**2, _BIAS_STD**2])
-    covariance[[0, 1], [1, 0]] = both - half
-    return np.asarray(np.linalg.inv(covariance))
-
-
-CALIBRATION_PRIOR = _calibration_prior()
+CALIBRATION_PRIOR: FloatArray = np.linalg.inv(block_diag(_SIZES.covariance, _BIAS_STD**2))
 """Inverse covariance (4, 4) of the prior of a robot's calibration: left wheel, right wheel, axle, bias."""
 
 
