@@ -158,8 +158,8 @@ def _unfinished(submitted: dict["Future[Row]", int]) -> list[int]:
 
 
 def _prepare() -> None:
-    """Begin a worker: one thread, no Ctrl-C of its own, and no life of it or of its commands without its parent."""
-    # A handler is not inherited by the commands of entries, and an ignored signal would be.
+    """Begin a worker, which ignores Ctrl-C and ends with its parent, as the commands that it starts do."""
+    # The commands of entries would inherit an ignored signal, but they do not inherit a handler.
     signal.signal(signal.SIGINT, lambda *_: None)
     begin_group()
     signal.signal(signal.SIGTERM, lambda *_: kill_group(os.getpid()))
