@@ -6,7 +6,7 @@ Numbers that nothing sets are constants beside the code (:mod:`limslam_agent.sla
 import math
 from dataclasses import dataclass, field
 
-from limslam_agent.config.bounds import Angle, Bounded, Count, CountOrNone, NonNegative, Positive
+from limslam_agent.config.bounds import Angle, Bounded, Count, NonNegative, Positive
 
 _DEGREE = math.pi / 180.0
 
@@ -132,15 +132,11 @@ class RoundConfig(Bounded):
         Number of iterations of the bundle in each round.
     orientations
         First headings of the log in the frames of the searches, rad: they decide the bins of the Hough transforms.
-    restarts
-        If odometry misses much of its heading, its errors are corrected and the log is smoothed again, at most this
-        number of times. The result is kept if its score is higher.
     """
 
     hops: tuple[float, ...] = (1.0, 0.8) * 5
     iterations: tuple[int, ...] = (6, 6, 6, 8, 8, 8, 8, 8, 8, 8)
     orientations: tuple[float, ...] = (0.0, 20.0 * _DEGREE, 45.0 * _DEGREE, 70.0 * _DEGREE)
-    restarts: CountOrNone = 3
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,9 @@ _TRIED, _TRIAL_ROUNDS, _FINISHED, _HOPELESS = 3, 2, 2, 0.02
 _TIE = 0.003  # scores within this distance of the best score are equal; the last such round is taken
 # How often the delay of the ranges is estimated and corrected before the search. A correction of less, s, is the last.
 _SYNCHRONISATIONS, _SYNCHRONOUS = 3, 0.02
-_RESTART = math.radians(3.0)  # rad/m: heading that odometry misses, from which on the log is smoothed again
+# If odometry misses more heading than this, rad/m, its errors are corrected and the log is smoothed again, at most this
+# often. The result is kept if its score is higher.
+_MUCH_MISSED, _RESTARTS = math.radians(3.0), 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,9 +127,9 @@ def smooth_log(
     report = report or _silent
     data, known = _synchronised(data, config)
     best = _smoothed(data, start, config, report)
-    for _ in range(config.rounds.restarts):
+    for _ in range(_RESTARTS):
         found = best.trajectory.bias
-        if abs(found[0]) < _RESTART:
+        if abs(found[0]) < _MUCH_MISSED:
             break
         # The loops of a path that bends by several degrees a metre are not recognised, and then its bias is too small.
         data = corrected(data, found)
