@@ -199,12 +199,10 @@ def replay_log(
     return replay
 
 
-def _estimated_rows(
-    log: RecordedLog, estimate: FilterEstimate, progress: Callable[[int], None]
-) -> dict[str, np.ndarray[Any, Any]]:
+def _estimated_rows(log: RecordedLog, estimate: FilterEstimate, progress: Callable[[int], None]) -> dict[str, Any]:
     """What is estimated after each event of a log, by the names of the arrays in :class:`Replay`."""
     count = len(log)
-    rows: dict[str, np.ndarray[Any, Any]] = {
+    rows: dict[str, Any] = {
         "estimated": np.empty((count, 3)), "odometry": np.empty((count, 3)), "covariances": np.empty((count, 3, 3)),
         "levels": np.empty(count, dtype=np.int64), "slam_ms": np.empty(count), "job_ms": np.empty(count),
     }  # fmt: skip

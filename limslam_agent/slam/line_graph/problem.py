@@ -30,7 +30,7 @@ _ASIDE_STD = 1e-5  # m: keeps the equations regular, and adds up to less than a 
 _LEAST_VARIANCE = 1e-12  # m^2
 
 
-CALIBRATION_PRIOR: FloatArray = np.linalg.inv(block_diag(_SIZES.covariance, _BIAS_STD**2))
+CALIBRATION_PRIOR: FloatArray = np.asarray(np.linalg.inv(block_diag(_SIZES.covariance, [_BIAS_STD**2])), dtype=float)
 """Inverse covariance (4, 4) of the prior of a robot's calibration: left wheel, right wheel, axle, bias."""
 
 
