@@ -15,6 +15,7 @@ import numpy as np
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.relations import Relations, read_relations, relation_errors, summary
+from limslam_agent.replay.local_views import moves_of
 from limslam_agent.replay.reversing import with_reversing
 from limslam_agent.replay.smoothing import log_data, trusted_path
 from limslam_agent.replay.trust import PathSignals
@@ -113,7 +114,7 @@ def varied(data: LogData, relations: Relations, how: Variation) -> tuple[LogData
 
 def _with_errors(data: LogData, how: Variation, generator: np.random.Generator) -> FloatArray:
     """Motions (n - 1, 3) of odometry with the errors of a variation."""
-    moves = _moves(data)
+    moves = moves_of(data)
     root = np.sqrt(np.hypot(moves[:, :1], moves[:, 1:2]))
     moves[:, 2] += np.radians(how.turn) * moves[:, 0] + how.gain * moves[:, 2]
     moves[:, :2] *= 1.0 + how.scale
@@ -138,10 +139,6 @@ def _at_times(odometry: FloatArray, time: FloatArray, noise: float, generator: n
     return se2.between(poses[:-1], poses[1:])
 
 
-def _moves(data: LogData) -> FloatArray:
-    return se2.between(data.odometry[:-1], data.odometry[1:])
-
-
 def _part(data: LogData, begin: float, end: float) -> LogData:
     """The events between two shares of the log's time."""
     share = (data.time - data.time.min()) / max(float(np.ptp(data.time)), 1e-9)
@@ -161,7 +158,7 @@ def _mirrored(data: LogData, relations: Relations) -> tuple[LogData, Relations]:
 def _backwards(data: LogData, relations: Relations) -> tuple[LogData, Relations]:
     """The drive from its end to its begin. The robot looks the other way, so that it drives ahead."""
     end = data.time[0] + data.time[-1]
-    moves = _turned_about(se2.inverse(_moves(data))[::-1])
+    moves = _turned_about(se2.inverse(moves_of(data))[::-1])
     data = replace(
         data,
         time=(end - data.time)[::-1].copy(),

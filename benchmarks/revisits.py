@@ -64,7 +64,7 @@ def revisits(log: LogData, poses: FloatArray) -> Revisits:
     config = GraphConfig()
     # In place of odometry: events between two key poses then follow the path, too.
     data = replace(log, odometry=poses)
-    keys = choose_keys(data, config.keys, config.motion)
+    keys = choose_keys(data, config.keys)
     middles = chunk_middles(keys, config.maps, config.maps.hop)
     path = Trajectory(poses[keys.first_event], np.zeros(ERRORS))
     maps = cut_chunks(keys, path, config.maps, middles, data.max_range)

@@ -19,6 +19,9 @@ from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose, inverse, wrap_angle
 from limslam_env.interface import Observation
 
+# Least time between two renewals, s, if the robot is lost and does not go on in a local frame.
+_LEAST_PERIOD = 30.0
+
 LEAST_DRIVEN = 1.0
 """A robot that has hardly moved since the last renewal has nothing to smooth, m."""
 
@@ -111,7 +114,7 @@ class Renewal:
         self._is_wanted, self._level = (self._is_wanted or is_worse) and level != "ok", level
         is_over = waited >= settings.period
         # A stretch that could not be smoothed is tried again when it is twice as long.
-        is_early = self._is_wanted and waited >= settings.least and len(self._rows) >= 2 * self._tried
+        is_early = self._is_wanted and waited >= _LEAST_PERIOD and len(self._rows) >= 2 * self._tried
         is_renewed = (is_over or is_early) and not (is_found or self._began_lost) and self._renew()
         if is_over or is_renewed or is_found:
             self._begin_at_last_row()
@@ -122,8 +125,8 @@ class Renewal:
 
         The smoother can take back a wrong association. The readings that contradict the estimate then no longer do so.
         """
-        settings, waited = self._config.renewal, len(self._rows) * self._slam.robot.control_period
-        if not self.is_possible or settings is None or waited < settings.least or not self._renew(is_expected=False):
+        waited = len(self._rows) * self._slam.robot.control_period
+        if not self.is_possible or waited < _LEAST_PERIOD or not self._renew(is_expected=False):
             return False
         self._begin_at_last_row()
         return True
@@ -197,10 +200,10 @@ class Renewal:
         from limslam_agent.slam.line_graph.smoother import FilteredRun
 
         wheels, ranges, usable, poses, covariances = (np.array(each) for each in zip(*self._rows, strict=True))
-        settings, renewal = self._config.run_smoothing, self._config.renewal
+        settings = self._config.run_smoothing
         if settings is not None and self._slam.odometry_calibration is not None:
             settings = replace(settings, calibrate="always")
-        if self._start is None or settings is None or renewal is None or np.abs(wheels[1:]).sum() < 2.0 * LEAST_DRIVEN:
+        if self._start is None or settings is None or np.abs(wheels[1:]).sum() < 2.0 * LEAST_DRIVEN:
             return None
         # The estimate at the beginning knows the readings of the first row.
         usable[0] &= self._first_step == 0
@@ -218,4 +221,4 @@ class Renewal:
             first_step=self._first_step,
             sensor=self._slam.sensor,
         )
-        return renewed(self._start, stretch, settings, renewal)
+        return renewed(self._start, stretch, settings)

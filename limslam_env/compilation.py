@@ -94,7 +94,7 @@ def _prefetch(typing_context: Any, array: Any, row: Any, column: Any) -> Any:
         number = ir.IntType(32)
         kind = ir.FunctionType(ir.VoidType(), [pointer.type, number, number, number])
         function = builder.module.declare_intrinsic("llvm.prefetch", (pointer.type,), kind)
-        # To be read; to be kept near; data and no code.
+        # The arguments say that the memory will be read (0), stays in all caches (3), and holds data and no code (1).
         builder.call(function, [pointer, *(ir.Constant(number, value) for value in (0, 3, 1))])
         return context.get_dummy_value()
 

@@ -59,7 +59,7 @@ class Observation(TypedDict):
 
 def side_of(angle: float) -> Side:
     """The buffer that a beam at ``angle`` (rad, 0 is ahead) fills: walls beside the robot, not ahead or behind."""
-    # The limits are no side: rounding must not put one of two mirrored beams beyond them.
+    # A beam exactly at a limit is on no side. Otherwise rounding could give two mirrored beams different sides.
     if SMALLEST_SIDE_ANGLE + _ROUNDING < abs(wrap_angle(angle)) < LARGEST_SIDE_ANGLE - _ROUNDING:
         return "left" if wrap_angle(angle) > 0.0 else "right"
     return "none"

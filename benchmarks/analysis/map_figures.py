@@ -122,28 +122,34 @@ def _logs(parts: Sequence[Group], folder: Path) -> Iterator[Drawing]:
 
 
 def _sheet(name: str, title: str, lines: Sequence[Sequence[_Cell | None]], folder: Path) -> Iterator[Drawing]:
-    loaded = [[(cell, read_series(folder, cell.row)) for cell in line if cell is not None] for line in lines]
-    maps = [[(cell, series) for cell, series in line if series is not None] for line in loaded]
-    present = [each for line in maps for each in line]
+    """A figure of maps, one for each cell whose job has series. Nothing if none has."""
+    maps = [[_loaded(cell, folder) for cell in line] for line in lines]
+    shown = [[each for each in line if each is not None] for line in maps]
+    present = [each for line in shown for each in line]
     if not present:
         return
-    boxes = [_box([series for _, series in line]) for line in maps]
-    across = max(map(len, lines))
+    boxes = [_box([series for _, series in line]) for line in shown]
     heights = [_CELL * float(min((high - low)[1] / (high - low)[0], 1.6)) for low, high in boxes]
-    figure, axes = uneven_sheet(heights, across, _CELL)
-    for number, line in enumerate(axes):
-        for place, axis in enumerate(line):
-            axis.set_axis_off()
-            cell = lines[number][place] if place < len(lines[number]) else None
-            series = next((series for other, series in maps[number] if other is cell), None)
-            if cell is not None and series is not None:
+    figure, axes = uneven_sheet(heights, max(map(len, lines)), _CELL)
+    for axis in (each for line in axes for each in line):
+        axis.set_axis_off()
+    for line_of_axes, line, box in zip(axes, maps, boxes, strict=True):
+        for axis, each in zip(line_of_axes, line, strict=False):
+            if each is not None:
+                cell, series = each
                 axis.set_title(cell.title, fontsize=8, parse_math=False)
-                _paint(axis, series, boxes[number])
+                _paint(axis, series, box)
     is_known = any(series.edges is not None for _, series in present)
     headline(figure, title)
     legend_below(figure, _legend(max(series.estimated.shape[1] for _, series in present), is_known=is_known))
     what = "true walls grey, walls of the map red over them, paths in colour" if is_known else "walls of the map, paths"
     yield Drawing(name, title, f"{title}. In each: {what}. {'; '.join(cell.title for cell, _ in present)}.", figure)
+
+
+def _loaded(cell: _Cell | None, folder: Path) -> tuple[_Cell, Series] | None:
+    """A cell with the series of its job; None if the cell is empty or its job has none."""
+    series = None if cell is None else read_series(folder, cell.row)
+    return None if cell is None or series is None else (cell, series)
 
 
 def _box(shown: Sequence[Series]) -> tuple[FloatArray, FloatArray]:

@@ -69,11 +69,14 @@ def _draw(
             ]
             compared = _compared(pairs, metric(of))
             estimate = compared.ratio if is_ratio else compared.difference
-            if estimate is not None:
-                height = place + (0.0 if world is None else -0.14 - 0.11 * (number - 1))
-                style = ("black", "D", 6.0) if world is None else (COLOURS[number - 1], MARKERS[number - 1], 3.5)
-                _point(axes, estimate, height, *style)
-                said += [f"{method}: {estimate.value:.2f} (n = {estimate.count})"] if world is None else []
+            if estimate is None:
+                continue
+            if world is None:  # all worlds together
+                _point(axes, estimate, place, "black", "D", 6.0)
+                said.append(f"{method}: {estimate.value:.2f} (n = {estimate.count})")
+            else:
+                height = place - 0.14 - 0.11 * (number - 1)
+                _point(axes, estimate, height, COLOURS[number - 1], MARKERS[number - 1], 3.5)
     plain_axes(axes)
     axes.axvline(1.0 if is_ratio else 0.0, color="0.5", linewidth=0.9)
     axes.set(ylim=(-0.35 - 0.11 * len(worlds), len(methods) - 0.6), xscale="log" if is_ratio else "linear")

@@ -19,6 +19,7 @@ from benchmarks.analysis.sheets import render
 from benchmarks.analysis.tables import cost_sheet, failure_sheet, number_sheets
 from benchmarks.suite.store import Row, read_jobs
 from limslam_agent.output.atomic_write import atomic_write
+from limslam_agent.output.finished_run import part_of
 
 _COLOURS = 96
 _PIXELS = 96  # pixels per inch of a figure on the page
@@ -203,7 +204,7 @@ def _making(rows: Sequence[Row], suite: dict[str, Any]) -> str:
         "digest of the suite": str(suite.get("digest", "unknown")),
         "commit": _all(row.commit for row in rows),
         "settings and worlds": f"{len({row.config for row in rows if row.config})} digests",
-        **{f"machine: {name}": str(value) for name, value in _part(suite, "machine").items()},
+        **{f"machine: {name}": str(value) for name, value in part_of(suite, "machine").items()},
     }
     here = {"system": platform.platform(), "processors": str(os.cpu_count()), "Python": platform.python_version()}
     cost = cost_sheet(rows)
@@ -212,11 +213,6 @@ def _making(rows: Sequence[Row], suite: dict[str, Any]) -> str:
         f"<details open><summary>Machine on which this page was made</summary>{_facts(here)}</details>"
         f"{'' if cost is None else render(cost, 'html')}"
     )
-
-
-def _part(content: dict[str, Any], name: str) -> dict[str, Any]:
-    part = content.get(name)
-    return part if isinstance(part, dict) else {}
 
 
 def _facts(facts: dict[str, str]) -> str:

@@ -16,7 +16,6 @@ import numpy as np
 
 from benchmarks.speed.rates import Loop
 
-DEGREES = (90.0, 45.0, 15.0, -15.0, -45.0, -90.0)
 REACH = 1.5
 NUM_WALLS = 40
 SIDE = 7.0

@@ -23,6 +23,7 @@ from benchmarks.speed.rates import Clock, Loop, print_rates, rates_in_turn, rati
 from benchmarks.speed.run import BAR, times_faster
 from benchmarks.speed.simulators import SIMULATORS, simulator_loops
 from limslam_agent import SlamVectorObservation
+from limslam_env.batch.progress import cores
 from limslam_env.geometry import FloatArray
 
 _BELIEFS, OURS = 256, "batch of 1024"
@@ -222,7 +223,7 @@ def print_bars(rates: dict[str, FloatArray], batch: Loop, clock: Clock) -> None:
     plans = seconds_of_plans()
     loading, first = min(of_new_process(_FIRST_STEP) for _ in range(3))
     memory, own = memory_of("LimSlam-Env1-v0", 1024, 16384), memory_of("LimSlam-Random-v0", 64, 576)
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    most = cores()
     print("\n| bar | measured | wanted |\n|---|---|---|")
     print(f"| batch of 8192 / CartPole | {ratio(rates, 'batch of 8192', CARTPOLE):.3f} | >= 0.37 |")
     print(
@@ -231,10 +232,10 @@ def print_bars(rates: dict[str, FloatArray], batch: Loop, clock: Clock) -> None:
     print(f"| batch of 1024 / single | {ratio(rates, OURS, SINGLE):.1f} | >= 38 |")
     print(f"| 40 walls / 2000 walls | {ratio(rates, forty, thousands):.2f} | <= 1.3 |")
     print(f"| single / plain pymunk | {ratio(rates, SINGLE, PLAIN):.2f} | >= 2.3 |")
-    print(f"| beside a busy process / alone, {cores} cores | {beside / alone:.2f} | >= {1.0 - 1.0 / cores:.2f} |")
+    print(f"| beside a busy process / alone, {most} cores | {beside / alone:.2f} | >= {1.0 - 1.0 / most:.2f} |")
     print(f"| import, then first step | {loading:.2f} s, {first:.2f} s | first step <= 1.5 s |")
     beliefs = float(np.median(rates[BELIEFS]))
-    print(f"| belief observations a second, {cores} cores | {beliefs:,.0f} | >= 60,000 on two |")
+    print(f"| belief observations a second, {most} cores | {beliefs:,.0f} | >= 60,000 on two |")
     print(f"| 1000 given starts | {1e3 * seconds_of_starts():.0f} ms | <= 50 ms |")
     print(f"| 8192 floor plans, from {_PLANS} of them | {plans:.0f} s | <= 60 s on two cores |")
     print(f"| memory of an environment, with its grid and the results of two steps | {memory:.1f} kB | <= 20 kB |")

@@ -170,7 +170,7 @@ def manifest_of(table: dict[str, object], where: str) -> Manifest:
     SettingsError
         If it cannot be used.
     """
-    # A manifest that names nothing is no manifest, so the defaults of an updated one must be possible.
+    # A manifest has no defaults. The values of this one are only there to be replaced by those of the table.
     possible = Manifest(name="-", authors=("-",), kind="shipped", run="frontier", uses="belief")
     missing = [name for name in ("name", "authors", "kind", "uses") if name not in table]
     if missing:

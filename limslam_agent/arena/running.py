@@ -11,6 +11,7 @@ from concurrent.futures import Future, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from dataclasses import dataclass
+from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
@@ -139,11 +140,16 @@ def results_of(todo: Sequence[Job], jobs: int) -> Iterator[Row]:
             # Nobody waits for plans that are being run when the user stops the command.
             pool.shutdown(wait=False, cancel_futures=True)
             for child in set(multiprocessing.active_children()) - before:
-                if child.pid is not None:
-                    with suppress(OSError):  # it has ended, or has no group yet
-                        kill_group(child.pid)
-                child.kill()
+                _kill(child)
             raise
+
+
+def _kill(child: BaseProcess) -> None:
+    """Kill a process of the pool, and the commands of entries that it has started."""
+    if child.pid is not None:
+        with suppress(OSError):  # it has ended, or has no group yet
+            kill_group(child.pid)
+    child.kill()
 
 
 def _unfinished(submitted: dict["Future[Row]", int]) -> list[int]:
@@ -152,8 +158,8 @@ def _unfinished(submitted: dict["Future[Row]", int]) -> list[int]:
 
 
 def _prepare() -> None:
-    """Begin a worker: one thread, no Ctrl-C of its own, and no life of it or of its commands without its parent."""
-    # A handler is not inherited by the commands of entries, and an ignored signal would be.
+    """Begin a worker, which ignores Ctrl-C and ends with its parent, as the commands that it starts do."""
+    # The commands of entries would inherit an ignored signal, but they do not inherit a handler.
     signal.signal(signal.SIGINT, lambda *_: None)
     begin_group()
     signal.signal(signal.SIGTERM, lambda *_: kill_group(os.getpid()))

@@ -79,7 +79,7 @@ def compare(first: Mapping[int, float], second: Mapping[int, float]) -> Comparis
     differences = np.round([second[plan] - first[plan] for plan in common], 9)
     p_value = None
     if np.any(differences != 0.0):
-        # Plans that both have lost are equal; zero differences count half for each side.
+        # Plans on which both entries got lost have the difference zero, which counts half for each side.
         p_value = float(stats.wilcoxon(differences, zero_method="zsplit").pvalue)
     return Comparison(mean(differences), p_value, len(common))
 

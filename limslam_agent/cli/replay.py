@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig
     from limslam_agent.logs.recorded_log import RecordedLog
     from limslam_agent.logs.relations import Relations
+    from limslam_agent.logs.table_options import TableOptions
     from limslam_agent.replay.options import Calibration, CalibrationRun
     from limslam_agent.replay.replay import Replay
     from limslam_env.interface import RobotSpec
@@ -157,7 +158,6 @@ def job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "Robo
     from limslam_agent.logs.limits import Limits
     from limslam_agent.logs.log_reader import read_log
     from limslam_agent.logs.relations import read_relations
-    from limslam_agent.logs.table_options import TableOptions
     from limslam_agent.replay.options import CalibrationRun, chosen_topics, numbers
 
     calibration_run = CalibrationRun(options.calibrate, options.calibrate_until, options.calibrate_log)
@@ -167,27 +167,45 @@ def job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "Robo
     known = read_relations(options.relations, limits) if options.relations else None
     angles = None if options.beams is None else numbers("--beams", options.beams)
     topics = chosen_topics(options.scan_topic, options.range_topics, options.odometry_topic)
-    axes = () if options.zone_axes is None else tuple(numbers("--zone-axes", options.zone_axes))
-    units = options.range_unit, options.time_unit
-    columns = () if options.columns is None else tuple(name.strip().lower() for name in options.columns.split(","))
-    ticks = options.metres_per_tick, options.accumulated
-    table = TableOptions(robot, *ticks, *units, axes, options.zero_is_nothing, columns)
+    table = _table_options(options, robot)
 
     def opened(path: Path) -> "RecordedLog":
         return read_log(path, angles, options.max_range, topics, limits, table)
 
     recorded = opened(log)
+    _check_options(log, options, recorded)
+    calibration = calibration_run.estimate(recorded, agent.odometry, opened)
+    if calibration:
+        agent = replace(agent, odometry=calibration.applied_to(agent.odometry))
+        known = known and calibration.held_out(known)
+    return Job(recorded, agent, known, calibration, _source(log, options, calibration_run))
+
+
+def _table_options(options: ReplayOptions, robot: "RobotSpec | None") -> "TableOptions":
+    """How a log that is a table is read."""
+    from limslam_agent.logs.table_options import TableOptions
+    from limslam_agent.replay.options import numbers
+
+    axes = () if options.zone_axes is None else tuple(numbers("--zone-axes", options.zone_axes))
+    columns = () if options.columns is None else tuple(name.strip().lower() for name in options.columns.split(","))
+    ticks, units = (options.metres_per_tick, options.accumulated), (options.range_unit, options.time_unit)
+    return TableOptions(robot, *ticks, *units, axes, options.zero_is_nothing, columns)
+
+
+def _check_options(log: Path, options: ReplayOptions, recorded: "RecordedLog") -> None:
+    """Refuse options that do not fit the log.
+
+    Raises
+    ------
+    ValueError
+        If one does not; the message names it.
+    """
     if options.noise > (reach := float(recorded.robot.max_ranges.max())):
         raise ValueError(f"--noise {options.noise:g} m is more than the longest range of {reach:g} m: is it in metres?")
     if options.map is not None and recorded.wheels is None:
         raise ValueError(f"{log}: has odometry poses; --map is for logs of wheel travel")
     if recorded.odometry is None and (options.odometry_noise or options.odometry_bias):
         raise ValueError(f"{log}: has wheel travel; --odometry-noise and --odometry-bias are for logs with poses")
-    calibration = calibration_run.estimate(recorded, agent.odometry, opened)
-    if calibration:
-        agent = replace(agent, odometry=calibration.applied_to(agent.odometry))
-        known = known and calibration.held_out(known)
-    return Job(recorded, agent, known, calibration, _source(log, options, calibration_run))
 
 
 def _source(log: Path, options: ReplayOptions, calibration_run: "CalibrationRun") -> dict[str, str | None]:

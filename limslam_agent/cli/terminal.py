@@ -25,7 +25,7 @@ def progress_bar(task: str, total: float) -> Iterator[Advance]:
 
 def warn(warnings: Iterable[str]) -> None:
     """Print warnings on standard error, one line each."""
-    # Its package loads numpy, which `limslam --help` need not wait for.
+    # The package of the messages loads numpy, and `limslam --help` must not wait for that.
     from limslam_env.messages import printable
 
     for warning in warnings:

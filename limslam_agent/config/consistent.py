@@ -1,6 +1,7 @@
 """Settings of the consistent estimator, one frozen dataclass for each stage.
 
 All values are choices of this project, tuned on seeds that are not reported. Lengths are in metres, angles in radians.
+Numbers that nothing sets are constants beside the code (:mod:`limslam_agent.slam.consistent.limits`).
 """
 
 import math
@@ -9,7 +10,7 @@ from typing import Annotated, Literal, Self
 
 import numpy as np
 
-from limslam_agent.config.bounds import Angle, Bounded, Bounds, Count, CountOrNone, NonNegative
+from limslam_agent.config.bounds import Bounded, Bounds, Count, CountOrNone, NonNegative
 from limslam_agent.config.shared import HoughConfig
 from limslam_env.geometry import FloatArray
 
@@ -36,10 +37,6 @@ class PendingReadingsConfig(Bounded):
         At most this many beams of a side are used in a step.
     batch
         Number of new readings of a side at which lines are extracted from its pending readings.
-    wall_end
-        Distance driven without a hit after which a wall has ended, m.
-    complete_after
-        A piece of wall is complete when the robot has driven this far since the piece's last reading, m.
     max_age
         A reading that has been pending for this long, m driven, is discarded.
     max_clones
@@ -50,48 +47,24 @@ class PendingReadingsConfig(Bounded):
     min_turn: NonNegative = math.radians(1.0)
     beams: Count = 8
     batch: Count = 12
-    wall_end: NonNegative = 0.25
-    complete_after: NonNegative = 0.15
     max_age: NonNegative = 1.5
     max_clones: Count = 70
 
 
 @dataclass(frozen=True)
 class SegmentationConfig(Bounded):
-    """When the readings on one extracted line are not one straight wall.
+    """When the readings of one piece of wall may lie on two walls.
 
     Attributes
     ----------
-    kink_gate, min_kink
-        Least gain in chi-square (one degree of freedom) of a model with a kink, and least angle of that kink, rad. A
-        piece of wall that is turned against a landmark by more than this, and by more than two standard deviations of
-        the piece's direction, does not update the landmark.
-    curve_gate
-        Least gain in chi-square (three degrees of freedom) of a smooth curve.
-    end_zone, end_gate
-        Points within ``end_zone`` of an end, m, belong to another wall if chi-square falls by more than ``end_gate``
-        without them.
-    gap_ahead
-        Largest hole between the points of the beams ahead that still belong to one wall, m. It replaces the
-        ``max_gap`` of the Hough transform for these beams, which meet a wall at places far apart.
     max_hole_share
         A segment with a wider hole between neighbouring points, as a share of the longest range that its robot can
         measure, creates no landmark, and it updates a landmark only if most of its points lie inside the landmark's
         known ends. The points on either side of such a hole may lie on two different walls. Holes between beams grow
         with the distance of the wall, and beams that reach farther meet farther walls.
-    corner_std
-        For ranges with at least this standard deviation, m, readings near a known wall that crosses their line are not
-        used. By default all are used: leaving them out helps some runs and harms others.
     """
 
-    kink_gate: NonNegative = 12.0
-    min_kink: Angle = math.radians(8.0)
-    curve_gate: NonNegative = 14.0
-    end_zone: NonNegative = 0.10
-    end_gate: NonNegative = 6.0
-    gap_ahead: NonNegative = 0.9
     max_hole_share: NonNegative = 0.2
-    corner_std: NonNegative = 1e3
 
 
 @dataclass(frozen=True)
@@ -100,56 +73,11 @@ class WallAssociationConfig(Bounded):
 
     Attributes
     ----------
-    max_end_gap, max_angle, max_offset
-        Landmarks farther away than this are not considered: the gap along the wall, m, the difference of direction,
-        rad, and the offset across the wall, m. The angle and the offset also limit the merging of two landmarks.
     gate
         Largest chi-square (two degrees of freedom) of the difference between the readings and a landmark.
-    far_gate
-        Readings with a chi-square between ``gate`` and ``far_gate`` create no landmark. They update the landmark if
-        every other one has a chi-square of ``far_gate`` or more, and if they lie inside the landmark's known ends and
-        would be good enough for a new landmark but for their length (``CreationConfig``). Otherwise they stay pending.
-    ambiguity
-        Readings are discarded if the chi-square of a second landmark within ``gate`` is larger by less than this.
     """
 
-    max_end_gap: NonNegative = 0.35
-    max_angle: Angle = math.radians(20.0)
-    max_offset: NonNegative = 0.5
     gate: NonNegative = 9.0
-    far_gate: NonNegative = 25.0
-    ambiguity: NonNegative = 9.0
-
-
-@dataclass(frozen=True)
-class UpdateConfig(Bounded):
-    """When and how the readings of a piece of wall update a known landmark.
-
-    Attributes
-    ----------
-    min_length
-        Shorter pieces update nothing, m.
-    residual_sigmas
-        Largest chi-square of the residuals about the best line, in standard deviations of its distribution.
-    end_slack
-        Readings up to this far beyond a landmark's known ends count as inside, m.
-    beyond_length, beyond_gate, beyond_angle_std
-        If most readings lie beyond the known ends, the piece must be at least this long, m, its chi-square at most
-        this large, and the standard deviation of its direction at most this large, rad.
-    huber
-        Residuals of more standard deviations than this are weighted down (Huber's weights).
-    iterations
-        Iterations of the iterated update.
-    """
-
-    min_length: NonNegative = 0.15
-    residual_sigmas: NonNegative = 3.0
-    end_slack: NonNegative = 0.05
-    beyond_length: NonNegative = 0.20
-    beyond_gate: NonNegative = 9.0
-    beyond_angle_std: Angle = math.radians(4.0)
-    huber: NonNegative = 1.5
-    iterations: Count = 2
 
 
 @dataclass(frozen=True)
@@ -160,45 +88,25 @@ class CreationConfig(Bounded):
     ----------
     min_length, min_length_noisy
         Least length of the piece, m, for ranges with a standard deviation below 1 cm, and for other ranges.
-    min_length_complete
-        Least length of a piece that is complete, m: no more readings of it will come.
     readings_per_std
         Least number of readings for each metre of the ranges' standard deviation.
-    max_angle_std
-        Largest standard deviation of the piece's direction, rad.
-    iterations
-        Iterations of the first update.
     """
 
     min_length: NonNegative = 0.7
     min_length_noisy: NonNegative = 1.0
-    min_length_complete: NonNegative = 0.25
     readings_per_std: NonNegative = 500.0
-    max_angle_std: Angle = math.radians(3.0)
-    iterations: Count = 4
 
 
 @dataclass(frozen=True)
 class ExtentConfig(Bounded):
-    """Between which places a landmark is a wall, and when it is drawn.
+    """When a landmark is drawn.
 
     Attributes
     ----------
-    through_sigmas, through_slack
-        A beam has passed through a landmark's line if the beam is longer than the distance to the line by this many
-        standard deviations and by this length, m.
-    max_gap
-        Longest stretch without readings that is drawn as wall, m.
-    through_tolerance
-        Largest number of beams that passed for each beam that hit, where a wall is drawn.
     min_readings, min_length
         A landmark is drawn if it has this many readings and its piece of wall is this long, m.
     """
 
-    through_sigmas: NonNegative = 3.0
-    through_slack: NonNegative = 0.05
-    max_gap: NonNegative = 0.30
-    through_tolerance: NonNegative = 1.0
     min_readings: CountOrNone = 10
     min_length: NonNegative = 0.20
 
@@ -211,15 +119,9 @@ class MergingConfig(Bounded):
     ----------
     enabled
         False is the ablation without loop closing.
-    gate
-        Largest chi-square (two degrees of freedom) of the difference of the two landmarks.
-    min_overlap
-        Least length of wall that both landmarks cover, m.
     """
 
     enabled: bool = True
-    gate: NonNegative = 16.0
-    min_overlap: NonNegative = 0.15
 
 
 @dataclass(frozen=True)
@@ -231,8 +133,6 @@ class SelfCalibrationConfig(Bounded):
     calibrate
         When these sizes are part of the filter's state: ``always``, ``never``, or ``if_needed``, which is from the
         moment on at which the data show that the robot is not as specified.
-    gate
-        What shows it: twice the logarithm of the Bayes factor for wrong sizes against sizes as specified.
     size_std
         Standard deviation of the size of both wheels together, as a share.
     uneven_std
@@ -242,7 +142,6 @@ class SelfCalibrationConfig(Bounded):
     """
 
     calibrate: WhenToCalibrate = "if_needed"
-    gate: NonNegative = 8.0
     size_std: _StdShare = 0.01
     uneven_std: _StdShare = 0.02
     axle_std: _StdShare = 0.03
@@ -311,12 +210,10 @@ class ConsistentConfig:
         Division of the readings on a line into straight pieces of wall.
     association
         When a piece belongs to a known landmark.
-    update
-        How a piece updates a landmark.
     creation
         When a piece creates a landmark.
     extents
-        Between which places a landmark is a wall.
+        When a landmark is drawn.
     merging
         When two landmarks are merged.
     self_calibration
@@ -329,7 +226,6 @@ class ConsistentConfig:
     hough: HoughConfig = field(default_factory=lambda: HoughConfig(min_length=0.15))
     segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
     association: WallAssociationConfig = field(default_factory=WallAssociationConfig)
-    update: UpdateConfig = field(default_factory=UpdateConfig)
     creation: CreationConfig = field(default_factory=CreationConfig)
     extents: ExtentConfig = field(default_factory=ExtentConfig)
     merging: MergingConfig = field(default_factory=MergingConfig)

@@ -6,47 +6,31 @@ Numbers that nothing sets are constants beside the code (:mod:`limslam_agent.sla
 import math
 from dataclasses import dataclass, field
 
-from limslam_agent.config.bounds import Angle, Bounded, Count, CountOrNone, NonNegative, Positive
+from limslam_agent.config.bounds import Angle, Bounded, Count, NonNegative, Positive
 
 _DEGREE = math.pi / 180.0
 
 
 @dataclass(frozen=True)
 class KeyPoseConfig(Bounded):
-    """The choice of the poses of a log that are estimated, and of the scans that are used.
+    """The choice of the points of a log that are used.
 
     Attributes
     ----------
-    distance, turn
-        A new key pose begins after this distance driven (m) or this turn (rad).
-    scan_distance, scan_turn
-        A scan gives points only after this motion (m) or turn (rad) since the last scan that gave points.
     points_per_metre
         Largest number of points for each metre driven. Of more points, those of every k-th beam are used, of other
         beams in each scan.
     """
 
-    distance: Positive = 0.25
-    turn: Angle = 12.0 * _DEGREE
-    scan_distance: NonNegative = 0.015
-    scan_turn: Angle = 1.0 * _DEGREE
     points_per_metre: Positive = 140.0
 
 
 @dataclass(frozen=True)
 class MotionConfig(Bounded):
-    """The uncertainty of odometry, and the prior of its constant errors.
+    """The prior of the constant errors of odometry.
 
     Attributes
     ----------
-    along, across
-        Standard deviation of the motion, m per square root of a metre driven.
-    slip
-        Standard deviation of both components, m per square root of a radian turned.
-    turn_per_metre, turn_per_radian
-        Standard deviation of the heading, rad per square root of a metre driven and of a radian turned.
-    least_position, least_turn
-        Least standard deviations between two key poses, m and rad.
     bias_std
         Prior standard deviation of the missing heading of odometry per metre, rad/m.
     scale_std, turn_gain_std
@@ -57,13 +41,6 @@ class MotionConfig(Bounded):
         Prior standard deviation of the angle between the direction of driving and ahead in the frame of the beams, rad.
     """
 
-    along: NonNegative = 0.05
-    across: NonNegative = 0.05
-    slip: NonNegative = 0.03
-    turn_per_metre: NonNegative = 2.0 * _DEGREE
-    turn_per_radian: NonNegative = 6.0 * _DEGREE
-    least_position: Positive = 1e-3
-    least_turn: Angle = 0.05 * _DEGREE
     bias_std: Positive = 1.5 * _DEGREE
     scale_std: Positive = 0.03
     turn_gain_std: Positive = 0.03
@@ -134,39 +111,11 @@ class ReversingConfig(Bounded):
 
     Attributes
     ----------
-    reach
-        Logs whose beams reach less are not judged, m: they see too little of the ground ahead of a stop.
-    unsigned
-        Odometry counts as never reporting it if at most this share of the path is driven backwards by odometry.
-    slow
-        The robot may turn round where it is slower than this share of its median speed.
-    least
-        Stretches between such events that are shorter than this are not judged, m.
-    before, after, beyond
-        The last metres before a stretch are compared with its first metres, and with this distance beyond a short
-        stretch, m.
-    window, turn_window
-        The window of a match, m and rad.
-    score, lead, lead_per_metre
-        A stretch was driven backwards if this fits with at least this score, and better than driving ahead by ``lead``
-        and by ``lead_per_metre`` for each metre, since in a corridor both directions fit.
     contradicted, fewest
-        Odometry has no sign if at least ``fewest`` of these stretches contradict that they were driven ahead: at least
+        Odometry has no sign if at least ``fewest`` stretches contradict that they were driven ahead: at least
         this share of their points would lie where only free space was seen before.
     """
 
-    reach: NonNegative = 2.5
-    unsigned: NonNegative = 1e-3
-    slow: NonNegative = 0.35
-    least: NonNegative = 0.15
-    before: Positive = 3.5
-    after: Positive = 2.0
-    beyond: NonNegative = 1.0
-    window: Positive = 0.4
-    turn_window: Angle = 9.0 * _DEGREE
-    score: NonNegative = 0.45
-    lead: NonNegative = 0.12
-    lead_per_metre: NonNegative = 0.06
     contradicted: NonNegative = 0.03
     fewest: Count = 2
 
@@ -183,15 +132,11 @@ class RoundConfig(Bounded):
         Number of iterations of the bundle in each round.
     orientations
         First headings of the log in the frames of the searches, rad: they decide the bins of the Hough transforms.
-    restarts
-        If odometry misses much of its heading, its errors are corrected and the log is smoothed again, at most this
-        number of times. The result is kept if its score is higher.
     """
 
     hops: tuple[float, ...] = (1.0, 0.8) * 5
     iterations: tuple[int, ...] = (6, 6, 6, 8, 8, 8, 8, 8, 8, 8)
     orientations: tuple[float, ...] = (0.0, 20.0 * _DEGREE, 45.0 * _DEGREE, 70.0 * _DEGREE)
-    restarts: CountOrNone = 3
 
 
 @dataclass(frozen=True)

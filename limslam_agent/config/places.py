@@ -1,43 +1,21 @@
-"""Settings of finding a place again: when a match of two maps counts.
+"""Settings of finding a place again.
 
-All values are choices of this project, tuned on seeds that are not reported. Lengths are in metres, angles in radians.
+All values are choices of this project, tuned on seeds that are not reported. Lengths are in metres.
 """
 
-import math
 from dataclasses import dataclass
 
-from limslam_agent.config.bounds import Angle, Bounded, Count, NonNegative, Positive, Share
+from limslam_agent.config.bounds import Bounded, Count, NonNegative, Positive, Share
 
 
 @dataclass(frozen=True)
 class PlaceConfig(Bounded):
-    """How a local map is matched with another map, and when the match counts.
+    """When a place is searched for, and when it counts.
+
+    When a match of two maps counts is decided by constants beside the code (:mod:`limslam_agent.places.decision`).
 
     Attributes
     ----------
-    peaks
-        Number of poses that are refined and compared.
-    near, turn
-        A point of a wall is confirmed if a wall of the other map is within ``near``, m, and their directions differ by
-        less than ``turn``, rad.
-    contradiction
-        Price of a contradicted point, in confirmed points.
-    least_walls, least_across
-        Least length of confirmed walls, m, in all and across their main direction.
-    forward, backward
-        Least share of confirmed points among the confirmed and contradicted points: of the local map, and of the other
-        map.
-    known
-        Least share of the local map's points that are confirmed.
-    runner_up
-        Largest score of another pose, as a share of the best score.
-    discount, discounted
-        The score of another pose counts only for the share ``discount`` if at least this number of points contradict it
-        and its shares of confirmed points are less than ``forward``.
-    apart, apart_turn
-        Two poses are different if they are farther apart than this, m or rad.
-    std, heading_std
-        Standard deviations of position and heading of a match, m and rad.
     first, spacing
         Distance that a robot drives before its local map is matched for the first time, and between two matches, m.
         Two matches in succession must agree.
@@ -76,22 +54,6 @@ class PlaceConfig(Bounded):
         has no frontier left. Without the last condition, it must have driven ``far_confirmed``, m.
     """
 
-    peaks: Count = 12
-    near: Positive = 0.12
-    turn: Angle = math.radians(20.0)
-    contradiction: NonNegative = 2.0
-    least_walls: NonNegative = 4.0
-    least_across: NonNegative = 0.9
-    forward: Share = 0.94
-    backward: Share = 0.85
-    known: Share = 0.35
-    runner_up: Share = 0.70
-    discount: Share = 0.78
-    discounted: Count = 4
-    apart: Positive = 0.40
-    apart_turn: Angle = math.radians(15.0)
-    std: Positive = 0.05
-    heading_std: Angle = math.radians(2.0)
     first: NonNegative = 1.5
     spacing: Positive = 0.5
     lost_first: NonNegative = 0.8

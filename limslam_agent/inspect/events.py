@@ -5,8 +5,6 @@ from typing import Any
 
 import numpy as np
 
-from limslam_agent.config.presets import AgentConfig, ConsistentConfig
-from limslam_agent.config.published import PublishedConfig
 from limslam_agent.slam.core.diagnostics import AssociationRecord, CandidateTest, Closure, Comparison, Extraction
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
@@ -32,24 +30,6 @@ def rounded(values: Any, digits: int = 4) -> Any:
 def upper_triangle(covariance: FloatArray) -> list[float]:
     """The six numbers of a covariance (3, 3): xx, xy, xt, yy, yt, tt. Small numbers keep their digits."""
     return [float(f"{value:.4g}") for value in covariance[np.triu_indices(3)].tolist()]
-
-
-def limits_of(config: AgentConfig) -> dict[str, float]:
-    """The limits that decide about associations and loops, for the page to show beside the values."""
-    settings = config.estimator
-    if isinstance(settings, PublishedConfig):
-        near, loop = settings.association, settings.closing
-        return {
-            "gate": near.gate, "angle": near.max_angle, "offset": near.max_distance, "gap": near.max_end_gap,
-            "loop_gate": loop.gate, "loop_overlap": loop.min_overlap, "loop_offset": loop.max_distance,
-        }  # fmt: skip
-    assert isinstance(settings, ConsistentConfig)  # noqa: S101 (there are two kinds of estimators)
-    wall, merging = settings.association, settings.merging
-    return {
-        "gate": wall.gate, "far_gate": wall.far_gate, "ambiguity": wall.ambiguity,
-        "angle": wall.max_angle, "offset": wall.max_offset, "gap": wall.max_end_gap,
-        "loop_gate": merging.gate, "loop_overlap": merging.min_overlap, "loop_offset": wall.max_offset,
-    }  # fmt: skip
 
 
 def extraction_event(extraction: Extraction, threshold: int, r_step: float) -> Event:

@@ -14,7 +14,6 @@ from limslam_agent.inspect.events import (
     correct,
     explain_waiting,
     extraction_event,
-    limits_of,
     loop_event,
     rounded,
 )
@@ -68,7 +67,6 @@ class Recorder:
         self._stride = -(-steps // MOST_FRAMES)
         beams = len(mapper.robot.beams)
         self._beams = np.unique(np.linspace(0, beams - 1, min(beams, MOST_BEAMS)).round().astype(int))
-        self._limits = limits_of(mapper.config)
         self._row, self._frame_rows = 0, list[int]()
         self._events: list[Event] = []
         self._columns: dict[str, list[Any]] = {
@@ -181,7 +179,7 @@ class Recorder:
                  "side": beam.side}
                 for beam in (robot.beams[index] for index in self._beams.tolist())
             ],
-            "limits": self._limits, "reasons": list(self._reasons), "frontiers": self._frontiers,
+            "limits": self._mapper.slam.limits, "reasons": list(self._reasons), "frontiers": self._frontiers,
             "merges": isinstance(mapper.config.estimator, ConsistentConfig),
             "events": [self._dated(event) for event in self._events],
         }  # fmt: skip
@@ -253,7 +251,7 @@ class Recorder:
         if len(self._slam.closures) > closures and not self._mapper_merges:
             event["why"] = "it shows that two walls are one: it closes the loop and is not used further"
             return
-        explain_waiting(event, self._limits)
+        explain_waiting(event, self._mapper.slam.limits)
 
     @property
     def _mapper_merges(self) -> bool:

@@ -12,12 +12,17 @@ from limslam_agent.kernels.algebra import dot, factorise, leave_beside, orthonor
 from limslam_agent.kernels.compilation import algebra, entry
 from limslam_agent.kernels.measurement import end_of_beam, predict_ranges, ray_angle
 from limslam_agent.kernels.tables import (
+    CURVE_GATE,
+    END_GATE,
+    END_ZONE,
     FEWEST,
     FEWEST_FOR_SHAPE,
     GRAZING,
+    KINK_GATE,
     KINKS_AT,
     LEAST_GAIN,
     LEAST_SPREAD,
+    MIN_KINK,
     POSE,
 )
 from limslam_agent.kernels.updates import covariance_of, dense_block, involved
@@ -32,7 +37,7 @@ splits it: r about the world's origin, whether it is bent, and where."""
 def fit_segment(
     x: FloatArray, start: int, block: FloatArray, begins: IntArray, places: IntArray, readings: FloatArray,
     points: FloatArray, members: IntArray, line: tuple[float, float], std: float, variances: FloatArray,
-    limits: tuple[float, float, float, float, float], segment: FloatArray, along: FloatArray, loose: BoolArray,
+    segment: FloatArray, along: FloatArray, loose: BoolArray,
 ) -> tuple[FloatArray, IntArray]:  # fmt: skip
     """Fit a line to readings by generalised least squares, and test whether they are straight.
 
@@ -48,8 +53,6 @@ def fit_segment(
         (r, theta) that the fit begins at.
     std, variances
         Standard deviation of a short range, m, and the variances of the members' ranges (n,), m^2.
-    limits
-        ``kink_gate``, ``min_kink``, ``curve_gate``, ``end_zone`` and ``end_gate`` of the settings.
     segment, along, loose
         Filled: the segment (8,), the position of each member along it (n,), m, and which of them are loose ends (n,).
 
@@ -93,8 +96,8 @@ def fit_segment(
         own[i] = ordered[i] = along[clear[i]]
     sort_with(ordered, chosen, count)
     describe(along, len(members), own, foot, theta, std, segment)
-    segment[BENT] = bend(own, ordered, expected, left, basis, factor, limits, segment)
-    mark_loose_ends(own, ordered, expected, left, basis, factor, limits, clear, len(members), loose)
+    segment[BENT] = bend(own, ordered, expected, left, basis, factor, segment)
+    mark_loose_ends(own, ordered, expected, left, basis, factor, clear, len(members), loose)
     return left, clear[:count]
 
 
@@ -169,7 +172,7 @@ def solve_line(values: FloatArray, basis: FloatArray, count: int) -> tuple[float
 @algebra
 def bend(
     along: FloatArray, ordered: FloatArray, expected: FloatArray, left: FloatArray, basis: FloatArray,
-    factor: FloatArray, limits: tuple[float, float, float, float, float], segment: FloatArray,
+    factor: FloatArray, segment: FloatArray,
 ) -> float:  # fmt: skip
     """Whether (1 or 0) a kinked or curved line explains readings much better; fills the position of the best kink."""
     count = len(along)
@@ -196,8 +199,8 @@ def bend(
             product += left[i] * shapes[i, kinks + k]
         curved += product * product
     segment[BEND_AT] = places[best]
-    is_kinked = most > limits[0] and abs(angle) > limits[1]
-    return 1.0 if is_kinked or curved > limits[2] else 0.0
+    is_kinked = most > KINK_GATE and abs(angle) > MIN_KINK
+    return 1.0 if is_kinked or curved > CURVE_GATE else 0.0
 
 
 @algebra
@@ -219,17 +222,16 @@ def strongest_kink(shapes: FloatArray, left: FloatArray, kinks: int) -> tuple[fl
 @algebra
 def mark_loose_ends(
     along: FloatArray, ordered: FloatArray, expected: FloatArray, left: FloatArray, basis: FloatArray,
-    factor: FloatArray, limits: tuple[float, float, float, float, float], clear: IntArray, number: int,
-    loose: BoolArray,
+    factor: FloatArray, clear: IntArray, number: int, loose: BoolArray,
 ) -> None:  # fmt: skip
     """Mark readings at either end that all lie on one side of the line: they belong to another object."""
-    count, shape, zone = len(along), np.empty((len(along), 1)), limits[3]
+    count, shape = len(along), np.empty((len(along), 1))
     for i in range(number):
         loose[i] = False
     for end in (ordered[0], ordered[count - 1]):
         inside = 0
         for i in range(count):
-            is_in = abs(along[i] - end) < zone
+            is_in = abs(along[i] - end) < END_ZONE
             inside += is_in
             shape[i, 0] = (1.0 if is_in else 0.0) / expected[i, 6]
         whiten(factor, shape, count, 1)
@@ -237,9 +239,9 @@ def mark_loose_ends(
         square, product = dot(shape, 0, 0, count), 0.0
         for i in range(count):
             product += left[i] * shape[i, 0]
-        if inside < count and square > LEAST_GAIN and product * product > limits[4] * square:
+        if inside < count and square > LEAST_GAIN and product * product > END_GATE * square:
             for i in range(count):
-                if abs(along[i] - end) < zone:
+                if abs(along[i] - end) < END_ZONE:
                     loose[clear[i]] = True
 
 
@@ -247,13 +249,12 @@ def mark_loose_ends(
 def fit_readings(
     x: FloatArray, P: FloatArray, start: int, places: IntArray, readings: FloatArray, points: FloatArray,
     members: IntArray, line: tuple[float, float], std: float, variances: FloatArray,
-    limits: tuple[float, float, float, float, float],
 ) -> tuple[FloatArray, FloatArray, BoolArray, FloatArray, IntArray]:  # fmt: skip
     """:func:`fit_segment` with a whole covariance P, as Python calls it; what that fills, and what it returns."""
     columns, begins = involved(places, members, (len(x) - start) // POSE, start, -1)
     segment, along, loose = np.empty(8), np.empty(len(members)), np.empty(len(members), dtype=np.bool_)
     left, clear = fit_segment(
-        x, start, dense_block(P, columns), begins, places, readings, points, members, line, std, variances, limits,
+        x, start, dense_block(P, columns), begins, places, readings, points, members, line, std, variances,
         segment, along, loose,
     )  # fmt: skip
     return segment, along, loose, left, clear

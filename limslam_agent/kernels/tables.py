@@ -39,8 +39,19 @@ FEWEST_FOR_SHAPE = 10
 KINKS_AT = (0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)
 """Quantiles of the readings' positions at which a kink is tested for."""
 
+KINK_GATE, MIN_KINK = 12.0, math.radians(8.0)
+"""Least gain in chi-square (one degree of freedom) of a model with a kink, and least angle of that kink, rad."""
+
+CURVE_GATE = 14.0
+"""Least gain in chi-square (three degrees of freedom) of a smooth curve."""
+
+END_ZONE, END_GATE = 0.10, 6.0
+"""Points within this distance of an end, m, belong to another wall if chi-square falls by more than this without them.
+"""
+
 TURN_SIGMAS = 2.0
-"""A wall segment is turned against a line if its direction differs by this many standard deviations, and by a kink."""
+"""A piece of wall that is turned against a landmark by more than ``MIN_KINK``, and by more than this many standard
+deviations of the piece's direction, does not update the landmark."""
 
 LEAST_SPREAD = 1e-6
 """Least root of the summed squared distances of readings from their middle, m, that the angle's error is based on."""

@@ -193,31 +193,47 @@ class _Rows:
         self.metres = [self.options.along_beam(self.directions[index]) for index in self.columns]
 
     def _add_row(self, text: bytes) -> None:
-        fields = [field.strip() for field in text.split(self.separator)]
-        if self.separator != b",":
-            fields = [field.replace(b",", b".") for field in fields]
-        count = self.leading + len(self.directions)
-        while not fields[-1] and (len(fields) > (len(self.options.columns) or count) or fields[-2:-1] == [NO_SCAN]):
-            fields.pop()
-        if self.options.columns:
-            # A mark that stands once instead of the ranges comes after all other columns that are used.
-            is_short = fields[-1] == NO_SCAN and max(self.used[: self.leading]) < len(fields) - 1
-            if is_short and len(fields) <= min(self.used[self.leading :]) + 1:
-                fields = [*(fields[place] for place in self.used[: self.leading]), fields[-1]]
-            elif len(fields) == len(self.options.columns):
-                fields = [fields[place] for place in self.used]
-            else:
-                raise ValueError(f"{len(fields)} columns where --columns names {len(self.options.columns)}")
+        fields = self._fields_of(text)
         readings = fields[self.leading :]
-        silent = bool(readings) and all(field == NO_SCAN for field in readings)
-        if len(fields) != count and not (silent and len(readings) == 1):
+        is_silent = bool(readings) and all(field == NO_SCAN for field in readings)
+        count = self.leading + len(self.directions)
+        if len(fields) != count and not (is_silent and len(readings) == 1):
             # 0,1,0,031 has twice as many fields as numbers, or nearly so if some of them are whole.
             is_doubled = self.separator == b"," and 1.3 * count < len(fields) <= 2 * count
             hint = ": a comma is a decimal mark only where ; or tabs stand between the columns" if is_doubled else ""
             raise ValueError(f"{len(fields)} columns where the header names {count}{hint}")
         names = ("t", "left", "right") if self.leading == len(_WHEELS) else ("t", "x", "y", "theta")
         move = [parse_number(field, name) for field, name in zip(fields, names, strict=False)]
-        move[0] *= self.options.seconds
+        move[0] = self._continued_time(move)
+        values = [math.nan] * len(self.directions) if is_silent else [_reading(field) for field in readings]
+        if self.options.zero_is_nothing:
+            values = [math.inf if value <= 0.0 else value for value in values]
+        self.ranges.extend(metres * values[column] for metres, column in zip(self.metres, self.columns, strict=True))
+        self.moves.extend(move)
+        self.has_scan.append(not is_silent)
+
+    def _fields_of(self, text: bytes) -> list[bytes]:
+        """The fields of a row that are used, in the order of the header, without empty ones after its end."""
+        fields = [field.strip() for field in text.split(self.separator)]
+        if self.separator != b",":
+            fields = [field.replace(b",", b".") for field in fields]
+        named = len(self.options.columns)
+        most = named or self.leading + len(self.directions)
+        while not fields[-1] and (len(fields) > most or fields[-2:-1] == [NO_SCAN]):
+            fields.pop()
+        if not named:
+            return fields
+        # A mark that stands once instead of the ranges comes after all other columns that are used.
+        is_short = fields[-1] == NO_SCAN and max(self.used[: self.leading]) < len(fields) - 1
+        if is_short and len(fields) <= min(self.used[self.leading :]) + 1:
+            return [*(fields[place] for place in self.used[: self.leading]), fields[-1]]
+        if len(fields) != named:
+            raise ValueError(f"{len(fields)} columns where --columns names {named}")
+        return [fields[place] for place in self.used]
+
+    def _continued_time(self, move: list[float]) -> float:
+        """The time of a row, s, on the clock of the log: a robot that was switched on again counts from zero anew."""
+        move = [move[0] * self.options.seconds, *move[1:]]
         before = list(self.moves[-self.leading :]) or list(move)
         last, before[0] = before[0], before[0] - self.time_before
         if move[0] < before[0] - LARGEST_STEP_BACK:
@@ -226,13 +242,7 @@ class _Rows:
             # The clock of a robot that was switched on again counts on from the row before.
             self.restarts.append(len(self.has_scan))
             self.time_before = last
-        move[0] += self.time_before
-        values = [math.nan] * len(self.directions) if silent else [_reading(field) for field in readings]
-        if self.options.zero_is_nothing:
-            values = [math.inf if value <= 0.0 else value for value in values]
-        self.ranges.extend(metres * values[column] for metres, column in zip(self.metres, self.columns, strict=True))
-        self.moves.extend(move)
-        self.has_scan.append(not silent)
+        return move[0] + self.time_before
 
     def log(self) -> RecordedLog:
         """The rows as a log."""

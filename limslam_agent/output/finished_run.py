@@ -131,15 +131,10 @@ def read_run(folder: Path) -> FinishedRun:
     """
     _check_finished(folder)
     result, segments = _read_json(folder / RESULT_FILE), read_walls(folder / MAP)
-    tables = {kind: _trajectories(folder, kind) for kind in ("est", "true", "odometry", "smoothed")}
-    if not tables["est"]:
-        raise FolderError(f"{folder}: there is no trajectory_est.tum")
+    has_own_times = "logs" in part_of(result, "config")  # of two logs that were replayed together
+    tables = _read_trajectories(folder, has_own_times=has_own_times)
     time = tables["est"][0][:, 0]
-    times = [table[:, 0] for table in tables["est"]] if "logs" in part_of(result, "config") else []
-    counts = [len(each) for each in times] if times else [len(time)] * len(tables["est"])
-    for kind, found in tables.items():
-        if found and [len(table) for table in found] != counts:
-            raise FolderError(f"{folder}: the trajectories ({kind}) have other robots or times")
+    times = [table[:, 0] for table in tables["est"]] if has_own_times else []
     estimated, true, odometry, smoothed = ([table[:, 1:] for table in found] for found in tables.values())
     if not odometry and (folder / LOG).is_file():
         odometry = _odometry_from_wheels(folder / LOG, result, true or estimated)
@@ -157,6 +152,18 @@ def read_run(folder: Path) -> FinishedRun:
         smoothed_covariances=smoothed_covariances,
         times=times,
     )
+
+
+def _read_trajectories(folder: Path, *, has_own_times: bool) -> dict[str, list[FloatArray]]:
+    """The trajectories of each kind, of as many robots and rows as the estimate has, or of none."""
+    tables = {kind: _trajectories(folder, kind) for kind in ("est", "true", "odometry", "smoothed")}
+    if not tables["est"]:
+        raise FolderError(f"{folder}: there is no trajectory_est.tum")
+    counts = [len(table if has_own_times else tables["est"][0]) for table in tables["est"]]
+    for kind, found in tables.items():
+        if found and [len(table) for table in found] != counts:
+            raise FolderError(f"{folder}: the trajectories ({kind}) have other robots or times")
+    return tables
 
 
 def _check_finished(folder: Path) -> None:

@@ -93,7 +93,7 @@ def _claim_numbered(target: Path, stack: ExitStack) -> Path:
             _claim(candidate, attempt, force=False)
         except ClaimedError:
             continue
-        # Between the two questions another process may have finished there.
+        # Another process may have written the folder and ended since its name was chosen.
         if candidate.exists():
             attempt.close()
             continue

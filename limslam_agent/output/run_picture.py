@@ -68,14 +68,7 @@ def _draw_errors(upper: Axes, lower: Axes, run: FinishedRun) -> None:
     """Plot the errors against the truth. Without truth, plot the distance of the estimate from odometry."""
     reference, compared = (run.true, "error") if run.true else (run.odometry, "off odometry")
     colours = path_colours(len(run.estimated))
-    # In the styles of the map beside them: the best estimate has a line without gaps.
-    online: _Style = _DOTS if run.smoothed else "-"
-    curves: list[tuple[list[FloatArray], int, _Style, str]] = [(run.estimated, 0, online, "estimated online")]
-    if run.smoothed:
-        curves.append((run.smoothed, 0, "-", "smoothed"))
-    if run.true:
-        curves.append((run.odometry, 1, _DASHES, "odometry alone"))
-    for kind, which, style, name in curves:
+    for kind, which, style, name in _compared_paths(run):
         for number, (poses, other) in enumerate(zip(kind, reference, strict=False)):
             of_whom = f"robot {number + 1}, {name}" if len(kind) > 1 else name
             colour = colours[number][which]
@@ -106,6 +99,20 @@ def _draw_errors(upper: Axes, lower: Axes, run: FinishedRun) -> None:
         upper.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.03), ncols=3)
     else:
         upper.text(0.5, 0.5, "neither truth nor odometry is known", ha="center", transform=upper.transAxes, fontsize=9)
+
+
+def _compared_paths(run: FinishedRun) -> list[tuple[list[FloatArray], int, _Style, str]]:
+    """The paths whose errors are plotted, with the number of their colour, their style and their name.
+
+    Their styles are those of the map beside the plots: the best estimate has a line without gaps.
+    """
+    online: _Style = _DOTS if run.smoothed else "-"
+    paths: list[tuple[list[FloatArray], int, _Style, str]] = [(run.estimated, 0, online, "estimated online")]
+    if run.smoothed:
+        paths.append((run.smoothed, 0, "-", "smoothed"))
+    if run.true:
+        paths.append((run.odometry, 1, _DASHES, "odometry alone"))
+    return paths
 
 
 def _draw_bands(upper: Axes, lower: Axes, run: FinishedRun) -> None:

@@ -24,6 +24,7 @@ from scipy.ndimage import distance_transform_edt
 from limslam_agent.config.places import PlaceConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.kernels.tables import RAY_REACH, RAY_TO_X, RAY_X
+from limslam_agent.places.matching import are_apart
 from limslam_agent.places.rays import have_ended
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import BoolArray, FloatArray
@@ -340,16 +341,9 @@ def _places(fits: Sequence[PlaceFit], middle: FloatArray, config: PlaceConfig) -
     for fit in fits[1:]:
         if fit.is_on_map < -config.on_map:
             break
-        if all(are_apart(fit.pose, place.pose, middle, config) for place in places):
+        if all(are_apart(fit.pose, place.pose, middle) for place in places):
             places.append(fit)
     return places
-
-
-def are_apart(first: FloatArray, second: FloatArray, middle: FloatArray, config: PlaceConfig) -> bool:
-    """Whether two poses (3,) of a drive place its middle (2,), or turn it, differently."""
-    shift = transform_points(first, middle[None]) - transform_points(second, middle[None])
-    turn = abs(wrap_angle(float(first[2] - second[2])))
-    return float(np.hypot(*shift[0])) > config.apart or turn > config.apart_turn
 
 
 def is_far(pose: FloatArray, middle: FloatArray, most: float = FAR[0], turn: float = FAR[1]) -> bool:
@@ -371,7 +365,7 @@ def agree(first: Localisation, second: Localisation, config: PlaceConfig) -> boo
         return False
     if not second.is_near and second.fit.is_on_map < config.found:
         return False
-    return not are_apart(first.fit.pose, second.fit.pose, second.middle, config)
+    return not are_apart(first.fit.pose, second.fit.pose, second.middle)
 
 
 def _refusal(best: PlaceFit, runner_up: float, config: PlaceConfig, on_map: float) -> str:

@@ -104,7 +104,7 @@ class Lookup:
         frame = decision.fit.pose
         placed, middle = compose(frame, start), transform_points(frame, decision.middle[None])[0]
         self._close("found in the saved map")
-        return Arrival(frame, placed, match_covariance(middle, placed, self._config), moved(rays, frame))
+        return Arrival(frame, placed, match_covariance(middle, placed), moved(rays, frame))
 
     def end(self, reason: str) -> None:
         """End a search that found nothing."""

@@ -7,19 +7,26 @@ either map that lie where the other map is free. The best poses are refined by l
 lines, and judged again without the rounding of cells.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from scipy import fft
 from scipy.ndimage import maximum_filter
 
-from limslam_agent.config.places import PlaceConfig
 from limslam_agent.places.place_map import PlaceMap, wall_distances
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.line import angle_between
 from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from limslam_env.geometry.segment import distances, lengths
 
+APART, _APART_TURN = 0.40, math.radians(15.0)
+"""Two poses are different if they are farther apart than this, m or rad."""
+
+_PEAKS = 12  # poses that are refined and compared
+# A point of a wall is confirmed if a wall of the other map is this near, m, and their directions differ by less, rad.
+_NEAR, _TURN = 0.12, math.radians(20.0)
+_CONTRADICTION = 2.0  # price of a contradicted point, in confirmed points
 _ANGLES = 180  # bins of wall directions, over half a turn
 _SMOOTHING = 2.0  # bins
 _LIKELY = 0.5  # turns are searched whose walls agree at least half as well as those of the best turn
@@ -57,31 +64,30 @@ class Fit:
     across: float
 
 
-def best_fits(known: PlaceMap, local: PlaceMap, config: PlaceConfig) -> list[Fit]:
+def best_fits(known: PlaceMap, local: PlaceMap) -> list[Fit]:
     """The poses at which a local map fits best into a known map, the best one first. No two of them are close."""
     if not len(known.points) or not len(local.points):
         return []
-    rough = [_refined(known, local, pose, config) for pose in _peaks(known, local, config)]
-    fits = sorted((judged(known, local, pose, config) for pose in rough), key=lambda fit: -fit.score)
-    kept: list[Fit] = []
+    rough = [_refined(known, local, pose) for pose in _peaks(known, local)]
+    fits = sorted((judged(known, local, pose) for pose in rough), key=lambda fit: -fit.score)
+    kept, middle = list[Fit](), local.middle
     for fit in fits:
-        if all(are_apart(fit.pose, other.pose, local, config) for other in kept):
+        if all(are_apart(fit.pose, other.pose, middle) for other in kept):
             kept.append(fit)
     return kept
 
 
-def are_apart(first: FloatArray, second: FloatArray, local: PlaceMap, config: PlaceConfig) -> bool:
-    """Whether two poses (3,) of a local map place its middle, or turn it, differently."""
-    middle = local.points.mean(axis=0, keepdims=True)
-    shift = transform_points(first, middle) - transform_points(second, middle)
+def are_apart(first: FloatArray, second: FloatArray, middle: FloatArray) -> bool:
+    """Whether two poses (3,) of a local map or a drive place its middle (2,), or turn it, differently."""
+    shift = transform_points(first, middle[None]) - transform_points(second, middle[None])
     turn = abs(wrap_angle(float(first[2] - second[2])))
-    return float(np.hypot(*shift[0])) > config.apart or turn > config.apart_turn
+    return float(np.hypot(*shift[0])) > APART or turn > _APART_TURN
 
 
-def judged(known: PlaceMap, local: PlaceMap, pose: FloatArray, config: PlaceConfig) -> Fit:
+def judged(known: PlaceMap, local: PlaceMap, pose: FloatArray) -> Fit:
     """How well two maps agree at a pose (3,) of the local map."""
-    is_hit, *doubts = _verdicts(local, pose, known, config)
-    is_met, *doubts_of_known = _verdicts(known, inverse(pose), local, config)
+    is_hit, *doubts = _verdicts(local, pose, known)
+    is_met, *doubts_of_known = _verdicts(known, inverse(pose), local)
     confirmed, met = int(np.count_nonzero(is_hit)), int(np.count_nonzero(is_met))
     (doubted, against), (doubted_there, missed) = (
         [int(np.count_nonzero(each)) for each in found] for found in (doubts, doubts_of_known)
@@ -89,7 +95,7 @@ def judged(known: PlaceMap, local: PlaceMap, pose: FloatArray, config: PlaceConf
     walls, across = _extents(local, is_hit)
     return Fit(
         pose=pose,
-        score=confirmed + met - config.contradiction * (doubted + doubted_there),
+        score=confirmed + met - _CONTRADICTION * (doubted + doubted_there),
         forward=confirmed / max(confirmed + against, 1),
         backward=met / max(met + missed, 1),
         contradictions=against + missed,
@@ -99,10 +105,10 @@ def judged(known: PlaceMap, local: PlaceMap, pose: FloatArray, config: PlaceConf
     )
 
 
-def _verdicts(one: PlaceMap, pose: FloatArray, other: PlaceMap, config: PlaceConfig) -> list[BoolArray]:
+def _verdicts(one: PlaceMap, pose: FloatArray, other: PlaceMap) -> list[BoolArray]:
     """Which points of a map at a pose (3,) in the frame of another map are confirmed, doubted, and contradicted."""
     points = transform_points(pose, one.points)
-    confirmed = wall_distances(points, one.angles[one.owners] + pose[2], other, config.turn) < config.near
+    confirmed = wall_distances(points, one.angles[one.owners] + pose[2], other, _TURN) < _NEAR
     return [confirmed, *(~confirmed & other.lies_in(cells, points) for cells in (other.clear, other.inner))]
 
 
@@ -115,9 +121,9 @@ def _extents(local: PlaceMap, confirmed: BoolArray) -> tuple[float, float]:
     return float(sizes.sum()), float(across.min(initial=np.inf) if len(across) else 0.0)
 
 
-def _peaks(known: PlaceMap, local: PlaceMap, config: PlaceConfig) -> list[FloatArray]:
+def _peaks(known: PlaceMap, local: PlaceMap) -> list[FloatArray]:
     """Poses (3,) at the highest local maxima of the score, over all shifts and the likely turns."""
-    cell, centre = known.cell, local.points.mean(axis=0)
+    cell, centre = known.cell, local.middle
     reach = float(np.hypot(*(_corners(local) - centre).T).max())
     pad = int(np.ceil(reach / cell)) + 1
     low = np.minimum(known.low, known.points.min(axis=0)) - pad * cell
@@ -126,7 +132,7 @@ def _peaks(known: PlaceMap, local: PlaceMap, config: PlaceConfig) -> list[FloatA
     walls = _raster(known.points, low, cell, shape)
     near = maximum_filter(walls, size=3)
     clear = _raster(_centres(known), low, cell, shape) * (near == 0)
-    values, walls_there = fft.rfft2(near - config.contradiction * clear), fft.rfft2(walls)
+    values, walls_there = fft.rfft2(near - _CONTRADICTION * clear), fft.rfft2(walls)
     found: list[tuple[float, FloatArray]] = []
     free = _centres(local) - centre
     for turn in likely_turns(known, local):
@@ -134,15 +140,15 @@ def _peaks(known: PlaceMap, local: PlaceMap, config: PlaceConfig) -> list[FloatA
         hits = _raster(transform_points(turned, local.points - centre), np.zeros(2), cell, shape)
         open_ground = _raster(transform_points(turned, free), np.zeros(2), cell, shape)
         scores = fft.irfft2(
-            values * fft.rfft2(hits).conj() - config.contradiction * walls_there * fft.rfft2(open_ground).conj(),
+            values * fft.rfft2(hits).conj() - _CONTRADICTION * walls_there * fft.rfft2(open_ground).conj(),
             s=shape,
         )
         tops = np.argwhere((scores == maximum_filter(scores, size=5, mode="wrap")) & (scores > 0.0))
-        for row, column in tops[np.argsort(-scores[tops[:, 0], tops[:, 1]])][: config.peaks].tolist():
+        for row, column in tops[np.argsort(-scores[tops[:, 0], tops[:, 1]])][:_PEAKS].tolist():
             middle = low + cell * np.array([column, row])
             found.append((scores[row, column], compose(np.array([*middle, turn]), np.array([*-centre, 0.0]))))
     found.sort(key=lambda each: -each[0])
-    return [pose for _, pose in found[: config.peaks]]
+    return [pose for _, pose in found[:_PEAKS]]
 
 
 def likely_turns(known: PlaceMap, local: PlaceMap) -> FloatArray:
@@ -181,14 +187,14 @@ def _raster(points: FloatArray, low: FloatArray, cell: float, shape: tuple[int, 
     return grid
 
 
-def _refined(known: PlaceMap, local: PlaceMap, pose: FloatArray, config: PlaceConfig) -> FloatArray:
+def _refined(known: PlaceMap, local: PlaceMap, pose: FloatArray) -> FloatArray:
     """A pose (3,) that minimises the squared distances of the local map's points from the known map's walls."""
     angles, directions = local.angles[local.owners], known.angles
     normals = np.column_stack((-np.sin(directions), np.cos(directions)))
     for capture in np.linspace(*_CAPTURE, _ROUNDS):
         points = transform_points(pose, local.points)
         apart = np.abs(angle_between(angles[:, None] + pose[2] - directions))
-        away = np.where(apart < config.turn, distances(points, known.segments), np.inf)
+        away = np.where(apart < _TURN, distances(points, known.segments), np.inf)
         nearest = away.argmin(axis=1)
         used = away[np.arange(len(points)), nearest] < capture
         if np.count_nonzero(used) < 3:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.config.places import PlaceConfig
-from limslam_agent.places.decision import Decision, agree, find_place, match_covariance, runner_up
+from limslam_agent.places.decision import LARGEST_RUNNER_UP, Decision, agree, find_place, match_covariance, runner_up
 from limslam_agent.places.matching import best_fits
 from limslam_agent.places.place_map import PlaceMap
 from limslam_env.geometry import FloatArray
@@ -65,20 +65,20 @@ class Meeting:
         known, local = (first, second) if is_second_local else (second, first)
         before = self._latest if is_second_local == self._is_second_local else None
         self._is_second_local = is_second_local
-        decision = self._latest = find_place(known, local, self._config)
+        decision = self._latest = find_place(known, local)
         self._refused += not decision.is_accepted
-        if before is None or decision.fit is None or not agree(before, decision, local, self._config):
+        if before is None or decision.fit is None or not agree(before, decision, local):
             if self._steps >= self._config.longest:
                 self.end("the search took too long")
             return None
-        middle = local.points.mean(axis=0)
+        middle = local.middle
         if is_second_local:
             frame, middle = decision.fit.pose, transform_points(decision.fit.pose, middle[None])[0]
         else:
             frame = inverse(decision.fit.pose)
         placed = compose(frame, start)
         drift = sum(float(np.trace(each[:2, :2])) / 2 for each in covariances), sum(float(c[2, 2]) for c in covariances)
-        return placed, match_covariance(middle, placed, self._config, drift)
+        return placed, match_covariance(middle, placed, drift)
 
     def refuse(self, reason: str) -> None:
         """Take back the latest match, although it counted."""
@@ -119,14 +119,14 @@ class Meeting:
         is_known = is_complete or self._driven - self._joined_at >= self._config.far_confirmed
         if self._unconfirmed is None or not is_known:
             return ""
-        fits = best_fits(whole, self._unconfirmed, self._config)
-        share = runner_up(fits, self._config) if fits else 0.0
-        if fits and share <= self._config.runner_up:
+        fits = best_fits(whole, self._unconfirmed)
+        share = runner_up(fits) if fits else 0.0
+        if fits and share <= LARGEST_RUNNER_UP:
             self.records.append({"event": "confirmed", "step": max(self._steps - 1, 0)})
             self._unconfirmed = None
         return (
             f"ambiguous: another place of the shared map has {share:.0%} of the score"
-            if share > self._config.runner_up
+            if share > LARGEST_RUNNER_UP
             else ""
         )
 

@@ -43,6 +43,11 @@ class PlaceMap:
     inner: BoolArray
 
     @property
+    def middle(self) -> FloatArray:
+        """Mean of the points (2,), m."""
+        return np.asarray(self.points.mean(axis=0))
+
+    @property
     def angles(self) -> FloatArray:
         """Direction of each wall (k,), rad, from 0 to pi."""
         spans = self.segments[:, 2:] - self.segments[:, :2]

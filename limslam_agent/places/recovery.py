@@ -19,7 +19,7 @@ from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.places.absence import Absence, KnownFrame, Placement
-from limslam_agent.places.decision import match_covariance
+from limslam_agent.places.decision import LARGEST_RUNNER_UP, match_covariance
 from limslam_agent.places.history import LoggedStep, StepLog, carried_at
 from limslam_agent.places.kidnapping import Doubt, Kidnapping
 from limslam_agent.places.localisation import (
@@ -34,6 +34,7 @@ from limslam_agent.places.localisation import (
     localise,
     near_fit,
 )
+from limslam_agent.places.matching import APART
 from limslam_agent.places.rays import moved, rays_of
 from limslam_agent.places.revisions import BEGUN_ANEW, NOT_CONFIRMED
 from limslam_agent.slam.core.range_sensor import RangeSensor
@@ -245,7 +246,7 @@ class Recovery:
         last = self.log.end - 1
         changes = [(last - ago, each) for ago, each in own.changes(_WATCHED) if last - ago > self.log.begin]
         is_doubtful = bool(changes) or self._kidnapping.held is not None
-        if is_doubtful and self.log.largest_correction > self._config.apart:  # a closed loop moves robot and map alike
+        if is_doubtful and self.log.largest_correction > APART:  # a closed loop moves robot and map alike
             changes = []
             self._kidnapping.forget()
         return self._kidnapping.doubt(changes, self.log, slam.covariance, slam.range_sensor, driven)
@@ -425,7 +426,7 @@ class Recovery:
         rays = rays_of(self.log.since(absence.first), self._robot, slam.range_sensor)
         rays = np.concatenate((absence.rays, rays))
         found = localise(KnownPlaces(slam.segments, grid, slam.range_sensor), rays, config, [np.zeros(3)])
-        if found.is_accepted and found.likeness <= config.runner_up:
+        if found.is_accepted and found.likeness <= LARGEST_RUNNER_UP:
             self._end_absence()
 
     def _end_absence(self) -> None:
@@ -461,7 +462,7 @@ class Recovery:
         lost = [*absence.gone, *(each.pose for each in log.steps[: step - log.begin])] if absence.gone else []
         poses = [pose, *(compose(frame, each) for each in lost)]
         middle = transform_points(frame, decision.middle[None])[0]
-        covariances = [match_covariance(middle, each, self._config) for each in poses]
+        covariances = [match_covariance(middle, each) for each in poses]
         gone = list(zip(poses[1:], covariances[1:], strict=True))
         placed_rays = moved(rays, frame)
         has_drifted = not is_far(frame, decision.middle, *(DRIFT if absence.was_moved else FAR))

@@ -6,9 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from limslam_agent.config.places import PlaceConfig
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
-from limslam_agent.places.decision import find_place, runner_up
+from limslam_agent.places.decision import LARGEST_RUNNER_UP, find_place, runner_up
 from limslam_agent.places.matching import best_fits
 from limslam_agent.places.place_map import PlaceMap, place_map
 from limslam_agent.replay.replay import Replay
@@ -68,13 +67,13 @@ def joined_by_lines(replays: tuple[Replay, Replay]) -> JoinedLines | NotJoined:
     at a second place.
     """
     one = replays[0]
-    places, settings = one.config.recovery, one.config.run_smoothing
-    if places is None or settings is None:
+    settings = one.config.run_smoothing
+    if one.config.recovery is None or settings is None:
         raise ValueError("two logs of wheel travel are joined by the preset graph only")
     maps = [place_map(each.segments, each.grid) for each in replays]
     is_second_local = maps[1].length <= maps[0].length
     known, local = maps if is_second_local else maps[::-1]
-    decision = find_place(known, local, places)
+    decision = find_place(known, local)
     if decision.fit is None or not decision.is_accepted:
         return _not_joined(decision.refusal, decision.record)
     matched = decision.fit.pose if is_second_local else se2.inverse(decision.fit.pose)
@@ -85,25 +84,29 @@ def joined_by_lines(replays: tuple[Replay, Replay]) -> JoinedLines | NotJoined:
     poses = _own_steps(smoothed, replays)
     frame = se2.compose(poses[1][0], se2.inverse(replays[1].log.start_pose))
     grid = grid_of(replays, poses, smoothed.robot)
-    counts = [len(each.log) for each in replays]
-    filtered, found = (
-        (_held(poses_of, counts)[1:], _held(sizes_of, counts)[1:])
-        for poses_of, sizes_of in ((run.poses, run.covariances), (smoothed.poses, smoothed.covariances))
+    status = _status_of(run, smoothed, replays)
+    shift = max(
+        _shift(smoothed.poses[: len(each.log), number], run.poses[:, number]) for number, each in enumerate(replays)
     )
-    status = smoothed_status(
-        smoothed.contradictions, filtered, found,
-        while_driving=LEVELS[int(max(each.levels.max() for each in replays))],
-    )  # fmt: skip
-    shifts = [_shift(smoothed.poses[:count, number], run.poses[:, number]) for number, count in enumerate(counts)]
-    reason = _contradiction(status, frame, matched, max(shifts)) or _ambiguity(
-        place_map(smoothed.segments, grid), local, places
-    )
+    shared = place_map(smoothed.segments, grid)
+    reason = _contradiction(status, frame, matched, shift) or _ambiguity(shared, local)
     if reason:
         return _not_joined(f"joined and taken back: {reason}", decision.record)
     if status.level == "ok":
         status = next((each.places.doubt for each in replays if each.places.doubt.reason), status)
     record = {**decision.record, "event": "joined", "start": poses[1][0].tolist()}
     return JoinedLines(smoothed, record, poses, frame, grid, status)
+
+
+def _status_of(run: FilteredRun, smoothed: SmoothedRun, replays: Sequence[Replay]) -> Status:
+    """Whether both logs as one run can be trusted, by the poses before and after they were smoothed together."""
+    counts = [len(each.log) for each in replays]
+    filtered, found = (
+        (_held(poses, counts)[1:], _held(covariances, counts)[1:])
+        for poses, covariances in ((run.poses, run.covariances), (smoothed.poses, smoothed.covariances))
+    )
+    while_driving = LEVELS[int(max(each.levels.max() for each in replays))]
+    return smoothed_status(smoothed.contradictions, filtered, found, while_driving=while_driving)
 
 
 def _not_joined(reason: str, match: dict[str, Any]) -> NotJoined:
@@ -126,12 +129,12 @@ def _contradiction(status: Status, frame: FloatArray, matched: FloatArray, shift
     return status.reason if status.level != "ok" else ""
 
 
-def _ambiguity(whole: PlaceMap, local: PlaceMap, places: PlaceConfig) -> str:
+def _ambiguity(whole: PlaceMap, local: PlaceMap) -> str:
     """Whether a map fits in the shared map at a second place, in words; empty if it does not."""
-    fits = best_fits(whole, local, places)
-    share = runner_up(fits, places) if fits else 1.0
+    fits = best_fits(whole, local)
+    share = runner_up(fits) if fits else 1.0
     return (
-        f"ambiguous: another place of the shared map has {share:.0%} of the score" if share > places.runner_up else ""
+        f"ambiguous: another place of the shared map has {share:.0%} of the score" if share > LARGEST_RUNNER_UP else ""
     )
 
 

@@ -158,40 +158,28 @@ def replay_log(
     report = report or (lambda _: None)
     mapper = Mapper(log.robot, config, log.start_pose, prior_map=prior_map)
     mapper.longest_travel = math.inf  # a log may have gaps; its reader knows the times
-    count, associations = len(log), list[AssociationRecord]()
+    associations = list[AssociationRecord]()
     mapper.slam.on_association = associations.append
     mapper.on_restart = lambda kept: associations.__delitem__(slice(kept, None))
-    estimated, odometry = np.empty((count, 3)), np.empty((count, 3))
-    covariances, slam_ms, levels = np.empty((count, 3, 3)), np.empty(count), np.empty(count, dtype=np.int64)
-    job_ms, estimate = np.empty(count), _estimate(mapper, log, config)
+    estimate = _estimate(mapper, log, config)
     begin = time.perf_counter()
-    for number, observation in enumerate(log.observations()):
-        estimate.step(observation)
-        slam_ms[number], job_ms[number] = estimate.slam_ms, estimate.job_ms
-        estimated[number], odometry[number], covariances[number] = estimate.pose, estimate.odometry, estimate.covariance
-        levels[number] = LEVELS.index(estimate.status.level)
-        if progress is not None:
-            progress(number + 1)
+    rows = _estimated_rows(log, estimate, progress or (lambda _: None))
     mapper.finish()
     if mapper.prior_frame is not None:
         own = slice(mapper.places.records[0]["step"])
-        estimated[own], odometry[own] = (compose(mapper.prior_frame, each[own]) for each in (estimated, odometry))
+        for name in ("estimated", "odometry"):
+            rows[name][own] = compose(mapper.prior_frame, rows[name][own])
     slam = mapper.slam
     replay = Replay(
         log=log,
         config=config,
-        estimated=estimated,
-        odometry=odometry,
-        covariances=covariances,
-        levels=levels,
+        **rows,
         status=estimate.status,
         landmarks=slam.landmarks,
         segments=slam.segments,
         grid=mapper.grid,
         refused_readings=estimate.refused_readings,
         self_calibration=slam.odometry_calibration and SelfCalibration(*slam.odometry_calibration, log.robot.axle),
-        slam_ms=slam_ms,
-        job_ms=job_ms,
         wall_clock=time.perf_counter() - begin,
         places=estimate.places,
         handed_over=estimate.handed_over,
@@ -209,6 +197,22 @@ def replay_log(
         report("all poses and walls")
         return smoothed_by_lines(replay, associations, list(slam.closures), config.run_smoothing, slam.sensor)
     return replay
+
+
+def _estimated_rows(log: RecordedLog, estimate: FilterEstimate, progress: Callable[[int], None]) -> dict[str, Any]:
+    """What is estimated after each event of a log, by the names of the arrays in :class:`Replay`."""
+    count = len(log)
+    rows: dict[str, Any] = {
+        "estimated": np.empty((count, 3)), "odometry": np.empty((count, 3)), "covariances": np.empty((count, 3, 3)),
+        "levels": np.empty(count, dtype=np.int64), "slam_ms": np.empty(count), "job_ms": np.empty(count),
+    }  # fmt: skip
+    for number, observation in enumerate(log.observations()):
+        estimate.step(observation)
+        rows["estimated"][number], rows["covariances"][number] = estimate.pose, estimate.covariance
+        rows["odometry"][number], rows["levels"][number] = estimate.odometry, LEVELS.index(estimate.status.level)
+        rows["slam_ms"][number], rows["job_ms"][number] = estimate.slam_ms, estimate.job_ms
+        progress(number + 1)
+    return rows
 
 
 def _estimate(mapper: Mapper, log: RecordedLog, config: AgentConfig) -> FilterEstimate:
@@ -265,55 +269,29 @@ def write_replay(
     versions
         Versions of the libraries.
     """
-    from limslam_agent.output.drawing import MapPicture, draw_map
-
-    log, config = replay.log, replay.config
-    write_tum(folder / "trajectory_est.tum", log.time, replay.estimated)
-    write_tum(folder / "trajectory_odometry.tum", log.time, replay.odometry)
-    smoothed = replay.smoothed
-    of_smoothed = None if smoothed is None or smoothed.covariances is None else smoothed.covariances[:, None]
-    write_covariances(folder / COVARIANCES, replay.covariances[:, None], of_smoothed)
-    if smoothed is not None:
-        write_tum(folder / "trajectory_smoothed.tum", log.time, smoothed.poses)
-        if smoothed.loops is not None:
-            write_json(folder / "loops.json", smoothed.loops)
-        if smoothed.graph is not None:
-            write_json(folder / "graph.json", smoothed.graph)
-    if log.true_pose is not None:
-        write_tum(folder / "trajectory_true.tum", log.time, log.true_pose)
+    log, smoothed = replay.log, replay.smoothed
+    _write_trajectories(folder, replay)
+    if smoothed is not None and smoothed.loops is not None:
+        write_json(folder / "loops.json", smoothed.loops)
+    if smoothed is not None and smoothed.graph is not None:
+        write_json(folder / "graph.json", smoothed.graph)
+    if replay.places.unplaced is not None:
+        write_json(folder / UNPLACED, map_content(replay.places.unplaced, "local"))
     write_map(folder, replay)
-    true_path = None if log.true_pose is None else log.true_pose[:, :2]
-    title = f"{source['log']}, {len(log.robot.beams)} beams, {config.preset}"
-    path = replay.estimated if smoothed is None else smoothed.poses
-    counts = {"landmarks": len(replay.segments), "refused_readings": replay.refused_readings}
-    levels = replay.levels[:, None]
-    statuses = status_scores(log.time, levels, replay.status)
-    if smoothed is not None and smoothed.status is not None:
-        statuses |= final_status_scores(smoothed.status, replay.status, lost_note(log.time, levels))
+    statuses = _status_scores(replay)
     figures = {} if smoothed is None else smoothed.figures
     drawn = Status(
         figures.get("smoothed_status", statuses["status"]),
         figures.get("smoothed_status_reason", statuses["status_reason"]),
     )
-    picture = MapPicture(
-        title, replay.segments, path[:, :2], replay.odometry[:, :2], true_path=true_path, grid=replay.grid,
-        online=None if smoothed is None else replay.estimated[:, :2], remark=drawn.remark,
-    )  # fmt: skip
-    draw_map(folder / "map.png", picture)
-    found = replay.self_calibration.figures if replay.self_calibration else {}
-    statuses |= _hand_over(replay)
-    cost = run_cost(float(np.ptp(log.time)), replay.wall_clock, slam=replay.slam_ms)
-    if replay.job_ms.any():
-        cost |= {"jobs": int((replay.job_ms > 0.0).sum()), "job_ms_max": float(replay.job_ms.max())}
-    if smoothed is not None:
-        counts, cost = {**counts, **smoothed.figures}, {**cost, "smoothing_cpu_s": smoothed.seconds}
+    _draw_picture(folder, replay, f"{source['log']}, {len(log.robot.beams)} beams, {replay.config.preset}", drawn)
+    calibration = replay.self_calibration.figures if replay.self_calibration else {}
+    counts = {"landmarks": len(replay.segments), "refused_readings": replay.refused_readings}
     record = record_of(log.time, [replay.odometry if log.true_pose is None else log.true_pose], [replay.odometry])
-    if replay.places.unplaced is not None:
-        write_json(folder / UNPLACED, map_content(replay.places.unplaced, "local"))
     result = {
-        "metrics": {**scores, **found, **statuses, **counts},
-        "cost": cost,
-        "config": {**source, "robot": asdict(log.robot), "agent": asdict(config)},
+        "metrics": {**scores, **calibration, **statuses, **_hand_over(replay), **counts, **figures},
+        "cost": _cost(replay),
+        "config": {**source, "robot": asdict(log.robot), "agent": asdict(replay.config)},
         "record": {
             **record,
             "beam_turns": turn_records(replay.beam_turns),
@@ -324,3 +302,48 @@ def write_replay(
     }
     write_json(folder / "result.json", result)
     return result
+
+
+def _write_trajectories(folder: Path, replay: Replay) -> None:
+    """Write the paths of a replay with their covariances, and the true path if it is known."""
+    time, smoothed = replay.log.time, replay.smoothed
+    write_tum(folder / "trajectory_est.tum", time, replay.estimated)
+    write_tum(folder / "trajectory_odometry.tum", time, replay.odometry)
+    if smoothed is not None:
+        write_tum(folder / "trajectory_smoothed.tum", time, smoothed.poses)
+    if replay.log.true_pose is not None:
+        write_tum(folder / "trajectory_true.tum", time, replay.log.true_pose)
+    of_smoothed = None if smoothed is None or smoothed.covariances is None else smoothed.covariances[:, None]
+    write_covariances(folder / COVARIANCES, replay.covariances[:, None], of_smoothed)
+
+
+def _status_scores(replay: Replay) -> dict[str, Any]:
+    """The status while driving and at the end, for ``result.json``."""
+    time, levels, smoothed = replay.log.time, replay.levels[:, None], replay.smoothed
+    scores = status_scores(time, levels, replay.status)
+    if smoothed is not None and smoothed.status is not None:
+        scores |= final_status_scores(smoothed.status, replay.status, lost_note(time, levels))
+    return scores
+
+
+def _draw_picture(folder: Path, replay: Replay, title: str, status: Status) -> None:
+    """Draw the map with the best path, and with the path that was estimated online if that is another one."""
+    from limslam_agent.output.drawing import MapPicture, draw_map
+
+    true, smoothed = replay.log.true_pose, replay.smoothed
+    path = replay.estimated if smoothed is None else smoothed.poses
+    picture = MapPicture(
+        title, replay.segments, path[:, :2], replay.odometry[:, :2], true_path=None if true is None else true[:, :2],
+        grid=replay.grid, online=None if smoothed is None else replay.estimated[:, :2], remark=status.remark,
+    )  # fmt: skip
+    draw_map(folder / "map.png", picture)
+
+
+def _cost(replay: Replay) -> dict[str, Any]:
+    """Time and memory that a replay took, for ``result.json``."""
+    cost = run_cost(float(np.ptp(replay.log.time)), replay.wall_clock, slam=replay.slam_ms)
+    if replay.job_ms.any():
+        cost |= {"jobs": int((replay.job_ms > 0.0).sum()), "job_ms_max": float(replay.job_ms.max())}
+    if replay.smoothed is not None:
+        cost |= {"smoothing_cpu_s": replay.smoothed.seconds}
+    return cost

@@ -11,18 +11,29 @@ New ground ahead fits worse than known ground behind in any case, above all in c
 only if driving ahead contradicts what was seen in several stretches: walls would stand where there was free space.
 """
 
+import math
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from limslam_agent.config.graph import GraphConfig, ReversingConfig
+from limslam_agent.config.graph import GraphConfig
 from limslam_agent.replay.local_views import LocalViews, moves_of
 from limslam_agent.slam.graph.key_poses import LogData, integrate
 from limslam_agent.slam.graph.loop_search import TURN_STEP
 from limslam_agent.slam.graph.matching import NO_MATCH, Window
 from limslam_env.geometry import FloatArray, IntArray
 
+_LEAST_REACH = 2.5  # m: logs whose beams reach less are not judged, since they see too little ahead of a stop
+_UNSIGNED = 1e-3  # odometry reports no driving backwards if at most this share of its path is driven backwards
 _LEAST_PERIOD = 0.2  # s, over which a speed is measured
+_SLOW = 0.35  # the robot may turn round where it is slower than this share of its median speed
+_LEAST_LENGTH = 0.15  # m: shorter stretches between such events are not judged
+# The last metres before a stretch are compared with its first metres, and with this distance beyond a short stretch, m.
+_BEFORE, _AFTER, _BEYOND = 3.5, 2.0, 1.0
+_WINDOW = Window(0.4, math.radians(9.0), TURN_STEP)
+# A stretch was driven backwards if this fits with at least this score, and better than driving ahead by the lead and by
+# this for each metre, since in a corridor both directions fit.
+_LEAST_SCORE, _LEAD, _LEAD_PER_METRE = 0.45, 0.12, 0.06
 
 
 def with_reversing(data: LogData, config: GraphConfig) -> LogData:
@@ -32,12 +43,12 @@ def with_reversing(data: LogData, config: GraphConfig) -> LogData:
     which nearly no stretch contradicts that it was driven ahead.
     """
     settings = config.reversing
-    if data.max_range < settings.reach:
+    if data.max_range < _LEAST_REACH:
         return data
-    views = LocalViews(data, config, Window(settings.window, settings.turn_window, TURN_STEP))
-    if not _is_unsigned(views, settings):
+    views = LocalViews(data, config, _WINDOW)
+    if not _is_unsigned(views):
         return data
-    drive = _Drive(views, settings)
+    drive = _Drive(views)
     judged = [drive.judged(number) for number in range(len(drive.stretches))]
     if sum(each.lead > 0.0 and each.contradicted >= settings.contradicted for each in judged) < settings.fewest:
         return data
@@ -59,10 +70,10 @@ def reversed_distance(data: LogData, directed: LogData) -> tuple[float, int]:
     return float(before[backwards].sum()), int(begins.sum())
 
 
-def _is_unsigned(views: LocalViews, settings: ReversingConfig) -> bool:
+def _is_unsigned(views: LocalViews) -> bool:
     """Whether odometry has never reported driving backwards."""
     ahead = views.moves[:, 0]
-    return bool(-ahead[ahead < 0.0].sum() <= settings.unsigned * views.travel[-1])
+    return bool(-ahead[ahead < 0.0].sum() <= _UNSIGNED * views.travel[-1])
 
 
 @dataclass(frozen=True)
@@ -90,8 +101,8 @@ class _Drive:
 
     Attributes
     ----------
-    views, settings
-        The log and its motions, which change with what is found; and the settings.
+    views
+        The log and its motions, which change with what is found.
     stretches
         First event and last event (k, 2) of each stretch that is long enough to be judged.
     has_changed
@@ -99,12 +110,11 @@ class _Drive:
     """
 
     views: LocalViews
-    settings: ReversingConfig
     stretches: IntArray = field(init=False)
     has_changed: bool = field(init=False, default=False)
 
     def __post_init__(self) -> None:
-        self.stretches = _stretches(self.views.data.time, self.views.travel, self.settings)
+        self.stretches = _stretches(self.views.data.time, self.views.travel)
 
     def turn_round(self, number: int) -> None:
         """Take a stretch as driven backwards."""
@@ -115,35 +125,35 @@ class _Drive:
     def near(self, number: int) -> IntArray:
         """The stretches whose comparison uses this stretch."""
         begins, ends = self.views.travel[self.stretches.T]
-        reach = self.settings.before + self.settings.after
+        reach = _BEFORE + _AFTER
         return np.flatnonzero((begins <= ends[number] + reach) & (ends >= begins[number] - reach))
 
     def judged(self, number: int) -> _Judgement:
         """What speaks for a stretch having been driven backwards."""
         begin, end = map(int, self.stretches[number])
-        views, settings = self.views, self.settings
-        known = views.known(begin, settings.before)
+        views = self.views
+        known = views.known(begin, _BEFORE)
         if known is None:
             return _UNKNOWN
         length = float(views.travel[end] - views.travel[begin])
-        moves = views.moves[begin : views.last_event(begin, min(settings.after, length + settings.beyond))].copy()
+        moves = views.moves[begin : views.last_event(begin, min(_AFTER, length + _BEYOND))].copy()
         ahead = views.fit(known, begin, moves)
         moves[: end - begin, :2] *= -1.0
         backwards = views.fit(known, begin, moves)
-        if backwards.score < settings.score:
+        if backwards.score < _LEAST_SCORE:
             return _UNKNOWN
-        needed = settings.lead + settings.lead_per_metre * length
+        needed = _LEAD + _LEAD_PER_METRE * length
         return _Judgement(backwards.score - ahead.score - needed, ahead.contradicted)
 
 
-def _stretches(time: FloatArray, travel: FloatArray, settings: ReversingConfig) -> IntArray:
+def _stretches(time: FloatArray, travel: FloatArray) -> IntArray:
     """First and last event (k, 2) of the stretches between stops."""
     speeds = _speeds(np.maximum.accumulate(time), travel)
     driving = speeds[np.diff(travel) > 0.0]
-    moving = speeds >= settings.slow * np.median(driving) if len(driving) else np.zeros(len(speeds), dtype=np.bool_)
+    moving = speeds >= _SLOW * np.median(driving) if len(driving) else np.zeros(len(speeds), dtype=np.bool_)
     changes = np.diff(np.concatenate(([False], moving, [False])).astype(np.int64))
     found = np.column_stack((np.flatnonzero(changes > 0), np.flatnonzero(changes < 0)))
-    return np.asarray(found[travel[found[:, 1]] - travel[found[:, 0]] >= settings.least])
+    return np.asarray(found[travel[found[:, 1]] - travel[found[:, 0]] >= _LEAST_LENGTH])
 
 
 def _speeds(time: FloatArray, travel: FloatArray) -> FloatArray:

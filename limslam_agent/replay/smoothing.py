@@ -137,7 +137,7 @@ def _second_look(start: FloatArray, config: GraphConfig, first: _Judged, report:
     found, _, signals, data = first
     reach = reach_of_agreement(found.keys, found.trajectory, config, data.max_range)
     if reach < data.max_range:
-        noise = odometry_variances(data, found.keys, found.trajectory, config)
+        noise = odometry_variances(data, found.keys, found.trajectory)
         limited = replace(data, hit=data.hit & (data.ranges < reach), max_range=reach, variances=noise)
         say = saying(f"ranges up to {reach:g} m", report)
         graph, landmarks, better, _ = _in_all_frames(

@@ -177,11 +177,11 @@ def _reach(ranges: FloatArray, confirmed: BoolArray, contradicted: BoolArray, ma
     return first * _BIN if is_beyond and _LEAST_REACH <= first * _BIN < max_range else max_range
 
 
-def odometry_variances(data: LogData, keys: KeyPoses, trajectory: Trajectory, config: GraphConfig) -> FloatArray:
+def odometry_variances(data: LogData, keys: KeyPoses, trajectory: Trajectory) -> FloatArray:
     """Variances (n, 3) of the motions of a log, as large as its smoothed path shows.
 
     The differences between the smoothed path and the corrected odometry over some metres are compared with the
-    variances that the settings assume for them. Gyroscopes turn ten times as exactly as wheels.
+    variances that are assumed for them. Gyroscopes turn ten times as exactly as wheels.
     """
     moves = se2.between(trajectory.poses[:-1], trajectory.poses[1:]) - calibrated_steps(keys, trajectory.bias)
     moves[:, 2] = se2.wrap_angle(moves[:, 2])
@@ -194,7 +194,7 @@ def odometry_variances(data: LogData, keys: KeyPoses, trajectory: Trajectory, co
         ratios = np.clip(found / (assumed[ends[begins]] - assumed[begins]).mean(axis=0), _LEAST_RATIO, _MOST_RATIO)
     steps = se2.between(data.odometry[:-1], data.odometry[1:])
     lengths, turns = np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2])
-    return np.vstack((np.zeros(3), motion_variances(lengths, turns, config.motion) * ratios))
+    return np.vstack((np.zeros(3), motion_variances(lengths, turns) * ratios))
 
 
 def crossings(path: FloatArray, segments: FloatArray) -> BoolArray:

@@ -278,17 +278,19 @@ def _stop_reason(config: RunConfig, world: World, reason: str | None) -> str:
 def _columns(rows: list[_Row]) -> dict[str, Any]:
     """The rows of a run as arrays, by their names in :class:`Episode`."""
     robots = range(len(rows[0].observations))
+    observations = [each for row in rows for each in row.observations]
+    infos = [each for row in rows for each in row.infos]
     columns: dict[str, Any] = {
         "time": np.array([row.time for row in rows]),
-        "ranges": _stacked([row.observations[robot]["ranges"] for row in rows for robot in robots], rows),
-        "wheels": _stacked([row.observations[robot]["wheels"] for row in rows for robot in robots], rows),
+        "ranges": _stacked([each["ranges"] for each in observations], rows),
+        "wheels": _stacked([each["wheels"] for each in observations], rows),
         "actions": _stacked([row.actions[robot] for row in rows for robot in robots], rows),
-        "true": _stacked([row.infos[robot]["pose"] for row in rows for robot in robots], rows),
+        "true": _stacked([each["pose"] for each in infos], rows),
         "estimated": _stacked([row.estimated for row in rows], rows),
         "odometry": _stacked([row.odometry for row in rows], rows),
         "covariances": np.concatenate([row.covariances for row in rows]).reshape(len(rows), len(robots), 3, 3),
         "levels": np.array([row.levels for row in rows]),
-        "wall_seen": _stacked([row.infos[robot]["wall_seen"] for row in rows for robot in robots], rows),
+        "wall_seen": _stacked([each["wall_seen"] for each in infos], rows),
         "dropped": _stacked([row.dropped[robot] for row in rows for robot in robots], rows),
         "coverage": np.array([row.coverage for row in rows]),
         "contact": np.array([[info["collision"] for info in row.infos] for row in rows]),

@@ -199,6 +199,11 @@ class LineSlam:
         return self._estimator.last_extraction
 
     @property
+    def limits(self) -> dict[str, float]:
+        """The limits that decide about associations and loops, for diagnostics to show beside the values."""
+        return self._estimator.limits
+
+    @property
     def on_association(self) -> Callable[[AssociationRecord], None] | None:
         """Called with the association of each observed line, if set."""
         return self._estimator.on_association

@@ -163,7 +163,7 @@ def _draw_bar(panel: Image, buffer: BufferView, x: int, y: int, width: int) -> N
     if filled:
         cv2.rectangle(panel, (x, y), (x + filled, y + 9), colour, -1)
     room = width - length - 6
-    # In a narrow column the number of kept points has to do without its word.
+    # A narrow column has no room for the word beside the number of kept points.
     words = words if width_of(words, 11) <= room else words.removesuffix(" kept")
     write(panel, fitted(words, 11, room), (x + length + 6, y + 9), 11, TEXT)
 

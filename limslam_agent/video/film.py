@@ -145,7 +145,7 @@ class Film:
         coverage
             True coverage, 0 to 1.
         """
-        # Counted from the last due time, not from the frame: steps need not be a multiple of the period.
+        # The next frame is due a period after the last one was, whenever that was drawn: steps need not fit the period.
         self._next = max(self._next, frame.time - self._speed / FPS) + self._speed / FPS
         cropped, window = cropped_truth(truth, *self._corners)
         for moment in self._narrator.hear(frame):

@@ -165,12 +165,12 @@ class BatchSimulation:
             self._pool = None
 
     def __getstate__(self) -> dict[str, Any]:
-        # Threads stay where they are.
+        # Threads cannot be copied. A copy starts its own.
         return {**vars(self), "_pool": None}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         vars(self).update(state)
-        # A copy of these words has lost the memory behind them.
+        # These words have memory behind them, which a copy lacks.
         unseen = self._episodes.unseen
         self._episodes = self._episodes._replace(unseen=_padded(unseen, unseen.shape[1]))
 

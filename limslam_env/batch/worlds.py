@@ -171,7 +171,7 @@ class _RowStore:
             self._firsts.append(0)
             self._sizes.append(-1)
         if len(rows) > self._sizes[slot]:
-            # A later world may need a little more.
+            # A later world in this slot may need a little more.
             size = len(rows) if self._sizes[slot] < 0 else len(rows) * 5 // 4
             self._firsts[slot], self._sizes[slot] = self._taken, size
             self._taken += size
@@ -248,7 +248,7 @@ class Sites:
         return from_tiles(tiles[: rows * columns].reshape(rows, columns), self.shapes[slot])
 
     def _grow(self) -> None:
-        # One by one for a handful of worlds, in leaps for thousands.
+        # The arrays grow by a half, so that thousands of worlds do not copy them at each one.
         self.shapes.append((0, 0))
         if len(self.shapes) > len(self.layout):
             more = max(1, len(self.layout) // 2)

@@ -87,7 +87,8 @@ def increment_jacobians(motions: FloatArray, axle: float) -> FloatArray:
     half, distance = 0.5 * (right - left) / axle, 0.5 * (left + right)
     cos, sin, sinc = np.cos(half), np.sin(half), np.sinc(half / np.pi)
     chord = distance * sinc
-    # By half the turn: the chord gets shorter, and chord and shift turn.
+    # Derivatives by half the turn, by the distance and by the shift aside. A turn makes the chord shorter, and it turns
+    # chord and shift.
     along, across = distance * _sinc_derivative(half) - aside, chord
     by_half = np.stack((along * cos - across * sin, along * sin + across * cos, np.full_like(half, 2.0)), axis=-1)
     by_distance = np.stack((sinc * cos, sinc * sin, np.zeros_like(half)), axis=-1)
@@ -172,7 +173,7 @@ def _fitted(points: FloatArray, phi: FloatArray, range_std: float) -> tuple[floa
     """The line (d, alpha) through points (k, 2), m, that beams in directions (k,) have read."""
     best, angles = (np.inf, 0.0, 0.0), np.arange(_TRIED_ANGLES) * np.pi / _TRIED_ANGLES
     for angle in angles.tolist():
-        # Farther from the line by the cosine than along the beam, so that is how sure a distance is.
+        # An error along the beam moves a point across the line by this error times the cosine of their angle.
         away = points[:, 0] * np.cos(angle) + points[:, 1] * np.sin(angle)
         std = np.maximum(np.abs(np.cos(angle - phi)), GRAZING) * range_std
         offset = float(np.average(away, weights=std**-2.0))

@@ -191,7 +191,8 @@ def _step(
     """Changes of motions (t - 1, n, 3) and lines (m, 2) that solve the equations."""
     import gtsam
 
-    # Shifts are a thousand times surer than readings: the square of that, which Cholesky would factor, is too much.
+    # Shifts are known a thousand times as exactly as readings. Cholesky would factor the square of that ratio, which
+    # costs too many digits. QR does not square it.
     values = graph.optimize(ordering, gtsam.EliminateQR)
     count = _line_key(state)
     seen = np.unique(problem.readings.line)

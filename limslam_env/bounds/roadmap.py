@@ -64,7 +64,7 @@ class Roadmap:
         if not len(room) or offsets.min() > _ESCAPE:
             raise WorldError(f"world {world.name!r}: there is no room to drive at ({start[0]:g}, {start[1]:g})")
         nearest = room[np.argmin(offsets)]
-        # Not across corners: then a straight way leads from each cell to the next.
+        # Cells that only touch at a corner are not joined, so a straight way leads from each cell to the next.
         parts, _ = ndimage.label(space.free)
         self._drivable = np.asarray(parts == parts[tuple(self._cells(nearest))])
         # Robots may start nearer to a wall than they later drive.
@@ -114,7 +114,7 @@ class Roadmap:
         """Costs (n,) of straight lines between points (n, 2), m: higher with little clearance, inf through walls."""
         spans = second - first
         lengths = np.hypot(*spans.T)
-        # Each line by its own length, so that it is judged alike in whatever company.
+        # The number of samples follows from the line's own length, so that its cost does not depend on the other lines.
         counts = np.ceil(2.0 * lengths / self._cell)[:, None] + 1.0
         steps = np.arange(counts.max(initial=0.0) + 1.0)
         shares = np.minimum(steps / counts, 1.0)
@@ -141,7 +141,7 @@ class Roadmap:
         """Join the places by straight lines, with additional places where some would be unreachable."""
         self.places, self._graph = places, self._straight_ways(places)
         fine: _FineWays | None = None
-        # From cell to cell there always is a way, should the straight pieces of one be a hair too near to a wall.
+        # The straight pieces of a way can be a little too near to a wall. Then the ways from cell to cell are taken.
         for thinned in (self._thinned, np.asarray):
             _, part = csgraph.connected_components(self._graph, directed=False)
             firsts = np.unique(part, return_index=True)[1]

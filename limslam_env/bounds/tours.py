@@ -62,7 +62,7 @@ def poses_along(start: FloatArray, way: FloatArray, robot: RobotSpec, speeds: Sp
     points, spans, lengths = points[np.append(True, moves)], spans[moves], lengths[moves]
     turns = wrap_angle(np.diff(np.append(start[2], np.arctan2(spans[:, 1], spans[:, 0]))))
     headings = start[2] + np.append(0.0, np.cumsum(turns))
-    # In control steps: the turn, the drive, and what is left of the step in which it ends.
+    # Numbers of control steps: of the turn, of the drive, and of the rest of the step in which the drive ends.
     turning = np.abs(turns) / (speeds.turn * robot.control_period)
     driving = lengths / (speeds.drive * robot.control_period)
     waiting = np.ceil(turning + driving - 1e-6) - turning - driving

@@ -227,7 +227,7 @@ def info_of(results: Results, robot: int, mask: BoolArray) -> dict[str, Any]:
         "cost": results.contact[:, robot].astype(float),
         "wall_seen": results.wall_seen[:, robot],
     }
-    # In one step the values of all are known; a reset of some leaves zeros for the others, as Gymnasium has it.
+    # A step knows the values of all environments. After a reset of some, the others have zeros, as Gymnasium asks.
     if not mask.all():
         info = {key: np.where(mask.reshape(-1, *[1] * (value.ndim - 1)), value, 0) for key, value in info.items()}
         info["collision"] = info["collision"].astype(bool)

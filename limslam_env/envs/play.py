@@ -123,7 +123,7 @@ class _Mode:
 
 
 def _drive(env: LimSlamEnv, seed: int, max_steps: int | None) -> Drive:
-    # Resets and steps show themselves in the window, which waits a control period each time: that keeps time.
+    # Each reset and step is shown in the window, which then waits for a control period. So the drive keeps real time.
     info = env.reset(seed=seed)[1]
     window = env.window
     if window is None:

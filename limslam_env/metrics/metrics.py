@@ -40,7 +40,7 @@ def rigid_alignment(true_xy: FloatArray, estimated_xy: FloatArray) -> FloatArray
     true_mean, mean = np.mean(true_xy, axis=0), np.mean(estimated_xy, axis=0)
     target, source = true_xy - true_mean, estimated_xy - mean
     theta = 0.0
-    # What remains of points in one place is rounding, and its angle means nothing.
+    # If all points lie in one place, only rounding errors remain, and their angle means nothing.
     if min(np.abs(target).max(), np.abs(source).max()) > 1e-9:
         turned = np.sum(source[:, 0] * target[:, 1] - source[:, 1] * target[:, 0])
         theta = math.atan2(turned, np.sum(source * target))
@@ -117,7 +117,7 @@ def visible_samples(world: World, radius: float, max_range: float, spacing: floa
         around[owner[index]] = False
         near = stands[tree.query_ball_point(point, max_range)]
         near = near[np.argsort(np.linalg.norm(near - point, axis=1))]
-        # The nearest places see most samples; few need the search through all that lie in range.
+        # Most samples are seen from the nearest places, so these are tried first.
         batches = near[:_FIRST_STANDS], near[_FIRST_STANDS:]
         seen[index] = any(_in_sight(point, batch, edges[around]) for batch in batches)
     samples = points[seen], directions[seen], owner[seen]
@@ -159,7 +159,7 @@ def doors_open(doors: FloatArray, estimated: FloatArray) -> float | None:
     if len(doors) == 0:
         return None
     low, high = (doors[:, :2] + part * (doors[:, 2:] - doors[:, :2]) for part in (0.3, 0.7))
-    # A tenth of the matching distance apart: nothing slips through between two samples, ends included.
+    # Samples are a tenth of the matching distance apart, so that no wall is missed between two of them.
     points, owner = sample(np.hstack((low, high)), 0.1 * NEAR)
     matches = _matches((points, _directions(doors)[owner], owner), estimated.reshape(-1, 4), NEAR, DOOR_ANGLE)
     return float(np.mean(np.bincount(owner, weights=matches, minlength=len(doors)) == 0.0))
@@ -252,7 +252,7 @@ def _stands(world: World, radius: float) -> FloatArray:
     space = world.free_space(radius)
     regions = [space.region_of(start[:2]) for start in world.starts] or [space.largest_closed_region()]
     centres = space.centres(np.logical_or.reduce(regions))
-    # One of each block misses no passage, as long as no block holds both sides of a wall.
+    # One place of each block is enough, as long as no block holds both sides of a wall.
     blocks = np.floor((centres - space.origin) / min(_STAND_SPACING, radius)).astype(int)
     _, first = np.unique(blocks, axis=0, return_index=True)
     return centres[first]
@@ -267,7 +267,7 @@ def _in_sight(point: FloatArray, stands: FloatArray, edges: FloatArray) -> bool:
     with np.errstate(divide="ignore", invalid="ignore"):
         reached = (offset[..., 0] * span[:, 1] - offset[..., 1] * span[:, 0]) / cross
         part = (offset[..., 0] * sight[..., 1] - offset[..., 1] * sight[..., 0]) / cross
-    # Nothing passes where two edges meet; an edge that is met at the point itself does not hide it.
+    # The tolerance closes the joint of two edges. An edge through the point itself does not hide the point.
     blocked = (part > -1e-9) & (part < 1.0 + 1e-9) & (reached > 0.0) & (reached < 1.0 - 1e-6)
     return bool((~blocked.any(axis=1)).any())
 

@@ -88,7 +88,7 @@ class Painter:
             return
         if truth.time == 0.0:
             self._paths = [[] for _ in truth.poses]
-        # What the caller gets may be written to; what is drawn may not.
+        # The caller may change these arrays, and the picture must not change with them.
         self._last = (
             Readings(readings.ranges.copy(), readings.wheels),
             truth._replace(poses=truth.poses.copy(), wall_seen=truth.wall_seen.copy()),

@@ -100,7 +100,7 @@ def _lookouts(space: FreeSpace, reachable: BoolArray) -> FloatArray:
     """
     inner = ndimage.binary_erosion(reachable, np.ones((3, 3), dtype=bool))
     places = space.centres(reachable & ~inner)
-    # One place a coverage cell is enough.
+    # One place in each cell of the coverage grid is enough.
     _, first = np.unique(np.floor(places / CELL).astype(int), axis=0, return_index=True)
     return places[np.sort(first)]
 

@@ -153,7 +153,7 @@ def grid_around(edges: FloatArray, radius: float, cell: float) -> tuple[FloatArr
     low = np.minimum(edges[:, :2], edges[:, 2:]).min(axis=0)
     high = np.maximum(edges[:, :2], edges[:, 2:]).max(axis=0)
     margin = max(2.0 * radius, 3.0 * cell)
-    # Half a cell off the round numbers on which walls tend to stand.
+    # The grid is shifted by half a cell, since walls tend to stand on round numbers.
     origin = low - margin - 0.5 * cell
     columns, rows = (np.ceil((high + margin - origin) / cell)).astype(int) + 1
     return origin, (int(rows), int(columns))

@@ -100,7 +100,7 @@ class World:
         return hash(self.digest)
 
     def __reduce__(self) -> tuple[type["World"], tuple[Any, ...]]:
-        # Through the constructor: numpy's own way back from a pickle makes arrays that can be written to.
+        # A pickle is read by the constructor, which makes read-only arrays. Those of numpy's own pickles are writable.
         return World, tuple(getattr(self, part.name) for part in fields(self))
 
     def free_space(self, radius: float) -> FreeSpace:

@@ -42,6 +42,7 @@ from limslam_agent.slam.batch.state import (
     spec_of,
     states_for,
 )
+from limslam_agent.slam.consistent.limits import MAX_GAP, THROUGH_TOLERANCE, WALL_END
 from limslam_agent.slam.consistent.pending_readings import SIDES
 from limslam_agent.slam.consistent.wall_extent import WallExtent
 from limslam_agent.slam.core import contact
@@ -211,7 +212,7 @@ class BatchSlam:
             counts, reached = walls.counted[number, index, :, :length], walls.reached[number, index, :, :length]
             extent = WallExtent.counted(int(low), counts, reached)
             line = belief.x[number, POSE + 2 * index : POSE + 2 * index + 2]
-            intervals = extent.intervals(settings.max_gap, settings.through_tolerance)
+            intervals = extent.intervals(MAX_GAP, THROUGH_TOLERANCE)
             found.append((belief.anchors[number, index] + at(line, intervals)).reshape(-1, 4))
         every = np.concatenate(found)
         return np.asarray(every[lengths(every) >= settings.min_length])
@@ -337,7 +338,7 @@ def step_some(
         ekf, travel = state.filter, state.travel
         accept(state, ranges[number], wheels[number], settings, spec.beams, measured)
         for side in range(_NUM_SIDES):
-            is_over = has_ended(ekf.counts, travel, side, settings.wall_end)
+            is_over = has_ended(ekf.counts, travel, side, WALL_END)
             if ekf.counts[FRESH + side] >= settings.batch or is_over:
                 process(ekf, state.walls, state.pending, side, travel[DRIVEN], settings, spec.beams, is_over)
         pose[number] = ekf.x[:POSE]

@@ -6,7 +6,7 @@ import numpy as np
 
 from limslam_agent.kernels.algebra import sort_with
 from limslam_agent.kernels.measurement import hit_points, towards
-from limslam_agent.kernels.tables import FEWEST, TURN_SIGMAS
+from limslam_agent.kernels.tables import FEWEST, MIN_KINK, TURN_SIGMAS
 from limslam_agent.slam.batch.algebra import squared_distance
 from limslam_agent.slam.batch.clone_ekf import (
     add_line,
@@ -49,8 +49,30 @@ from limslam_agent.slam.batch.wall_map import (
 )
 from limslam_agent.slam.batch.wall_map import merge as merge_walls
 from limslam_agent.slam.consistent.consistent import SHORTEST
-from limslam_agent.slam.consistent.corners import BESIDE_CORNER
+from limslam_agent.slam.consistent.limits import (
+    AMBIGUITY,
+    BEYOND_ANGLE_STD,
+    BEYOND_GATE,
+    BEYOND_LENGTH,
+    COMPLETE_AFTER,
+    END_SLACK,
+    FAR_GATE,
+    FIRST_ITERATIONS,
+    GAP_AHEAD,
+    HUBER,
+    ITERATIONS,
+    LEAST_LENGTH,
+    LENGTH_IF_COMPLETE,
+    MAX_ANGLE,
+    MAX_ANGLE_STD,
+    MAX_END_GAP,
+    MAX_OFFSET,
+    MIN_OVERLAP,
+    ONE_WALL_GATE,
+    RESIDUAL_SIGMAS,
+)
 from limslam_agent.slam.consistent.pending_readings import AHEAD, SIDES
+from limslam_agent.slam.consistent.segmentation import BESIDE_CORNER
 from limslam_agent.slam.consistent.wall_map import STRAIGHTNESS
 from limslam_agent.slam.core import wall_faces
 from limslam_agent.slam.core.ekf import POSE
@@ -89,12 +111,10 @@ def process(
     points = hit_points(ekf.x, clones_from(ekf), places, readings, readings[:, 3])
     owner, most = np.empty(count, dtype=np.int64), count // max(settings.min_votes, 1) + 1
     lines, ends, consumed = np.empty((most, 2)), np.empty((most, 2, 2)), np.zeros(count, dtype=np.bool_)
-    max_gap = settings.gap_ahead if side == AHEAD else settings.segment_gap
+    max_gap = GAP_AHEAD if side == AHEAD else settings.segment_gap
     number = extract_lines(points, max_gap, settings, owner, lines, ends)
     for index in range(number):
-        members = uncontested(points, owner, lines, ends, number, index, settings.near_corner)
-        if settings.std >= settings.corner_std:
-            members = off_crossing_walls(ekf, walls, points, members, lines[index, 1], settings)
+        members = uncontested(points, owner, lines, ends, number, index, settings.near_line)
         if not len(members):
             continue
         # The lines before this one have updated the filter, so the end points are computed anew.
@@ -104,7 +124,7 @@ def process(
         for k in range(len(own)):
             these = own[k]
             latest = pending[these, DRIVEN_THEN].max()
-            is_complete = has_ended or driven - latest > settings.passed
+            is_complete = has_ended or driven - latest > COMPLETE_AFTER
             consumed[these] = incorporate(
                 ekf, walls, places[these], readings[these], now[these], segments[k], settings, is_complete
             )  # fmt: skip
@@ -165,28 +185,6 @@ def uncontested(
 
 
 @algebra
-def off_crossing_walls(
-    ekf: Filter, walls: Walls, points: FloatArray, members: IntArray, theta: float, settings: Settings
-) -> IntArray:
-    """Indices (n,) of a line's points that cannot lie on a known wall that crosses the line; its normal is theta."""
-    chosen, count = np.empty(len(members), dtype=np.int64), 0
-    for i in members:
-        is_own = True
-        for index in range(ekf.counts[LINES]):
-            if is_own and turn_between(ekf.x, index, theta) > settings.min_kink:
-                own, (low, high) = ekf.x[POSE + 2 * index + 1], ends_of(walls, index)
-                x, y = points[i, 0] - ekf.anchors[index, 0], points[i, 1] - ekf.anchors[index, 1]
-                along = -math.sin(own) * x + math.cos(own) * y
-                off = math.cos(own) * x + math.sin(own) * y - ekf.x[POSE + 2 * index]
-                is_beside = low - BESIDE_CORNER < along < high + BESIDE_CORNER
-                is_own = not (is_beside and abs(off) < settings.near_corner)
-        if is_own:
-            chosen[count] = i
-            count += 1
-    return chosen[:count] if count >= FEWEST else chosen[:0]
-
-
-@algebra
 def turn_between(state: FloatArray, index: int, theta: float) -> float:
     """Angle between a landmark and a line with its normal at theta, rad."""
     turn: float = abs((state[POSE + 2 * index + 1] - theta + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
@@ -208,26 +206,26 @@ def incorporate(
             break
         number = candidates(ekf, walls, places, readings, points, segment, settings, scores, rows, details)
     best, second = scores[0] if number else np.inf, scores[1] if number > 1 else np.inf
-    if second <= settings.gate and second - best < settings.ambiguity:
+    if second <= settings.gate and second - best < AMBIGUITY:
         return True
     is_enough = len(points) >= settings.new_readings * settings.std
-    is_sure = is_enough and segment[ANGLE_STD] <= settings.max_angle_std and is_whole(points, segment, settings)
-    gate = settings.far_gate if is_sure and second >= settings.far_gate else settings.gate
+    is_sure = is_enough and segment[ANGLE_STD] <= MAX_ANGLE_STD and is_whole(points, segment, settings)
+    gate = FAR_GATE if is_sure and second >= FAR_GATE else settings.gate
     if best <= gate:
         index = rows[0]
         if not fits(ekf, walls, index, points, segment, settings, best, details[index, 0], details[index, 1]):
             return False
-        update(ekf, walls, places, readings, index, settings, settings.iterations)
+        update(ekf, walls, places, readings, index, settings, ITERATIONS)
         return True
-    least = settings.new_length_complete if is_complete else settings.new_length
-    if best < settings.far_gate or segment[EXTENT] < least or not is_sure:
+    least = LENGTH_IF_COMPLETE if is_complete else settings.new_length
+    if best < FAR_GATE or segment[EXTENT] < least or not is_sure:
         return False
     if ekf.counts[LINES] == room:
         ekf.counts[OVERFLOWS] += 1
         return False
     index = add_line(ekf, segment[THETA], segment[MIDDLE_X], segment[MIDDLE_Y])
     add(walls, index)
-    update(ekf, walls, places, readings, index, settings, settings.first_iterations)
+    update(ekf, walls, places, readings, index, settings, FIRST_ITERATIONS)
     return True
 
 
@@ -242,15 +240,15 @@ def candidates(
     Fills their scores and indices ``rows``, best first, and by index what is left over and how many readings were used.
     """
     loose, size = 2.0 * math.atan2(2.0 * settings.std, max(segment[EXTENT], SHORTEST)), 0
-    x, y, limit = segment[MIDDLE_X], segment[MIDDLE_Y], settings.max_angle + loose
+    x, y, limit = segment[MIDDLE_X], segment[MIDDLE_Y], MAX_ANGLE + loose
     for index in range(ekf.counts[LINES]):
-        if not is_near(ekf.x, ekf.anchors, index, segment[THETA], x, y, limit, settings.max_offset):
+        if not is_near(ekf.x, ekf.anchors, index, segment[THETA], x, y, limit, MAX_OFFSET):
             continue
         along, (low, high) = along_line(ekf, index, points), ends_of(walls, index)
-        if max(along.min() - high, low - along.max()) > settings.max_end_gap:
+        if max(along.min() - high, low - along.max()) > MAX_END_GAP:
             continue
         of_line, left, used, offset, variance = disagreement(ekf, places, readings, index, settings.std)
-        if used and may_show(ekf, walls, places, readings, index, along, offset, variance, settings):
+        if used and may_show(ekf, walls, places, readings, index, along, offset, variance):
             scores[size], rows[size], details[index, 0], details[index, 1] = of_line, index, left, used
             size += 1
     sort_with(scores, rows, size)
@@ -261,15 +259,14 @@ def candidates(
 def may_show(
     ekf: Filter, walls: Walls, places: IntArray, readings: FloatArray, index: int, along: FloatArray, offset: float,
     variance: float,
-    settings: Settings,
 ) -> bool:  # fmt: skip
     """Whether a landmark was seen from the side of readings near them, or it is a board."""
     side, inside = side_of(ekf, places, readings, index), np.zeros(2)
     for row in range(2):
         low, high = walls.seen[index, row]
-        inside[row] = ((along > low - settings.end_slack) & (along < high + settings.end_slack)).mean()
+        inside[row] = ((along > low - END_SLACK) & (along < high + END_SLACK)).mean()
     low, high = walls.seen[index, side]
-    is_close = max(along.min() - high, low - along.max()) <= settings.max_end_gap
+    is_close = max(along.min() - high, low - along.max()) <= MAX_END_GAP
     if inside[side] >= 0.5 or (inside[1 - side] < 0.5 and is_close):
         return True
     return is_board(ekf, walls, 1 - side, offset, variance)[0]
@@ -284,9 +281,7 @@ def is_board(ekf: Filter, walls: Walls, side: int, offset: float, variance: floa
 
 
 @algebra
-def is_one_line(
-    ekf: Filter, walls: Walls, older: int, younger: int, off: FloatArray, covariance: FloatArray, settings: Settings
-) -> bool:
+def is_one_line(ekf: Filter, walls: Walls, older: int, younger: int, off: FloatArray, covariance: FloatArray) -> bool:
     """Whether two landmarks share a stretch that is seen from one side, or are a board; notes if they are two faces."""
     factor = 1.0 if math.cos(ekf.x[POSE + 2 * older + 1] - ekf.x[POSE + 2 * younger + 1]) > 0.0 else -1.0
     shift = along_point(ekf, younger, ekf.anchors[older, 0], ekf.anchors[older, 1])
@@ -294,7 +289,7 @@ def is_one_line(
     own = max(shared(seen[0], other[0]), shared(seen[1], other[1]))
     from_positive, from_negative = shared(seen[1], other[0]), shared(seen[0], other[1])
     opposite = max(from_positive, from_negative)
-    if own >= min(settings.min_overlap, opposite):
+    if own >= min(MIN_OVERLAP, opposite):
         return True
     share = covariance[0, 1] / covariance[1, 1]
     offset, variance = off[0] - share * off[1], covariance[0, 0] - share * covariance[0, 1]
@@ -323,18 +318,18 @@ def fits(
     of_line: float, left: float, used: float,
 ) -> bool:  # fmt: skip
     """Whether a wall segment of a known landmark is good enough to update by."""
-    if turn_between(ekf.x, index, segment[THETA]) > max(settings.min_kink, TURN_SIGMAS * segment[ANGLE_STD]):
+    if turn_between(ekf.x, index, segment[THETA]) > max(MIN_KINK, TURN_SIGMAS * segment[ANGLE_STD]):
         return False
     free = max(used - 2.0, 1.0)
-    if left > free + settings.left_sigmas * math.sqrt(2.0 * free) + 2.0 or segment[EXTENT] < settings.min_length:
+    if left > free + RESIDUAL_SIGMAS * math.sqrt(2.0 * free) + 2.0 or segment[EXTENT] < LEAST_LENGTH:
         return False
     (low, high), inside = ends_of(walls, index), 0
     for along in along_line(ekf, index, points):
-        inside += low - settings.end_slack < along < high + settings.end_slack
+        inside += low - END_SLACK < along < high + END_SLACK
     is_clear = (
-        segment[EXTENT] >= settings.beyond_length
-        and of_line <= settings.beyond_gate
-        and segment[ANGLE_STD] <= settings.beyond_angle_std
+        segment[EXTENT] >= BEYOND_LENGTH
+        and of_line <= BEYOND_GATE
+        and segment[ANGLE_STD] <= BEYOND_ANGLE_STD
         and is_whole(points, segment, settings)
     )
     return inside / len(points) >= 0.5 or is_clear
@@ -351,16 +346,16 @@ def update(
     ekf: Filter, walls: Walls, places: IntArray, readings: FloatArray, index: int, settings: Settings, iterations: int
 ) -> None:
     """Update filter and map by readings of a landmark, and merge it with others that are the same wall."""
-    observe(ekf, places, readings, index, settings.std, iterations, settings.huber)
+    observe(ekf, places, readings, index, settings.std, iterations, HUBER)
     rays = towards(ekf.x, clones_from(ekf), places, readings, ekf.x[POSE + 2 * index + 1])
     points = hit_points(ekf.x, clones_from(ekf), places, rays, readings[:, 3])
     grow(ekf, walls, index, points, side_of(ekf, places, readings, index))
     found = True
     while found:
-        found, most = False, 2.0 * settings.max_offset
+        found, most = False, 2.0 * MAX_OFFSET
         theta, x, y = ekf.x[POSE + 2 * index + 1], ekf.anchors[index, 0], ekf.anchors[index, 1]
         for other in range(ekf.counts[LINES]):
-            if other == index or not is_near(ekf.x, ekf.anchors, other, theta, x, y, settings.max_angle, most):
+            if other == index or not is_near(ekf.x, ekf.anchors, other, theta, x, y, MAX_ANGLE, most):
                 continue
             if closes_loop(ekf, walls, other, index, settings):
                 # The younger landmark is removed. If that is this one, there is nothing left to compare.
@@ -395,13 +390,13 @@ def closes_loop(ekf: Filter, walls: Walls, first: int, second: int, settings: Se
     """Whether two landmarks are one wall; then they are merged, and the younger one is removed."""
     older, younger = min(first, second), max(first, second)
     overlap, offset = separation(ekf, walls, older, younger)
-    if not settings.closes_loops or overlap < settings.min_overlap:
+    if not settings.closes_loops or overlap < MIN_OVERLAP:
         return False
     off, jacobian, columns, covariance = difference(ekf, older, younger)
     squared = squared_distance(covariance, off, STRAIGHTNESS)
-    if abs(off[1]) > settings.max_angle or offset > settings.max_offset:
+    if abs(off[1]) > MAX_ANGLE or offset > MAX_OFFSET:
         return False
-    if not is_one_line(ekf, walls, older, younger, off, covariance, settings) or squared > settings.one_wall_gate:
+    if not is_one_line(ekf, walls, older, younger, off, covariance) or squared > ONE_WALL_GATE:
         return False
     theta = ekf.x[POSE + 2 * younger + 1]
     nx, ny = math.cos(theta), math.sin(theta)

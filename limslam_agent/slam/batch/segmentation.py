@@ -43,10 +43,7 @@ def wall_segments(
     """
     segments, own = np.empty((MOST_SEGMENTS, 8)), [members[:0]]
     todo, lines, depths = [members], [line], [DEEPEST]
-    start, limits = clones_from(ekf), (
-        settings.kink_gate, settings.min_kink, settings.curve_gate, settings.end_zone, settings.end_gate
-    )  # fmt: skip
-    along, loose = np.empty(len(members)), np.empty(len(members), dtype=np.bool_)
+    start, along, loose = clones_from(ekf), np.empty(len(members)), np.empty(len(members), dtype=np.bool_)
     while todo:
         these, this, depth = todo.pop(), lines.pop(), depths.pop()
         if len(these) < FEWEST:
@@ -55,7 +52,7 @@ def wall_segments(
         columns, begins = involved(places, these, len(ekf.clones), start, -1)
         _, clear = fit_segment(
             ekf.x, start, block_of(ekf.top, ekf.rest, columns), begins, places, readings, points, these,
-            (this[0], this[1]), settings.std, np.full(len(these), settings.std**2), limits, segment, along, loose,
+            (this[0], this[1]), settings.std, np.full(len(these), settings.std**2), segment, along, loose,
         )  # fmt: skip
         if not len(clear):
             continue

@@ -151,48 +151,18 @@ class Settings(NamedTuple):
     batch: int
     max_age: float
     max_clones: int
-    wall_end: float
-    passed: float
     new_length: float
-    new_length_complete: float
     new_readings: float
-    max_angle_std: float
     gate: float
-    far_gate: float
-    left_sigmas: float
-    ambiguity: float
-    min_length: float
-    end_slack: float
-    beyond_length: float
-    beyond_gate: float
-    beyond_angle_std: float
-    max_end_gap: float
-    max_angle: float
-    max_offset: float
-    huber: float
-    iterations: int
-    first_iterations: int
-    one_wall_gate: float
-    min_overlap: float
-    through_sigmas: float
-    through_slack: float
     closes_loops: bool
     min_votes: int
     r_step: float
     theta_step: float
     near_line: float
-    near_corner: float
     segment_gap: float
-    gap_ahead: float
     max_hole: float
-    corner_std: float
     segment_length: float
     only_best: bool
-    kink_gate: float
-    min_kink: float
-    curve_gate: float
-    end_zone: float
-    end_gate: float
     cell: float
     seen_through: int
     hit: int
@@ -212,12 +182,11 @@ class Spec(NamedTuple):
 def spec_of(robot: RobotSpec, config: AgentConfig, estimator: ConsistentConfig) -> Spec:
     """The part of a robot and of its settings that compiled functions need."""
     std = config.range_std
-    hough, update, extents = estimator.hough, estimator.update, estimator.extents
-    creation = estimator.for_ranges(std).creation
+    hough, creation = estimator.hough, estimator.for_ranges(std).creation
     sides = np.full(len(robot.beams), -1)
     for number, side in enumerate(SIDES):
         sides[thinned([beam.side == side for beam in robot.beams], estimator.pending.beams)] = number
-    by_name = (estimator.pending, estimator.segmentation, estimator.association, update, config.grid)
+    by_name = (estimator.pending, estimator.association, config.grid)
     given = {name: getattr(group, name) for group in by_name for name in Settings._fields if hasattr(group, name)}
     given |= {
         "std": std,
@@ -225,30 +194,20 @@ def spec_of(robot: RobotSpec, config: AgentConfig, estimator: ConsistentConfig) 
         "wheel_variance": config.noise.wheel_variance,
         "axle": robot.axle,
         "radius": robot.radius,
-        "passed": estimator.pending.complete_after,
         "max_hole": estimator.segmentation.max_hole_share * robot.reach,
-        "left_sigmas": update.residual_sigmas,
         "new_length": creation.min_length,
-        "new_length_complete": creation.min_length_complete,
         "new_readings": creation.readings_per_std,
-        "max_angle_std": creation.max_angle_std,
-        "first_iterations": creation.iterations,
-        "through_sigmas": extents.through_sigmas,
-        "through_slack": extents.through_slack,
         "closes_loops": estimator.merging.enabled,
-        "one_wall_gate": estimator.merging.gate,
-        "min_overlap": estimator.merging.min_overlap,
         "min_votes": hough.min_votes,
         "r_step": bin_size(hough, std),
         "theta_step": hough.theta_step,
         "near_line": max_distance(hough, std),
-        "near_corner": max_distance(hough, std),
         "segment_gap": hough.max_gap,
         "segment_length": hough.min_length,
         "only_best": hough.only_best,
     }
     kinds = {"float": np.float64, "int": np.int64, "bool": np.bool_}
-    # A record is one argument of a compiled function; a tuple of sixty numbers would be sixty arguments.
+    # A record is one argument of a compiled function; a tuple of thirty numbers would be thirty arguments.
     fields = [(name, kinds[kind if isinstance(kind, str) else kind.__name__]) for name, kind in _KINDS.items()]
     settings = np.array([tuple(given[name] for name in _KINDS)], dtype=fields)
     return Spec(settings, beams_of(robot, sides))

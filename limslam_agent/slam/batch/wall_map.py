@@ -22,6 +22,7 @@ from limslam_agent.slam.batch.state import (
     Walls,
 )
 from limslam_agent.slam.batch.wall_extent import absorb, hit, pass_at
+from limslam_agent.slam.consistent.limits import THROUGH_SIGMAS, THROUGH_SLACK
 from limslam_agent.slam.core.ekf import POSE
 from limslam_env.geometry import BoolArray, FloatArray
 
@@ -125,7 +126,7 @@ def clear_along_beams(
         rays[beam, 1] = y + sin * beams[beam, FROM_X] + cos * beams[beam, FROM_Y]
         rays[beam, 2], rays[beam, 3] = math.cos(heading + beams[beam, ANGLE]), math.sin(heading + beams[beam, ANGLE])
         rays[beam, 4] = far if measured[beam] and ranges[beam] > beams[beam, TOO_NEAR] else 0.0
-        rays[beam, 5] = settings.through_sigmas * math.sqrt(settings.std**2 + shift + turn * far**2)
+        rays[beam, 5] = THROUGH_SIGMAS * math.sqrt(settings.std**2 + shift + turn * far**2)
     for index in range(number):
         d, theta = state[POSE + 2 * index], state[POSE + 2 * index + 1]
         nx, ny, anchor_x, anchor_y = math.cos(theta), math.sin(theta), anchors[index, 0], anchors[index, 1]
@@ -135,6 +136,6 @@ def clear_along_beams(
             if abs(cosine) <= GRAZING:
                 continue
             ahead = (d + (anchor_x - from_x) * nx + (anchor_y - from_y) * ny) / cosine
-            if ahead > 0.0 and ahead + rays[beam, 5] / abs(cosine) + settings.through_slack < rays[beam, 4]:
+            if ahead > 0.0 and ahead + rays[beam, 5] / abs(cosine) + THROUGH_SLACK < rays[beam, 4]:
                 to_x, to_y = from_x + ahead * ux - anchor_x, from_y + ahead * uy - anchor_y
                 pass_at(walls, index, to_x * -ny + to_y * nx)

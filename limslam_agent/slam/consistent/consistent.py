@@ -13,26 +13,26 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.config.consistent import ConsistentConfig
-from limslam_agent.kernels.tables import FEWEST, TURN_SIGMAS
+from limslam_agent.kernels.tables import MIN_KINK, TURN_SIGMAS
+from limslam_agent.slam.consistent import limits
 from limslam_agent.slam.consistent.assumed_sensor import AssumedSensor
 from limslam_agent.slam.consistent.beam_model import Readings
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF, Disagreement
-from limslam_agent.slam.consistent.corners import on_crossing_wall, uncontested
 from limslam_agent.slam.consistent.explanation import comparison
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.pending_readings import AHEAD, SIDES, PendingReadings
-from limslam_agent.slam.consistent.segmentation import WallSegment, wall_segments
+from limslam_agent.slam.consistent.segmentation import WallSegment, uncontested, wall_segments
 from limslam_agent.slam.consistent.wall_map import STRAIGHTNESS, Wall, WallMap, moved_along, shared, squared_difference
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Extraction, PendingPoints
 from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.front_end import FrontEnd
-from limslam_agent.slam.core.hough import ExtractedLine, extract_lines, max_distance
+from limslam_agent.slam.core.hough import extract_lines, max_distance
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import AS_SPECIFIED, Motion, OdometryCalibration
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, board_evidence, board_odds, is_wall
-from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import angle_between, direction
 from limslam_env.geometry.segment import sample
 from limslam_env.interface import RobotSpec, Side
@@ -45,6 +45,8 @@ KNOWN_SPACING = 0.01
 
 KNOWN_VARIANCES = (0.01**2, math.radians(0.2) ** 2)
 """Variances, m^2 and rad^2, that are added to those of an earlier map's lines, whose correlations are not known."""
+
+_CALIBRATION_GATE = 8.0  # twice the logarithm of the Bayes factor for wheels and axle of other sizes
 
 SHORTEST = 0.1
 """Least length of a wall segment, m, that the error of its direction is based on."""
@@ -96,6 +98,15 @@ class ConsistentEstimator(Estimator):
         self._assume(sensor or specified)
         self._map = WallMap(self._filter, config.extents)
         self._pending = [PendingReadings(robot, config.pending, config.pending.beams) for _ in start]
+
+    @property
+    def limits(self) -> dict[str, float]:
+        """The limits that decide about associations and loops, for diagnostics to show beside the values."""
+        return {
+            "gate": self._settings.association.gate, "far_gate": limits.FAR_GATE, "ambiguity": limits.AMBIGUITY,
+            "angle": limits.MAX_ANGLE, "offset": limits.MAX_OFFSET, "gap": limits.MAX_END_GAP,
+            "loop_gate": limits.ONE_WALL_GATE, "loop_overlap": limits.MIN_OVERLAP, "loop_offset": limits.MAX_OFFSET,
+        }  # fmt: skip
 
     def know(self, landmarks: Sequence[Landmark], segments: FloatArray) -> None:
         """Begin with the walls (k, 4), m, of an earlier map, and the landmarks that they lie on."""
@@ -171,10 +182,10 @@ class ConsistentEstimator(Estimator):
         if pending.is_due(front):
             pending.collect(front, self._filter.clone(number))
         for side in SIDES:
-            has_ended = pending.has_ended(side, self._settings.pending.wall_end)
+            has_ended = pending.has_ended(side, limits.WALL_END)
             if pending.fresh[side] >= self._settings.pending.batch or has_ended:
                 self._process(number, side, front.step, has_ended=has_ended)
-        if (self._filter.calibration_evidence or 0.0) > self._settings.self_calibration.gate:
+        if (self._filter.calibration_evidence or 0.0) > _CALIBRATION_GATE:
             self.calibrate()
         self._correct_sensor()
 
@@ -262,9 +273,7 @@ class ConsistentEstimator(Estimator):
         readings = self._readings(pending, side)
         points = self._points(readings)
         # Beams ahead meet a wall at points far apart, with nothing in between.
-        hough = (
-            replace(settings.hough, max_gap=settings.segmentation.gap_ahead) if side == SIDES[AHEAD] else settings.hough
-        )
+        hough = replace(settings.hough, max_gap=limits.GAP_AHEAD) if side == SIDES[AHEAD] else settings.hough
         lines = extract_lines(points, hough, self._usual_std)
         fits = tuple(line.fit for line in lines)
         self.last_extraction = Extraction(
@@ -272,11 +281,10 @@ class ConsistentEstimator(Estimator):
         )  # fmt: skip
         consumed = np.zeros(len(points), dtype=bool)
         driven = np.array([reading.driven for reading in pending.by_side[side]])
-        for line, members in self._uncontested(points, lines):
-            for segment in wall_segments(readings, members, line, self._filter, self._std, settings.segmentation):
-                is_complete = (
-                    has_ended or pending.driven - driven[segment.members].max() > settings.pending.complete_after
-                )
+        for line, members in uncontested(points, lines, max_distance(settings.hough, self._usual_std)):
+            for segment in wall_segments(readings, members, line, self._filter, self._std):
+                since = pending.driven - driven[segment.members].max()
+                is_complete = has_ended or since > limits.COMPLETE_AFTER
                 own = readings.select(segment.members)
                 consumed[segment.members] = self._incorporate(number, step, own, segment, is_complete=is_complete)
         oldest = math.inf if has_ended else pending.driven - settings.pending.max_age
@@ -299,44 +307,32 @@ class ConsistentEstimator(Estimator):
             wanted = [clone for clone in wanted if clone >= oldest]
         self._filter.keep_clones(set(wanted))
 
-    def _uncontested(self, points: FloatArray, lines: list[ExtractedLine]) -> Iterator[tuple[FloatArray, IntArray]]:
-        """Each line, and its readings without those near a corner that could also belong to another wall."""
-        near, settings = max_distance(self._settings.hough, self._usual_std), self._settings.segmentation
-        for line, own in uncontested(points, lines, near):
-            members = own
-            if self._usual_std >= settings.corner_std:
-                theta, kink = float(line[1]), settings.min_kink
-                members = own[~on_crossing_wall(points[own], theta, near, kink, self._filter, self._map)]
-            if len(members) >= FEWEST:
-                yield line, members
-
     def _incorporate(
         self, robot: int, step: int, readings: Readings, segment: WallSegment, *, is_complete: bool
     ) -> bool:
         """Associate a wall segment with a known landmark, or add a new one; whether the readings are consumed."""
-        settings, creation = self._settings.association, self._settings.creation
+        usual_gate = self._settings.association.gate
         candidates = self._candidates(readings, segment)
-        while len(candidates) > 1 and candidates[1].of_line <= settings.gate:
+        while len(candidates) > 1 and candidates[1].of_line <= usual_gate:
             if not self._closes_loop(candidates[0].landmark, candidates[1].landmark, step):
                 break
             candidates = self._candidates(readings, segment)
         best, second = ([candidate.of_line for candidate in candidates] + [math.inf, math.inf])[:2]
         is_sure = self._is_sure(segment)
         # A filter that is more wrong than it states refuses the right walls, unless nothing else can be meant.
-        gate = settings.far_gate if is_sure and second >= settings.far_gate else settings.gate
+        gate = limits.FAR_GATE if is_sure and second >= limits.FAR_GATE else usual_gate
         if self.on_comparison is not None:
             known = {each.landmark: each.of_line for each in candidates}
             other_side = {index for index, _ in self._comparable(readings, segment)} - known.keys()
-            limits = replace(settings, gate=gate)
             self.on_comparison(
-                comparison(robot, step, readings, segment, known, other_side, self._filter, self._map, limits)
+                comparison(robot, step, readings, segment, known, other_side, self._filter, self._map, gate)
             )
-        if second <= settings.gate and second - best < settings.ambiguity:
+        if second <= usual_gate and second - best < limits.AMBIGUITY:
             return True
         if best <= gate:
             return self._observe(robot, step, readings, segment, candidates[0])
-        least = creation.min_length_complete if is_complete else creation.min_length
-        if best < settings.far_gate or segment.length < least or not is_sure:
+        least = limits.LENGTH_IF_COMPLETE if is_complete else self._settings.creation.min_length
+        if best < limits.FAR_GATE or segment.length < least or not is_sure:
             return False
         self._add(robot, step, readings, segment)
         return True
@@ -354,11 +350,10 @@ class ConsistentEstimator(Estimator):
 
     def _comparable(self, readings: Readings, segment: WallSegment) -> Iterator[tuple[int, Disagreement]]:
         """Landmarks near a wall segment that its readings can be compared with, seen from whichever side."""
-        settings = self._settings.association
         loose = 2.0 * math.atan2(2.0 * self._usual_std, max(segment.length, SHORTEST))
-        for index in self._near(segment.theta, segment.middle, settings.max_angle + loose, settings.max_offset):
+        for index in self._near(segment.theta, segment.middle, limits.MAX_ANGLE + loose, limits.MAX_OFFSET):
             along, (low, high) = self._map.along(index, segment.points), self._map[index].extent.ends
-            if max(along.min() - high, low - along.max()) > settings.max_end_gap:
+            if max(along.min() - high, low - along.max()) > limits.MAX_END_GAP:
                 continue
             disagreement = self._filter.disagreement(readings, index, self._std)
             if disagreement is not None:
@@ -367,11 +362,11 @@ class ConsistentEstimator(Estimator):
     def _may_show(self, index: int, readings: Readings, segment: WallSegment, known: Disagreement) -> bool:
         """Whether a landmark was seen from the side of readings near them, or it is a board."""
         side, along = self._filter.side(readings, index), self._map.along(index, segment.points)
-        slack, seen = self._settings.update.end_slack, self._map[index].seen
+        slack, seen = limits.END_SLACK, self._map[index].seen
         is_inside = (along[:, None] > seen[:, 0] - slack) & (along[:, None] < seen[:, 1] + slack)
         own, other = is_inside.mean(axis=0)[[side, 1 - side]]
         gap = max(along.min() - seen[side, 1], seen[side, 0] - along.max())
-        if own >= 0.5 or (other < 0.5 and gap <= self._settings.association.max_end_gap):
+        if own >= 0.5 or (other < 0.5 and gap <= limits.MAX_END_GAP):
             return True
         return self._is_board(1 - side, known.offset, known.variance)[0]
 
@@ -405,34 +400,32 @@ class ConsistentEstimator(Estimator):
         fits = self._fits(segment, known)
         if fits:
             self._sensor.count(segment)
-            self._update(robot, step, readings, self._map[known.landmark], self._settings.update.iterations)
+            self._update(robot, step, readings, self._map[known.landmark], limits.ITERATIONS)
         return fits
 
     def _fits(self, segment: WallSegment, known: _Candidate) -> bool:
         """Whether a wall segment of a known landmark is good enough to update by."""
-        settings = self._settings.update
         free = max(known.used - 2, 1)
-        most = free + settings.residual_sigmas * math.sqrt(2.0 * free) + 2.0
+        most = free + limits.RESIDUAL_SIGMAS * math.sqrt(2.0 * free) + 2.0
         # A filter that is unsure of its heading would take the next facet of a curved wall for this one, and turn.
         turn = abs(angle_between(float(self._filter.anchored[known.landmark, 1]) - segment.theta))
-        largest = max(self._settings.segmentation.min_kink, TURN_SIGMAS * segment.angle_std)
-        if known.left > most or segment.length < settings.min_length or turn > largest:
+        largest = max(MIN_KINK, TURN_SIGMAS * segment.angle_std)
+        if known.left > most or segment.length < limits.LEAST_LENGTH or turn > largest:
             return False
         along, (low, high) = self._map.along(known.landmark, segment.points), self._map[known.landmark].extent.ends
-        is_inside = np.mean((along > low - settings.end_slack) & (along < high + settings.end_slack)) >= 0.5
+        is_inside = np.mean((along > low - limits.END_SLACK) & (along < high + limits.END_SLACK)) >= 0.5
         is_clear = (
-            segment.length >= settings.beyond_length
-            and known.of_line <= settings.beyond_gate
-            and segment.angle_std <= settings.beyond_angle_std
+            segment.length >= limits.BEYOND_LENGTH
+            and known.of_line <= limits.BEYOND_GATE
+            and segment.angle_std <= limits.BEYOND_ANGLE_STD
             and self._is_whole(segment)
         )
         return bool(is_inside or is_clear)
 
     def _is_sure(self, segment: WallSegment) -> bool:
         """Whether a segment is good enough for a new landmark, but for its length."""
-        creation = self._settings.creation
-        is_enough = len(segment.members) >= creation.readings_per_std * self._usual_std
-        return bool(is_enough and segment.angle_std <= creation.max_angle_std and self._is_whole(segment))
+        is_enough = len(segment.members) >= self._settings.creation.readings_per_std * self._usual_std
+        return bool(is_enough and segment.angle_std <= limits.MAX_ANGLE_STD and self._is_whole(segment))
 
     def _is_whole(self, segment: WallSegment) -> bool:
         """Whether no hole in a segment is so wide that its points may lie on two walls."""
@@ -441,12 +434,12 @@ class ConsistentEstimator(Estimator):
     def _add(self, robot: int, step: int, readings: Readings, segment: WallSegment) -> None:
         self._sensor.count(segment)
         self._filter.add_line(segment.theta, segment.middle)
-        self._update(robot, step, readings, self._map.add(), self._settings.creation.iterations)
+        self._update(robot, step, readings, self._map.add(), limits.FIRST_ITERATIONS)
 
     def _update(self, robot: int, step: int, readings: Readings, wall: Wall, iterations: int) -> None:
         """Update filter and map by readings of a landmark, and merge it with others that are the same wall."""
         index, is_new = self._map.walls.index(wall), not wall.groups
-        self._filter.observe(readings, index, self._std, iterations, self._settings.update.huber)
+        self._filter.observe(readings, index, self._std, iterations, limits.HUBER)
         points = self._points(readings, float(self._filter.anchored[index, 1]))
         self._map.grow(index, points, self._filter.side(readings, index))
         self.report(AssociationRecord(wall.number, is_new, readings.sources, robot))
@@ -454,37 +447,36 @@ class ConsistentEstimator(Estimator):
 
     def _close_loops_of(self, wall: Wall, step: int, iterations: int = 1) -> None:
         """Merge a landmark that has just changed with all landmarks that are the same wall."""
-        found, limits = True, self._settings.association
+        found = True
         while found and wall in self._map.walls:
             index = self._map.walls.index(wall)
             theta, anchor = float(self._filter.anchored[index, 1]), self._filter.anchors[index]
-            near = self._near(theta, anchor, limits.max_angle, 2.0 * limits.max_offset)
+            near = self._near(theta, anchor, limits.MAX_ANGLE, 2.0 * limits.MAX_OFFSET)
             found = any(self._closes_loop(other, index, step, iterations) for other in near if other != index)
 
     def _closes_loop(self, first: int, second: int, step: int, iterations: int = 1) -> bool:
         """Whether two landmarks are one wall; then they are merged, and the younger one is removed."""
-        settings, (older, younger) = self._settings.merging, sorted((first, second))
+        older, younger = sorted((first, second))
         ends = self._map.ends(younger)
         places, (low, high) = np.sort(self._map.along(older, ends)), self._map[older].extent.ends
         overlap = min(places[1], high) - max(places[0], low)
-        if not settings.enabled or overlap < settings.min_overlap:
+        if not self._settings.merging.enabled or overlap < limits.MIN_OVERLAP:
             return False
         off, covariance = self._filter.difference(older, younger)
-        limits = self._settings.association
-        if abs(off[1]) > limits.max_angle or self._map.offset(older, younger) > limits.max_offset:
+        if abs(off[1]) > limits.MAX_ANGLE or self._map.offset(older, younger) > limits.MAX_OFFSET:
             return False
         squared = squared_difference(off, covariance)
-        if not self._is_one_line(older, younger, off, covariance) or squared > settings.gate:
+        if not self._is_one_line(older, younger, off, covariance) or squared > limits.ONE_WALL_GATE:
             return False
         self._merge(older, younger, step, squared, iterations)
         return True
 
     def _merge_recognised(self, walls: Sequence[Wall], step: int) -> None:
         """Merge new landmarks with the known ones that they were recognised as, as far as all of them agree."""
-        settings, places = self._settings.merging, {wall.number: place for place, wall in enumerate(self._map.walls)}
-        recognised = [wall for wall in walls if settings.enabled and wall.known_as in places]
+        places = {wall.number: place for place, wall in enumerate(self._map.walls)}
+        recognised = [wall for wall in walls if self._settings.merging.enabled and wall.known_as in places]
         pairs = [(places[wall.known_as], places[wall.number]) for wall in recognised]
-        for number in self._map.agreeing(pairs, settings.gate):
+        for number in self._map.agreeing(pairs, limits.ONE_WALL_GATE):
             older, younger = pairs[number][0], self._map.walls.index(recognised[number])
             squared = squared_difference(*self._filter.difference(older, younger))
             self._merge(older, younger, step, squared, RENEWAL_ITERATIONS)
@@ -507,7 +499,7 @@ class ConsistentEstimator(Estimator):
         factor = 1.0 if math.cos(lines[older, 1] - lines[younger, 1]) > 0.0 else -1.0
         seen = moved_along(wall.seen, factor, float(self._map.along(younger, self._filter.anchors[older])))
         own, opposite = shared(seen, other.seen).max(), shared(seen[::-1], other.seen)
-        if own >= min(self._settings.merging.min_overlap, opposite.max()):
+        if own >= min(limits.MIN_OVERLAP, opposite.max()):
             return True
         # The difference of two parallel lines is their offset alone, given that their directions are equal.
         share = covariance[0, 1] / covariance[1, 1]

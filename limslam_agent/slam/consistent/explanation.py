@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from limslam_agent.config.consistent import WallAssociationConfig
 from limslam_agent.slam.consistent.beam_model import Readings
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
+from limslam_agent.slam.consistent.limits import MAX_ANGLE, MAX_END_GAP, MAX_OFFSET
 from limslam_agent.slam.consistent.segmentation import WallSegment
 from limslam_agent.slam.consistent.wall_map import WallMap
 from limslam_agent.slam.core.diagnostics import CandidateTest, Comparison
@@ -25,7 +25,7 @@ def comparison(
     other_side: Collection[int],
     belief: CloneEKF,
     walls: WallMap,
-    limits: WallAssociationConfig,
+    gate: float,
 ) -> Comparison:
     """A wall segment and all landmarks, with the test that threw each of them out.
 
@@ -39,11 +39,11 @@ def comparison(
         Indices of the landmarks that were only seen from the other side, and are no boards.
     belief, walls
         The lines of the landmarks, and their extents.
-    limits
-        The limits of the tests.
+    gate
+        Largest squared Mahalanobis distance at which the segment is taken for a landmark.
     """
     tests = [
-        _tested(index, distances.get(index, math.nan), segment, belief, walls, limits) for index in range(len(walls))
+        _tested(index, distances.get(index, math.nan), segment, belief, walls, gate) for index in range(len(walls))
     ]
     for index in other_side:
         tests[index] = replace(tests[index], excluded="side")
@@ -56,7 +56,7 @@ def _tested(
     segment: WallSegment,
     belief: CloneEKF,
     walls: WallMap,
-    limits: WallAssociationConfig,
+    gate: float,
 ) -> CandidateTest:
     line = belief.anchored[index]
     angle = abs(angle_between(float(line[1]) - segment.theta))
@@ -64,12 +64,11 @@ def _tested(
     along, (low, high) = walls.along(index, segment.points), walls[index].extent.ends
     gap = max(float(along.min()) - high, low - float(along.max()))
     tests = {
-        "direction": angle > limits.max_angle, "offset": offset > limits.max_offset, "ends": gap > limits.max_end_gap,
-        "beams": True,
+        "direction": angle > MAX_ANGLE, "offset": offset > MAX_OFFSET, "ends": gap > MAX_END_GAP, "beams": True,
     }  # fmt: skip
     # A short segment may turn farther than the limit, because its direction is uncertain.
     was_compared = not math.isnan(squared)
-    excluded = "gate" * (squared > limits.gate) if was_compared else next(name for name in tests if tests[name])
+    excluded = "gate" * (squared > gate) if was_compared else next(name for name in tests if tests[name])
     return CandidateTest(walls[index].number, excluded, angle, offset, gap, squared)
 
 

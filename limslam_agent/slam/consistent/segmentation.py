@@ -1,22 +1,28 @@
 """Segmentation: splits the readings of a line found by the Hough transform into straight wall segments.
 
+Readings near a corner are left out, because they may belong to either of two walls.
+
 The tests for straightness are generalised least squares with the joint covariance of the poses that the readings were
 taken from. So a bend that comes from the odometry's error is not taken for a corner, and two sides of a rounded
 obstacle are not taken for one wall.
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.config.consistent import SegmentationConfig
 from limslam_agent.kernels.tables import FEWEST
 from limslam_agent.slam.consistent.beam_model import Readings
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
+from limslam_agent.slam.core.hough import ExtractedLine
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.line import direction
+from limslam_env.geometry.line import direction, distance
+
+BESIDE_CORNER = 0.15
+"""A reading this close to the end of another line, m along it, may belong to either line."""
 
 DEEPEST = 4
 """A line is split at most this many times in a row."""
@@ -87,8 +93,35 @@ class _Source(NamedTuple):
     std: float
 
 
+def uncontested(points: FloatArray, lines: list[ExtractedLine], near: float) -> Iterator[tuple[FloatArray, IntArray]]:
+    """Each line (2,), and its readings without those near a corner that could also belong to another line.
+
+    A line with too few readings left for a wall segment is left out.
+
+    Parameters
+    ----------
+    points
+        End points of all readings (n, 2), m.
+    lines
+        The lines that were extracted from them.
+    near
+        A point may belong to a line that is less than this far away, m.
+    """
+    for line in lines:
+        members = np.sort(line.members)
+        for other in lines:
+            if other is line:
+                continue
+            places = np.sort(other.fit.ends @ direction(other.fit.line))
+            along = points[members] @ direction(other.fit.line)
+            beside = (along > places[0] - BESIDE_CORNER) & (along < places[1] + BESIDE_CORNER)
+            members = members[~(beside & (np.abs(distance(other.fit.line, points[members])) < near))]
+        if len(members) >= FEWEST:
+            yield line.fit.line, members
+
+
 def wall_segments(
-    readings: Readings, members: IntArray, line: FloatArray, belief: CloneEKF, std: float, config: SegmentationConfig
+    readings: Readings, members: IntArray, line: FloatArray, belief: CloneEKF, std: float
 ) -> list[WallSegment]:
     """Split readings that lie near one line where they bend, and remove ends that bend away.
 
@@ -102,8 +135,6 @@ def wall_segments(
         The filter, which holds the poses that the readings were taken from.
     std
         Standard deviation of a range, m.
-    config
-        Thresholds of the tests.
 
     Returns
     -------
@@ -112,16 +143,14 @@ def wall_segments(
     """
     places, rows = belief.places(readings.clones), readings.rows
     source = _Source(belief, places, rows, belief.points(places, rows, float(line[1])), readings.variances(std), std)
-    return _segments(source, members, (float(line[0]), float(line[1])), config, DEEPEST)
+    return _segments(source, members, (float(line[0]), float(line[1])), DEEPEST)
 
 
-def _segments(
-    source: _Source, members: IntArray, line: tuple[float, float], config: SegmentationConfig, depth: int
-) -> list[WallSegment]:
+def _segments(source: _Source, members: IntArray, line: tuple[float, float], depth: int) -> list[WallSegment]:
     """The segments of some readings, which are split at most ``depth`` times."""
     if len(members) < FEWEST:
         return []
-    fit = _fit(source, members, line, config)
+    fit = _fit(source, members, line)
     if fit is None:
         return []
     if depth and fit.is_bent:
@@ -131,25 +160,22 @@ def _segments(
             for half in halves
             if np.count_nonzero(half) >= FEWEST
             for segment in _segments(
-                source, members[half], _principal_line(fit.segment.points[half]), config, depth - 1
+                source, members[half], _principal_line(fit.segment.points[half]), depth - 1
             )
         ]  # fmt: skip
     if depth and fit.loose.any():
-        return _segments(source, members[~fit.loose], (fit.r, fit.segment.theta), config, depth - 1)
+        return _segments(source, members[~fit.loose], (fit.r, fit.segment.theta), depth - 1)
     return [fit.segment]
 
 
-def _fit(
-    source: _Source, members: IntArray, line: tuple[float, float], config: SegmentationConfig
-) -> _Fit | None:  # fmt: skip
+def _fit(source: _Source, members: IntArray, line: tuple[float, float]) -> _Fit | None:
     """Fit a line to readings by generalised least squares, and test whether they are straight; None if too few."""
     from limslam_agent.kernels.segments import fit_readings
 
-    limits = config.kink_gate, config.min_kink, config.curve_gate, config.end_zone, config.end_gate
     belief, variances = source.belief, source.variances[members]
     row, along, loose, residuals, clear = fit_readings(
         belief.x, belief.P, belief.clones_from, source.places, source.readings, source.points, members, line,
-        source.std, variances, limits,
+        source.std, variances,
     )  # fmt: skip
     if not len(clear):
         return None

@@ -10,6 +10,7 @@ import numpy as np
 from limslam_agent.config.consistent import ExtentConfig
 from limslam_agent.kernels.tables import GRAZING
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
+from limslam_agent.slam.consistent.limits import MAX_GAP, THROUGH_SIGMAS, THROUGH_SLACK, THROUGH_TOLERANCE
 from limslam_agent.slam.consistent.wall_extent import WallExtent
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_env.geometry import FloatArray, IntArray
@@ -123,7 +124,7 @@ class WallMap:
 
     def is_wall(self, wall: Wall) -> bool:
         """Whether there is a place along a landmark where beams have ended and at most as many have passed."""
-        return bool(len(wall.extent.intervals(self._config.max_gap, self._config.through_tolerance)))
+        return bool(len(wall.extent.intervals(MAX_GAP, THROUGH_TOLERANCE)))
 
     def replace(self, walls: list[Wall]) -> list[Wall]:
         """Replace all landmarks, after the filter has replaced their lines; the new ones, which get their numbers."""
@@ -247,8 +248,8 @@ class WallMap:
         most = len(ranges) * len(self.walls)
         numbers, places = np.empty(most, dtype=np.int64), np.empty(most)
         count = passed_lines(
-            origins, towards, ranges, self._config.through_sigmas * stds, self._belief.anchored, self._belief.anchors,
-            self._config.through_slack, GRAZING, numbers, places,
+            origins, towards, ranges, THROUGH_SIGMAS * stds, self._belief.anchored, self._belief.anchors,
+            THROUGH_SLACK, GRAZING, numbers, places,
         )  # fmt: skip
         for index, place in zip(numbers[:count].tolist(), places[:count].tolist(), strict=True):
             if self.walls[index].extent.pass_at(place):
@@ -264,8 +265,7 @@ class WallMap:
         They are kept until a landmark changes, because every step asks for them.
         """
         if self._drawn is None:
-            gap, tolerance = self._config.max_gap, self._config.through_tolerance
-            pieces = [wall.extent.intervals(gap, tolerance) for wall in self.walls]
+            pieces = [wall.extent.intervals(MAX_GAP, THROUGH_TOLERANCE) for wall in self.walls]
             owners = np.repeat(np.arange(len(pieces)), [len(each) for each in pieces])
             along, lines = np.concatenate((np.zeros((0, 2)), *pieces)), self._belief.anchored[owners]
             anchors, (cos, sin) = self._belief.anchors[owners], (np.cos(lines[:, 1:]), np.sin(lines[:, 1:]))

@@ -52,6 +52,11 @@ class Estimator:
         self.on_comparison: Callable[[Comparison], None] | None = None
 
     @property
+    def limits(self) -> dict[str, float]:
+        """The limits that decide about associations and loops, for diagnostics to show beside the values."""
+        raise NotImplementedError
+
+    @property
     def poses(self) -> FloatArray:
         """Estimated poses of all robots (n, 3), m, m, rad."""
         return self._belief.poses

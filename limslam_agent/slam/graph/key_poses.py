@@ -11,13 +11,24 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limslam_agent.config.graph import KeyPoseConfig, MotionConfig
+from limslam_agent.config.graph import KeyPoseConfig
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 
 # A kernel calls only kernels of its own file.
 kernel = entry_of(__name__)
 
+_DEGREE = math.pi / 180.0
+
+KEY_DISTANCE, KEY_TURN = 0.25, 12.0 * _DEGREE
+"""A new key pose begins after this distance driven, m, or this turn, rad."""
+
+_SCAN_DISTANCE, _SCAN_TURN = 0.015, 1.0 * _DEGREE  # m, rad: since the last scan that gave points
+# Standard deviations of the motion by odometry along, across and of the heading: m, m, rad per square root of a metre
+# driven, and of a radian turned; and the least ones between two key poses, m and rad.
+_PER_METRE = 0.05, 0.05, 2.0 * _DEGREE
+_PER_RADIAN = 0.03, 0.03, 6.0 * _DEGREE
+_LEAST_POSITION_STD, _LEAST_TURN_STD = 1e-3, 0.05 * _DEGREE
 _DECIMALS = 7  # of a motion, m and rad
 _DELAY_STEP = 0.05  # s, of the derivatives by the delay
 _LEAST_NEW_TIMES = 0.9
@@ -140,19 +151,23 @@ class Trajectory:
     poses: FloatArray
     bias: FloatArray
 
+    def moved(self, motion: FloatArray) -> "Trajectory":
+        """The trajectory after a motion (3,) of its frame."""
+        return Trajectory(se2.compose(motion, self.poses), self.bias)
 
-def choose_keys(data: LogData, config: KeyPoseConfig, motion: MotionConfig) -> KeyPoses:
+
+def choose_keys(data: LogData, config: KeyPoseConfig) -> KeyPoses:
     """Divide a log into key poses, and collect the points of its scans."""
     count = len(data.time)
     moves = np.zeros((count, 3))
     moves[1:] = _motions(data.odometry[:-1], data.odometry[1:])
     length, turn = np.hypot(moves[:, 0], moves[:, 1]), np.abs(moves[:, 2])
-    key = _count_ups(length, turn, config.distance, config.turn)
+    key = _count_ups(length, turn, KEY_DISTANCE, KEY_TURN)
     first = np.searchsorted(key, np.arange(key[-1] + 1))
     travel, forward = np.cumsum(length), np.cumsum(moves[:, 0])
     first_of = first[key]
     offset_rate, step_rate = _rates(data, first_of, np.arange(count)), _rates(data, first[:-1], first[1:])
-    scans = np.diff(_count_ups(length, turn, config.scan_distance, config.scan_turn), prepend=-1) > 0
+    scans = np.diff(_count_ups(length, turn, _SCAN_DISTANCE, _SCAN_TURN), prepend=-1) > 0
     event, beam = np.nonzero(_thinned(data.hit & scans[:, None], max(travel[-1], 1.0) * config.points_per_metre))
     direction = np.column_stack((np.cos(data.angles), np.sin(data.angles)))
     return KeyPoses(
@@ -162,7 +177,7 @@ def choose_keys(data: LogData, config: KeyPoseConfig, motion: MotionConfig) -> K
         offset_forward=forward - forward[first_of],
         step=_motions(data.odometry[first[:-1]], data.odometry[first[1:]]),
         step_forward=np.diff(forward[first]),
-        step_variances=_step_variances(data, first, length, turn, motion),
+        step_variances=_step_variances(data, first, length, turn),
         offset_rate=offset_rate,
         step_rate=step_rate,
         travel=travel,
@@ -191,19 +206,15 @@ def _motions(first: FloatArray, second: FloatArray) -> FloatArray:
     return np.asarray(np.round(se2.between(first, second), _DECIMALS) + 0.0)
 
 
-def _step_variances(
-    data: LogData, first: IntArray, length: FloatArray, turn: FloatArray, motion: MotionConfig
-) -> FloatArray:
-    least = np.array([motion.least_position**2] * 2 + [motion.least_turn**2])
-    each = motion_variances(length, turn, motion) if data.variances is None else data.variances
+def _step_variances(data: LogData, first: IntArray, length: FloatArray, turn: FloatArray) -> FloatArray:
+    least = np.array([_LEAST_POSITION_STD**2] * 2 + [_LEAST_TURN_STD**2])
+    each = motion_variances(length, turn) if data.variances is None else data.variances
     return np.asarray(np.diff(np.cumsum(each, axis=0)[first], axis=0) + least)
 
 
-def motion_variances(length: FloatArray, turn: FloatArray, motion: MotionConfig) -> FloatArray:
+def motion_variances(length: FloatArray, turn: FloatArray) -> FloatArray:
     """Variances (k, 3) of motions by odometry of ``length`` (k,), m, and ``turn`` (k,), rad."""
-    per_metre = np.array([motion.along, motion.across, motion.turn_per_metre]) ** 2
-    per_radian = np.array([motion.slip, motion.slip, motion.turn_per_radian]) ** 2
-    return np.asarray(length[:, None] * per_metre + turn[:, None] * per_radian)
+    return np.asarray(length[:, None] * np.array(_PER_METRE) ** 2 + turn[:, None] * np.array(_PER_RADIAN) ** 2)
 
 
 def _rates(data: LogData, first: IntArray, second: IntArray) -> FloatArray:

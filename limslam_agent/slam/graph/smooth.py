@@ -48,7 +48,9 @@ _TRIED, _TRIAL_ROUNDS, _FINISHED, _HOPELESS = 3, 2, 2, 0.02
 _TIE = 0.003  # scores within this distance of the best score are equal; the last such round is taken
 # How often the delay of the ranges is estimated and corrected before the search. A correction of less, s, is the last.
 _SYNCHRONISATIONS, _SYNCHRONOUS = 3, 0.02
-_RESTART = math.radians(3.0)  # rad/m: heading that odometry misses, from which on the log is smoothed again
+# If odometry misses more heading than this, rad/m, its errors are corrected and the log is smoothed again, at most this
+# often. The result is kept if its score is higher.
+_MUCH_MISSED, _RESTARTS = math.radians(3.0), 3
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +69,8 @@ class GraphResult:
         G after each round of each search.
     verdicts
         The verdicts on all loops that were found in the round of the result.
-    chunk_events, chunk_poses, chunk_covariances
-        Middle events of the chunks (c,), their poses (c, 3), and covariances (c, 3, 3) from the graph of chunks.
+    chunk_events, chunk_covariances
+        Middle events of the chunks (c,), and the covariances (c, 3, 3) of their poses from the graph of chunks.
     errors
         The estimated constant errors (5,) of odometry, as in :class:`Trajectory`.
     keys, trajectory
@@ -87,7 +89,6 @@ class GraphResult:
     scores: dict[str, list[float]]
     verdicts: list[LoopVerdict]
     chunk_events: IntArray
-    chunk_poses: FloatArray
     chunk_covariances: FloatArray
     errors: FloatArray
     keys: KeyPoses = field(repr=False)
@@ -126,9 +127,9 @@ def smooth_log(
     report = report or _silent
     data, known = _synchronised(data, config)
     best = _smoothed(data, start, config, report)
-    for _ in range(config.rounds.restarts):
+    for _ in range(_RESTARTS):
         found = best.trajectory.bias
-        if abs(found[0]) < _RESTART:
+        if abs(found[0]) < _MUCH_MISSED:
             break
         # The loops of a path that bends by several degrees a metre are not recognised, and then its bias is too small.
         data = corrected(data, found)
@@ -156,7 +157,7 @@ def _synchronised(data: LogData, config: GraphConfig) -> tuple[LogData, FloatArr
     """
     known = np.zeros(ERRORS)
     for _ in range(_SYNCHRONISATIONS):
-        keys = choose_keys(data, config.keys, config.motion)
+        keys = choose_keys(data, config.keys)
         if len(keys) < 2 or not len(keys.point_key):
             break
         delay = float(_local(keys, data, config, 0.0).bias[3])
@@ -168,11 +169,11 @@ def _synchronised(data: LogData, config: GraphConfig) -> tuple[LogData, FloatArr
 
 def _smoothed(data: LogData, start: FloatArray, config: GraphConfig, report: Report) -> GraphResult:
     """Smooth a log with odometry as it is."""
-    keys = choose_keys(data, config.keys, config.motion)
+    keys = choose_keys(data, config.keys)
     if len(keys) < 2 or not len(keys.point_key):
         return _unlooped(keys, "odometry", odometry_trajectory(keys, start))
     if len(chunk_middles(keys, config.maps, config.maps.hop * config.rounds.hops[0])) < 2:
-        return _unlooped(keys, "local", _moved(_local(keys, data, config, 0.0), start))
+        return _unlooped(keys, "local", _local(keys, data, config, 0.0).moved(start))
     turns = config.rounds.orientations
     frames = [
         partial(_begun, keys, data, config, turn, saying(f"frame {number} of {len(turns)}", report))
@@ -349,31 +350,24 @@ def _next_round(log: LogProblem, trajectory: Trajectory, number: int, start: str
     return do_round(log, trajectory, number, Candidates(chunks, loops_along_the_way(chunks)), start)
 
 
-def _moved(trajectory: Trajectory, motion: FloatArray) -> Trajectory:
-    """The trajectory after a motion (3,) of its frame."""
-    return Trajectory(se2.compose(motion, trajectory.poses), trajectory.bias)
-
-
 def _placed_at(found: Round, start: FloatArray, turn: float) -> Round:
     """The round, transformed from the frame in which the log begins at (0, 0, ``turn``) to the frame of the result."""
     motion = se2.compose(np.asarray(start, dtype=float), np.array([0.0, 0.0, -turn]))
     cos, sin = math.cos(motion[2]), math.sin(motion[2])
     rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
     covariances = rotation @ found.chunk_covariances @ rotation.T
-    return replace(found, trajectory=_moved(found.trajectory, motion), chunk_covariances=covariances)
+    return replace(found, trajectory=found.trajectory.moved(motion), chunk_covariances=covariances)
 
 
 def without_loops(found: GraphResult, start: FloatArray) -> GraphResult:
     """The result by odometry alone, which begins at the pose ``start`` (3,); all loops are rejected."""
     verdicts = [replace(each, reason=NOT_ADDED if each.kept else each.reason) for each in found.verdicts]
     plain = _unlooped(found.keys, "odometry", odometry_trajectory(found.keys, start))
-    middles = found.keys.event_key[found.chunk_events]
     return replace(
         plain,
         scores=found.scores,
         verdicts=verdicts,
         chunk_events=found.chunk_events,
-        chunk_poses=plain.trajectory.poses[middles],
         chunk_covariances=found.chunk_covariances,
     )
 
@@ -392,7 +386,6 @@ def _result(keys: KeyPoses, name: str, best: Round, scores: dict[str, list[float
         scores=scores,
         verdicts=best.verdicts,
         chunk_events=keys.first_event[best.middles],
-        chunk_poses=best.trajectory.poses[best.middles],
         chunk_covariances=best.chunk_covariances,
         errors=best.trajectory.bias,
         keys=keys,

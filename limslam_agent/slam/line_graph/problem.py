@@ -9,8 +9,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import block_diag
 
-from limslam_agent.config.smoother import CalibrationPrior
+from limslam_agent.config.consistent import SelfCalibrationConfig
 from limslam_agent.slam.core.contact import LooseMotion, slips_of
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph import chain_kernels as kernels
@@ -23,8 +24,14 @@ LEAST_RANGE_STD = 0.005  # m
 FEWEST_READINGS = 6
 """Least number of readings of a line."""
 
+_SIZES = SelfCalibrationConfig(size_std=0.03, uneven_std=0.03, axle_std=0.03)
+_BIAS_STD = 0.02  # m, of a bias of all ranges
 _ASIDE_STD = 1e-5  # m: keeps the equations regular, and adds up to less than a millimetre in a run
 _LEAST_VARIANCE = 1e-12  # m^2
+
+
+CALIBRATION_PRIOR: FloatArray = np.asarray(np.linalg.inv(block_diag(_SIZES.covariance, [_BIAS_STD**2])), dtype=float)
+"""Inverse covariance (4, 4) of the prior of a robot's calibration: left wheel, right wheel, axle, bias."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +202,7 @@ def make_problem(
     wheels: FloatArray,
     ranges: FloatArray,
     usable: BoolArray | None = None,
-    prior: CalibrationPrior | None = None,
+    prior: FloatArray | None = None,
     first_step: int = 0,
     sensor: RangeSensor | None = None,
 ) -> Problem:
@@ -214,7 +221,7 @@ def make_problem(
         Mask (t, n, n_beams) of the readings that may be used; None for all. Readings without a wall are always left
         out. So are old readings that a slow sensor repeats.
     prior
-        Given if wheels, axle and bias are to be estimated.
+        ``CALIBRATION_PRIOR`` if wheels, axle and bias are to be estimated, or None.
     first_step
         Step of the drive that row 0 belongs to. It decides which readings a slow sensor repeats.
     sensor
@@ -235,7 +242,7 @@ def make_problem(
     return Problem(
         sensor.mounted(robot), np.asarray(starts, dtype=float), motions, stds, readings, looks,
         range_std=max(sensor.usual_std(float(robot.max_ranges.max())), LEAST_RANGE_STD),
-        prior=None if prior is None else prior.information, beam_width=sensor.cone,
+        prior=prior, beam_width=sensor.cone,
         growth=sensor.growth / sensor.std if sensor.growth else 0.0, bias=sensor.bias,
         turns=np.array(sensor.turns) if sensor.turns else None,
         loose=slips_of(robot, contact_std, reported, stds, ranges, measured),

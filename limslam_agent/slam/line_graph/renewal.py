@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from limslam_agent.config.smoother import RenewalConfig, SmootherConfig
+from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with, poses_moved_with
 from limslam_agent.slam.consistent.wall_map import NEW, Wall
 from limslam_agent.slam.core.ekf import POSE
@@ -27,10 +27,12 @@ from limslam_env.geometry import FloatArray, IntArray
 SHORTEST = 0.3
 """Least length of a wall, m, that the error of its direction is based on."""
 
+# By how much the position of each end of a known wall becomes less certain at each renewal, in standard deviations of a
+# range. It stands for errors that a wall has in each stretch again.
+_END_NOISE = 1.0
 
-def renewed(
-    start: MapState, stretch: FilteredRun, config: SmootherConfig, renewal: RenewalConfig
-) -> tuple[MapState, FloatArray] | None:
+
+def renewed(start: MapState, stretch: FilteredRun, config: SmootherConfig) -> tuple[MapState, FloatArray] | None:
     """The state at the end of a stretch of one robot's drive, by all readings since its beginning.
 
     Parameters
@@ -39,8 +41,8 @@ def renewed(
         The state at the beginning of the stretch.
     stretch
         The observations since then, and the filter's estimates, which begin at the pose of ``start``.
-    config, renewal
-        Settings of the smoother, and of the ageing of the map from before.
+    config
+        Settings of the smoother.
 
     Returns
     -------
@@ -51,7 +53,7 @@ def renewed(
     found = settle(stretch, config)
     if found is None or is_contradicted(found.problem, found.association):
         return None
-    aged = _aged(start, renewal.end_noise * found.problem.range_std)
+    aged = _aged(start, _END_NOISE * found.problem.range_std)
     labels = filter_labels(found.problem, stretch.associations, stretch.closures, stretch.first_step)
     return _joined(aged, found, labels), found.association.state.poses[0]
 

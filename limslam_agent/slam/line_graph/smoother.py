@@ -17,9 +17,16 @@ from limslam_agent.slam.line_graph.elimination import DegenerateError
 from limslam_agent.slam.line_graph.line_smoother import pose_covariances, solve
 from limslam_agent.slam.line_graph.map_score import score, tally
 from limslam_agent.slam.line_graph.mending import is_contradicted, is_repaired, mend
-from limslam_agent.slam.line_graph.problem import FEWEST_READINGS, Problem, Readings, make_problem, state_from_poses
+from limslam_agent.slam.line_graph.problem import (
+    CALIBRATION_PRIOR,
+    FEWEST_READINGS,
+    Problem,
+    Readings,
+    make_problem,
+    state_from_poses,
+)
 from limslam_agent.slam.line_graph.reassociation import Association, reassociate, with_kinds
-from limslam_agent.slam.line_graph.sensor_errors import beam_turns, fitted_sensor
+from limslam_agent.slam.line_graph.sensor_errors import TURN_STD, beam_turns, fitted_sensor
 from limslam_agent.slam.line_graph.smoothed_map import smoothed_map
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
@@ -29,6 +36,7 @@ from limslam_env.interface import NominalNoise, RobotSpec
 # contradicts the map.
 _CALIBRATION_GATE = 40.0
 _CALIBRATION_PRICE = 20.0  # by how much estimated errors must raise the score
+_SENSOR_ROUNDS = 4  # errors of the sensor are estimated at most this many times, each time with a new solution
 _UNSURE_HEADING = math.radians(4.0)  # rad: standard deviation of the filter from which on associations may be wrong
 # The error of the right wheel less that of the left one, and the error of the axle less the mean of the wheels.
 _RELATIVE = np.array([[-1.0, 1.0, 0.0, 0.0], [-0.5, -0.5, 1.0, 0.0]])
@@ -147,12 +155,12 @@ def smooth_run(run: FilteredRun, config: SmootherConfig | None = None) -> Smooth
     """
     config = config or SmootherConfig()
     best = settle(run, config)
-    return None if best is None else _smoothed(best, config)
+    return None if best is None else _smoothed(best)
 
 
 def settle(run: FilteredRun, config: SmootherConfig) -> Settled | None:
     """The solution of a run; None if there is nothing to smooth."""
-    prior = config.calibration if config.calibrate == "always" else None
+    prior = CALIBRATION_PRIOR if config.calibrate == "always" else None
     problem = make_problem(
         run.robot, run.noise, run.poses[0], run.wheels, run.ranges, run.usable, prior, run.first_step, run.sensor
     )
@@ -164,10 +172,10 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Settled | None:
         return None
     try:
         problem, labels = with_kinds(problem, state_from_poses(problem, run.poses), labels)
-        problem, found = _as_read(problem, run, labels, config)
+        problem, found = _as_read(problem, run, labels)
         best = _settled(problem, found, run)
-        if config.calibrate == "if_needed" and _may_need_calibration(best, config):
-            sized = replace(problem, prior=config.calibration.information)
+        if config.calibrate == "if_needed" and _may_need_calibration(best):
+            sized = replace(problem, prior=CALIBRATION_PRIOR)
             again = _settled(sized, _reassociated(sized, run, labels), run)
             best = max(best, again, key=lambda each: each.worth)
     except DegenerateError:
@@ -175,14 +183,12 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Settled | None:
     return best
 
 
-def _as_read(
-    problem: Problem, run: FilteredRun, labels: IntArray, config: SmootherConfig
-) -> tuple[Problem, Association]:
+def _as_read(problem: Problem, run: FilteredRun, labels: IntArray) -> tuple[Problem, Association]:
     """The problem with the noise and the beam width that its residuals require, and its re-associated solution."""
     stated = problem.range_std
     found = _reassociated(problem, run, labels)
-    for _ in range(config.sensor.rounds):
-        changed = fitted_sensor(problem, found, config, stated)
+    for _ in range(_SENSOR_ROUNDS):
+        changed = fitted_sensor(problem, found, stated)
         if changed is problem:
             break
         problem, found = changed, _reassociated(changed, run, labels)
@@ -203,7 +209,7 @@ def _settled(problem: Problem, found: Association, run: FilteredRun) -> Settled:
     return Settled(problem, kept[-1].association, tuple(candidate.move for candidate in kept[1:]))
 
 
-def _may_need_calibration(found: Settled, config: SmootherConfig) -> bool:
+def _may_need_calibration(found: Settled) -> bool:
     """Whether beams contradict a solution, or another calibration fits the wheels and ranges much better.
 
     The second criterion is Wald's test of the calibration that is estimated with the same associations. What a wide
@@ -213,7 +219,7 @@ def _may_need_calibration(found: Settled, config: SmootherConfig) -> bool:
     """
     if is_contradicted(found.problem, found.association):
         return True
-    sized = replace(found.problem, prior=config.calibration.information)
+    sized = replace(found.problem, prior=CALIBRATION_PRIOR)
     solution = solve(sized, found.association.state, found.association.labels)
     first, count = solution.factored.first_shared, solution.state.calibration.size
     is_rough = (sized.beam_width > 0.0 or sized.growth > 0.0) and not sized.bias
@@ -281,7 +287,7 @@ def _contradictions(problem: Problem, found: Association) -> float:
     return tally(replace(problem, looks=kept), found).contradictions / max(len(kept), 1)
 
 
-def _smoothed(best: Settled, config: SmootherConfig) -> SmoothedRun:
+def _smoothed(best: Settled) -> SmoothedRun:
     problem, found = best.problem, best.association
     poses = np.moveaxis(found.state.poses, 0, 1).copy()
     poses[..., 2] = wrap_angle(poses[..., 2])
@@ -297,11 +303,11 @@ def _smoothed(best: Settled, config: SmootherConfig) -> SmoothedRun:
         range_std=problem.range_std,
         beam_width=problem.beam_width,
         robot=problem.robot,
-        turns=_turns(best, config),
+        turns=_turns(best),
     )
 
 
-def _turns(best: Settled, config: SmootherConfig) -> FloatArray | None:
+def _turns(best: Settled) -> FloatArray | None:
     """The turns of the beams and their standard deviations (n_beams, 2), rad; None if no beam is turned.
 
     The turns of several robots are not estimated. Those that are known of their sensors have the prior's uncertainty.
@@ -309,8 +315,8 @@ def _turns(best: Settled, config: SmootherConfig) -> FloatArray | None:
     problem = best.problem
     if problem.turns is None:
         return None
-    stds = np.full(len(problem.turns), config.sensor.turn_std)
+    stds = np.full(len(problem.turns), TURN_STD)
     if len(problem.starts) == 1:
         with suppress(DegenerateError):
-            stds = np.sqrt(beam_turns(problem, best.association, config)[1].diagonal())
+            stds = np.sqrt(beam_turns(problem, best.association)[1].diagonal())
     return np.column_stack((problem.turns, stds))

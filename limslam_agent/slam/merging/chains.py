@@ -56,19 +56,14 @@ class Chain:
     def of(cls, data: LogData, found: GraphResult, config: GraphConfig) -> "Chain":
         """The chain of a smoothed log."""
         data = corrected(data, found.errors)
-        keys = choose_keys(data, config.keys, config.motion)
+        keys = choose_keys(data, config.keys)
         poses = found.poses[keys.first_event]
         local = smooth_locally(keys, odometry_trajectory(keys, poses[0]), config, data.range_std)
         return cls(data, keys, local, Trajectory(poses, np.zeros(ERRORS)))
 
     def moved(self, motion: FloatArray) -> "Chain":
         """The chain after a motion (3,) of its frame."""
-        return replace(self, local=moved(self.local, motion), smoothed=moved(self.smoothed, motion))
-
-
-def moved(trajectory: Trajectory, motion: FloatArray) -> Trajectory:
-    """A trajectory after a motion (3,) of its frame."""
-    return Trajectory(se2.compose(motion, trajectory.poses), trajectory.bias)
+        return replace(self, local=self.local.moved(motion), smoothed=self.smoothed.moved(motion))
 
 
 def joined_keys(first: Chain, second: Chain) -> KeyPoses:
@@ -105,7 +100,7 @@ def local_of_both(first: Chain, second: Chain) -> Trajectory:
     seam = se2.between(first.smoothed.poses[-1], second.smoothed.poses[0])
     start = se2.compose(first.local.poses[-1], seam)
     motion = se2.compose(start, se2.inverse(second.local.poses[0]))
-    return joined_trajectory(first.local, moved(second.local, motion))
+    return joined_trajectory(first.local, second.local.moved(motion))
 
 
 def divided(joined: Trajectory, first: Chain, second: Chain) -> tuple[FloatArray, FloatArray]:

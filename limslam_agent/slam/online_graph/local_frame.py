@@ -98,7 +98,7 @@ def smooth_window(data: LogData, errors: OdometryErrors, config: GraphConfig, sh
     """
     config = replace(config, motion=errors.prior(config.motion), smoothing=_ITERATIONS)
     data = corrected(data, errors.mean)
-    keys = choose_keys(data, config.keys, config.motion)
+    keys = choose_keys(data, config.keys)
     if len(keys) < 2 or not len(keys.point_key):
         return None
     trajectory = smooth_locally(keys, odometry_trajectory(keys, np.zeros(3)), config, data.range_std)

@@ -16,7 +16,7 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig, LocalMapConfig
 from limslam_agent.slam.graph.chunk_graph import inflated
-from limslam_agent.slam.graph.key_poses import calibrated_motion, motion_variances
+from limslam_agent.slam.graph.key_poses import KEY_DISTANCE, KEY_TURN, calibrated_motion, motion_variances
 from limslam_agent.slam.graph.local_maps import cut_chunks
 from limslam_agent.slam.online_graph.local_frame import LocalFrame, OdometryErrors, smooth_window
 from limslam_agent.slam.online_graph.place_graph import PlaceGraph
@@ -121,7 +121,7 @@ class OnlineGraph:
         motion = calibrated_motion(recent.last_motion(float(self._anchor.errors[3])), self._anchor.errors)
         moved = np.array([recent.travel - travel]), np.array([recent.turned - turned])
         self._ridden = compose(self._ridden, motion)
-        self._variances = self._variances + motion_variances(*moved, self._config.motion)[0]
+        self._variances = self._variances + motion_variances(*moved)[0]
         if self._is_key_pose():
             self._key_travel, self._key_turned = recent.travel, recent.turned
             if self._waiting is not None:
@@ -142,7 +142,7 @@ class OnlineGraph:
 
     def _is_key_pose(self) -> bool:
         driven, turned = self._recent.travel - self._key_travel, self._recent.turned - self._key_turned
-        return driven >= self._config.keys.distance or turned >= self._config.keys.turn
+        return driven >= KEY_DISTANCE or turned >= KEY_TURN
 
     def _do_job(self) -> None:
         """Smooth the last metres and find their place. The result waits until the next key pose."""

@@ -47,6 +47,15 @@ class PublishedEstimator(Estimator):
         self._drawn: FloatArray | None = None
         self._shown: tuple[FloatArray, IntArray] | None = None
 
+    @property
+    def limits(self) -> dict[str, float]:
+        """The limits that decide about associations and loops, for diagnostics to show beside the values."""
+        near, loop = self._config.association, self._config.closing
+        return {
+            "gate": near.gate, "angle": near.max_angle, "offset": near.max_distance, "gap": near.max_end_gap,
+            "loop_gate": loop.gate, "loop_overlap": loop.min_overlap, "loop_offset": loop.max_distance,
+        }  # fmt: skip
+
     def measure(self, number: int, front: FrontEnd, motion: Motion) -> None:
         """Add points to the buffers, and use each buffer that is full."""
         back, variance = inverse(motion.increment), float(motion.covariance[2, 2])

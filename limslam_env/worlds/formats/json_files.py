@@ -57,8 +57,7 @@ def _wall_list(table: dict[str, Any]) -> World:
 
 def _read_table(path: Path) -> dict[str, Any]:
     """The object in a JSON file; a WorldError where the file holds something else."""
-    # Windows' editors put a mark in front of the text, which JSON does not know.
-    text = read_text(path, MAX_FILE_BYTES).removeprefix("\ufeff")
+    text = read_text(path, MAX_FILE_BYTES)
     try:
         table = json.loads(text, parse_constant=_no_number)
     except (ValueError, RecursionError) as error:

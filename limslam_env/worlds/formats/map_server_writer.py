@@ -34,7 +34,7 @@ def write_map(world: World, path: Path, resolution: float) -> None:
     if not FINEST <= resolution <= COARSEST:
         raise WorldError(f"{path}: cells must measure {FINEST:g} to {COARSEST:g} m, not {resolution:g}")
     corners = world.edges.reshape(-1, 2)
-    # Half a cell off: walls on round numbers run through the middle of cells, not between two.
+    # The grid is shifted by half a cell, so that walls on round numbers run through the middle of cells.
     low = corners.min(axis=0) - (_MARGIN + 0.5) * resolution
     columns, rows = (np.floor((corners.max(axis=0) - low) / resolution)).astype(int) + 1 + _MARGIN
     if rows * columns > MAX_PIXELS:

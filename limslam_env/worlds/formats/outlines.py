@@ -34,10 +34,7 @@ def outlines_of(occupied: BoolArray) -> tuple[list[FloatArray], FloatArray]:
     polygons, walls = [], [np.zeros((0, 4))]
     for contour, (_, _, hole, around) in zip(contours, hierarchy[0], strict=True):
         is_solid = hole < 0 and around < 0
-        outline = _with_corners(contour[:, 0].astype(np.int32), doubled)
-        corners = cv2.approxPolyDP(outline[:, None], 2.0, closed=True)[:, 0].astype(np.int64)
-        if is_solid and len(corners) == 1:  # a patch of a cell or so is still in the way
-            corners = outline
+        corners = _corners_of(contour[:, 0].astype(np.int32), doubled, is_solid=is_solid)
         placed = (corners + 0.5) / 2.0 + (columns[0], rows[0])
         placed[:, 1] = len(occupied) - placed[:, 1]
         if is_solid and _is_simple(corners):
@@ -46,6 +43,14 @@ def outlines_of(occupied: BoolArray) -> tuple[list[FloatArray], FloatArray]:
             # The outline of a thin wall is one line, there and back.
             walls.append(polygon_edges(placed)[: None if len(corners) > 2 else 1])
     return polygons, np.vstack(walls)
+
+
+def _corners_of(contour: IntArray, occupied: NDArray[np.uint8], *, is_solid: bool) -> IntArray:
+    """The corners (n, 2) of a contour (k, 2) of columns and rows, without the steps of slanted walls."""
+    outline = _with_corners(contour, occupied)
+    corners = cv2.approxPolyDP(outline[:, None], 2.0, closed=True)[:, 0].astype(np.int64)
+    # A patch of a cell or so is still in the way.
+    return outline if is_solid and len(corners) == 1 else corners
 
 
 def _corner_count(occupied: BoolArray) -> int:

@@ -29,7 +29,7 @@ def read_text(path: Path, largest: int) -> str:
     if len(content) > largest:
         raise WorldError(f"larger than {largest / 1e6:g} MB")
     try:
-        # All three ways to end a line, as everywhere in text files, with or without a byte order mark.
+        # Lines may end in any of three ways, and a byte order mark may stand before the text.
         return content.decode("utf-8-sig").replace("\r\n", "\n").replace("\r", "\n")
     except UnicodeDecodeError as error:
         raise WorldError(f"cannot be read: {error}") from error

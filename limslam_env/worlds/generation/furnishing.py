@@ -70,7 +70,7 @@ def furnish(
     if generator.random() < furniture.slanted:
         _put_slanted_wall(contents, furniture.clearance, generator)
     expected = furniture.obstacles * (room.side(0) * room.side(1)) / 1e7
-    # The whole part for certain, the fraction by chance.
+    # The fraction of the expected number is the probability of one more obstacle.
     for _ in range(int(expected + generator.random())):
         _put_obstacle(contents, furniture, generator)
     return contents.walls, contents.obstacles
@@ -164,7 +164,7 @@ def _put_obstacle(contents: _Contents, furniture: Furniture, generator: np.rando
     disc = _placed(contents, radius, furniture.clearance, generator)
     if disc is not None:
         contents.discs.append(disc)
-        # A millimetre less, for the rounding of corners.
+        # The radius is a millimetre smaller, since corners are rounded to millimetres.
         contents.obstacles.append(_polygon(disc._replace(radius=radius - 1), generator))
 
 

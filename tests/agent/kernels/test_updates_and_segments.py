@@ -9,9 +9,21 @@ import math
 
 import numpy as np
 import pytest
-from support.batch_stages import NOISE, estimator_after, estimator_config
+from support.batch_stages import NOISE, estimator_after
 
-from limslam_agent.kernels.tables import FEWEST, FEWEST_FOR_SHAPE, FEWEST_TO_COMPARE, GRAZING, KINKS_AT, LEAST_GAIN
+from limslam_agent.kernels.tables import (
+    CURVE_GATE,
+    END_GATE,
+    END_ZONE,
+    FEWEST,
+    FEWEST_FOR_SHAPE,
+    FEWEST_TO_COMPARE,
+    GRAZING,
+    KINK_GATE,
+    KINKS_AT,
+    LEAST_GAIN,
+    MIN_KINK,
+)
 from limslam_agent.slam.consistent.beam_model import Expected, Readings, expected_ranges, hit_points
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.consistent import ConsistentEstimator
@@ -21,8 +33,6 @@ from limslam_agent.slam.core.ekf import POSE
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import direction, normal
 from limslam_env.geometry.se2 import compose, compose_jacobians
-
-CONFIG = estimator_config().segmentation
 
 
 @pytest.fixture(scope="module")
@@ -185,7 +195,7 @@ def test_fits(recorded: ConsistentEstimator, shape: str, seed: int) -> None:
         state = state + np.linalg.lstsq(by_line, off, rcond=None)[0]
     basis = np.linalg.qr(by_line)[0]
     left = beside(basis, off)
-    fit = _fit(_Source(ekf, places, rows, points, readings.variances(NOISE), NOISE), members, tuple(line), CONFIG)
+    fit = _fit(_Source(ekf, places, rows, points, readings.variances(NOISE), NOISE), members, tuple(line))
     assert fit is not None
     segment = fit.segment
     assert segment.theta == pytest.approx(state[1], abs=1e-11)
@@ -199,9 +209,9 @@ def test_fits(recorded: ConsistentEstimator, shape: str, seed: int) -> None:
     here, cosines = along[clear], expected.cosines[clear]
     loose = np.zeros(len(members), dtype=bool)
     for end in (here.min(), here.max()):
-        zone = np.abs(here - end) < CONFIG.end_zone
+        zone = np.abs(here - end) < END_ZONE
         form = beside(basis, np.linalg.solve(factor, zone / cosines))
-        if not zone.all() and form @ form > LEAST_GAIN and (left @ form) ** 2 > CONFIG.end_gate * (form @ form):
+        if not zone.all() and form @ form > LEAST_GAIN and (left @ form) ** 2 > END_GATE * (form @ form):
             loose[clear[zone]] = True
     np.testing.assert_array_equal(fit.loose, loose)
     if len(here) < FEWEST_FOR_SHAPE:
@@ -214,6 +224,6 @@ def test_fits(recorded: ConsistentEstimator, shape: str, seed: int) -> None:
     angles = left @ bends / np.sum(bends**2, axis=0)
     gains = angles**2 * np.sum(bends**2, axis=0)
     best = int(np.argmax(gains))
-    is_kinked = gains[best] > CONFIG.kink_gate and abs(angles[best]) > CONFIG.min_kink
-    assert fit.is_bent == (is_kinked or np.sum((left @ curves) ** 2) > CONFIG.curve_gate)
+    is_kinked = gains[best] > KINK_GATE and abs(angles[best]) > MIN_KINK
+    assert fit.is_bent == (is_kinked or np.sum((left @ curves) ** 2) > CURVE_GATE)
     assert fit.bend_at == pytest.approx(kinks[best], abs=1e-11)

@@ -4,15 +4,20 @@ import numpy as np
 import pytest
 from support.halls import HALL
 
-from limslam_agent.config.places import PlaceConfig
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.places.decision import agree, find_place, match_covariance
+from limslam_agent.places.decision import (
+    LEAST_FORWARD,
+    MATCH_HEADING_STD,
+    MATCH_STD,
+    agree,
+    find_place,
+    match_covariance,
+)
 from limslam_agent.places.matching import best_fits, judged, likely_turns
 from limslam_agent.places.place_map import place_map
 from limslam_env.geometry.se2 import compose, inverse, transform_points
 from limslam_env.geometry.segment import distances
 
-CONFIG = PlaceConfig()
 CORRIDOR = np.array([[0, 0, 12, 0], [0, 1.4, 12, 1.4]], dtype=float)
 
 
@@ -60,7 +65,7 @@ PART = [[1.6, 0.9], [1.6, 1.8], [1.6, 2.8], [1.6, 3.6]]
 @pytest.mark.parametrize("turn", [0.0, 0.4, 1.3, np.pi / 2, 2.8, -1.9, np.pi])
 def test_a_local_map_is_found_however_it_is_turned(turn):
     pose = np.array([1.6, 0.9, turn])
-    decision = find_place(WHOLE, seen(HALL, PART, pose), CONFIG)
+    decision = find_place(WHOLE, seen(HALL, PART, pose))
     assert decision.is_accepted, decision.refusal
     off = compose(inverse(pose), decision.fit.pose)
     assert np.hypot(*off[:2]) < 0.05
@@ -71,7 +76,7 @@ def test_a_local_map_is_found_however_it_is_turned(turn):
 
 def test_the_way_back_is_the_inverse():
     local = seen(HALL, PART, np.array([1.6, 0.9, 0.7]))
-    there, back = best_fits(WHOLE, local, CONFIG)[0], best_fits(local, WHOLE, CONFIG)[0]
+    there, back = best_fits(WHOLE, local)[0], best_fits(local, WHOLE)[0]
     off = compose(there.pose, back.pose)
     assert np.hypot(*off[:2]) < 0.1
     assert abs(off[2]) < np.radians(2.0)
@@ -80,7 +85,7 @@ def test_the_way_back_is_the_inverse():
 
 def test_a_corridor_is_ambiguous():
     whole = seen(CORRIDOR, [[x, 0.7] for x in np.arange(1.5, 11.0, 0.5)])
-    decision = find_place(whole, seen(CORRIDOR, [[4.0, 0.7], [5.0, 0.7], [6.0, 0.7]], (4.0, 0.7, 0.3)), CONFIG)
+    decision = find_place(whole, seen(CORRIDOR, [[4.0, 0.7], [5.0, 0.7], [6.0, 0.7]], (4.0, 0.7, 0.3)))
     assert not decision.is_accepted
     assert "ambiguous" in decision.refusal
     assert not decision.record["accepted"]
@@ -90,7 +95,7 @@ def test_a_symmetrical_building_is_ambiguous():
     both = np.vstack((HALL, HALL @ np.kron(np.eye(2), -np.eye(2)) + np.array([12.0, 9.0, 12.0, 9.0])))
     path = [[1.5, 1.0], [3.0, 1.2], [5.3, 1.2], [1.6, 2.4], [1.5, 4.0]]
     whole = seen(both, [*path, *(np.array([12.0, 9.0]) - np.array(path))], (6.0, 4.5, 0.0), reach=3.0)
-    decision = find_place(whole, seen(HALL, PART), CONFIG)
+    decision = find_place(whole, seen(HALL, PART))
     assert decision.refusal.startswith("ambiguous: another place has")
     assert decision.runner_up > 0.9
 
@@ -100,18 +105,18 @@ def test_walls_in_free_ground_are_contradictions():
     local = seen(HALL, PART)
     grid = GridView(local.low, local.cell, np.zeros(local.clear.shape, dtype=np.int16))
     with_screen = place_map(np.vstack((local.segments, screen)), grid)
-    clean, screened = (judged(WHOLE, each, np.zeros(3), CONFIG) for each in (local, with_screen))
+    clean, screened = (judged(WHOLE, each, np.zeros(3)) for each in (local, with_screen))
     assert (clean.contradictions, clean.forward) == (0, 1.0)
     assert screened.contradictions >= 8
-    assert screened.forward < CONFIG.forward
-    assert "lie where the other map is free" in find_place(WHOLE, with_screen, CONFIG).refusal
+    assert screened.forward < LEAST_FORWARD
+    assert "lie where the other map is free" in find_place(WHOLE, with_screen).refusal
 
 
 def test_an_empty_map_is_nowhere():
     grid = GridView(np.zeros(2), 0.1, np.zeros((3, 3), dtype=np.int16))
     empty = place_map(np.zeros((0, 4)), grid)
     for pair in ((WHOLE, empty), (empty, WHOLE), (empty, empty)):
-        decision = find_place(*pair, CONFIG)
+        decision = find_place(*pair)
         assert decision.fit is None
         assert not decision.is_accepted
         assert decision.record == {"accepted": False, "reason": "one of the maps has no walls"}
@@ -126,20 +131,20 @@ def test_turns_bring_walls_of_one_direction_together():
 
 def test_two_decisions_agree_on_one_place_only():
     local = seen(HALL, PART, (1.6, 0.9, 0.7))
-    decision = find_place(WHOLE, local, CONFIG)
+    decision = find_place(WHOLE, local)
     moved = find_place(
-        seen(HALL, [[1.5, 1.0], [3.0, 1.2], [5.3, 1.2], [1.6, 2.4], [1.5, 4.0]], (1.0, 0.0, 0.0), 3.0), local, CONFIG
+        seen(HALL, [[1.5, 1.0], [3.0, 1.2], [5.3, 1.2], [1.6, 2.4], [1.5, 4.0]], (1.0, 0.0, 0.0), 3.0), local
     )
-    assert agree(decision, decision, local, CONFIG)
+    assert agree(decision, decision, local)
     assert moved.is_accepted
-    assert not agree(decision, moved, local, CONFIG)
+    assert not agree(decision, moved, local)
 
 
 def test_the_covariance_of_a_pose_grows_with_its_distance_from_the_local_map():
     local = seen(HALL, PART)
-    decision = find_place(WHOLE, local, CONFIG)
+    decision = find_place(WHOLE, local)
     middle = np.append(transform_points(decision.fit.pose, local.points.mean(axis=0, keepdims=True))[0], 0.0)
-    near, far = (match_covariance(middle[:2], middle + np.array([away, 0.0, 0.0]), CONFIG) for away in (0.0, 5.0))
-    np.testing.assert_allclose(near, np.diag([CONFIG.std**2, CONFIG.std**2, CONFIG.heading_std**2]), atol=1e-12)
-    assert far[1, 1] == pytest.approx(CONFIG.std**2 + 25.0 * CONFIG.heading_std**2)
-    assert far[0, 0] == pytest.approx(CONFIG.std**2)
+    near, far = (match_covariance(middle[:2], middle + np.array([away, 0.0, 0.0])) for away in (0.0, 5.0))
+    np.testing.assert_allclose(near, np.diag([MATCH_STD**2, MATCH_STD**2, MATCH_HEADING_STD**2]), atol=1e-12)
+    assert far[1, 1] == pytest.approx(MATCH_STD**2 + 25.0 * MATCH_HEADING_STD**2)
+    assert far[0, 0] == pytest.approx(MATCH_STD**2)

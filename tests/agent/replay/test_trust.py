@@ -74,7 +74,7 @@ def floor_log():
 
 
 def reach_on(data, path):
-    keys = choose_keys(data, BRIEF.keys, BRIEF.motion)
+    keys = choose_keys(data, BRIEF.keys)
     trajectory = Trajectory(path[keys.first_event], np.zeros(ERRORS))
     return reach_of_agreement(keys, trajectory, BRIEF, data.max_range)
 
@@ -127,11 +127,11 @@ def test_a_range_that_rounding_has_made_too_long_is_counted():
 
 def test_the_variances_of_odometry_follow_its_errors():
     data, truth = corridor_log(bias=0.0)
-    keys = choose_keys(data, BRIEF.keys, BRIEF.motion)
+    keys = choose_keys(data, BRIEF.keys)
     trajectory = Trajectory(truth[keys.first_event], np.zeros(ERRORS))
-    found = odometry_variances(data, keys, trajectory, BRIEF)
+    found = odometry_variances(data, keys, trajectory)
     steps = se2.between(data.odometry[:-1], data.odometry[1:])
-    assumed = motion_variances(np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2]), BRIEF.motion)
+    assumed = motion_variances(np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2]))
     ratios = found[1:] / assumed
     assert found.shape == (len(data.time), 3)
     assert ratios == pytest.approx(np.broadcast_to(ratios[0], ratios.shape))

@@ -17,6 +17,7 @@ from support.drives import FOUR_BEAMS, LapLog, laps_of_square
 from limslam_agent.config.presets import AgentConfig, ConsistentConfig, preset
 from limslam_agent.slam.consistent.beam_model import Readings, hit_points
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
+from limslam_agent.slam.consistent.limits import FIRST_ITERATIONS, HUBER, ITERATIONS
 from limslam_agent.slam.consistent.pending_readings import SIDES, PendingReading, PendingReadings
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.motion import motion_from_wheels
@@ -69,7 +70,7 @@ class OracleEstimator:
         self._waiting[wall] = waiting = [reading for reading in waiting if reading.driven >= oldest]
         if len(waiting) < settings.pending.batch:
             return
-        readings, iterations = self._readings(waiting), settings.update.iterations
+        readings, iterations = self._readings(waiting), ITERATIONS
         if wall not in self._index:
             points = hit_points(self.filter.clone_poses(readings.clones), readings)
             middle = points.mean(axis=0)
@@ -77,8 +78,8 @@ class OracleEstimator:
             if np.ptp((points - middle) @ across[0]) < self._min_length:
                 return
             self._index[wall] = self.filter.add_line(math.atan2(across[1][1], across[1][0]), middle)
-            iterations = settings.creation.iterations
-        self.filter.observe(readings, self._index[wall], self.config.range_std, iterations, settings.update.huber)
+            iterations = FIRST_ITERATIONS
+        self.filter.observe(readings, self._index[wall], self.config.range_std, iterations, HUBER)
         self._waiting[wall] = []
 
     def _readings(self, waiting: list[PendingReading]) -> Readings:

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
-from limslam_env.geometry.segment import distances, inside_polygon
+from limslam_env.geometry.segment import distances, inside_polygon, polygon_edges
 from limslam_env.kernels.observation import CLEARANCE
 from limslam_env.simulation.physics import Physics
 from limslam_env.worlds.formats.loading import load_world
@@ -21,8 +21,7 @@ DEEPEST = 1e-3
 
 
 def ring(corners: list[tuple[float, float]]) -> FloatArray:
-    points = np.array(corners)
-    return np.hstack((points, np.roll(points, -1, axis=0)))
+    return polygon_edges(np.array(corners))
 
 
 BOX = ring([(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0)])

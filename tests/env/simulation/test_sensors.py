@@ -8,6 +8,7 @@ import pytest
 
 from limslam_env.config import DrawnNoise, NoiseConfig
 from limslam_env.geometry import FloatArray
+from limslam_env.geometry.segment import polygon_edges
 from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim
 from limslam_env.kernels.observation import drive_and_observe
 from limslam_env.kernels.rays import NOTHING, cast_at_discs
@@ -32,8 +33,7 @@ def unit(angles: FloatArray) -> FloatArray:
 
 
 def ring(corners: list[tuple[float, float]]) -> FloatArray:
-    points = np.array(corners)
-    return np.hstack((points, np.roll(points, -1, axis=0)))
+    return polygon_edges(np.array(corners))
 
 
 def box_with(*walls: tuple[float, float, float, float]) -> World:

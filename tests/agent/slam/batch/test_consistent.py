@@ -13,9 +13,9 @@ from limslam_agent.slam.batch.pending_readings import readings_of
 from limslam_agent.slam.batch.segmentation import ANGLE_STD, EXTENT, MIDDLE_X, MIDDLE_Y, THETA
 from limslam_agent.slam.batch.state import CLONE, CLONES, CLOSURES, LINES, PENDING, States
 from limslam_agent.slam.consistent.consistent import ConsistentEstimator, _Candidate
-from limslam_agent.slam.consistent.corners import on_crossing_wall
 from limslam_agent.slam.consistent.pending_readings import SIDES
 from limslam_agent.slam.consistent.segmentation import WallSegment
+from limslam_agent.slam.consistent.segmentation import uncontested as plainly_uncontested
 from limslam_agent.slam.core.hough import ExtractedLine
 from limslam_agent.slam.core.line_fit import LineFit, fit_line
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
@@ -24,7 +24,6 @@ from limslam_env.geometry import FloatArray
 uncontested, candidates, fits = (
     cached(consistent.uncontested), cached(consistent.candidates), cached(consistent.fits),
 )  # fmt: skip
-off_crossing_walls = cached(consistent.off_crossing_walls)
 closes_loop, prune, readings_in = cached(consistent.closes_loop), cached(consistent.prune), cached(readings_of)
 
 
@@ -140,7 +139,7 @@ def test_pruned_clones(recorded: ConsistentEstimator, state: States, most: int) 
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_points_near_corners(recorded: ConsistentEstimator, seed: int) -> None:
+def test_points_near_corners(seed: int) -> None:
     generator = np.random.default_rng(seed)
     along = np.sort(generator.uniform(0.0, 0.8, (2, 12)), axis=1)
     # One reading of each wall lies near the corner at least.
@@ -150,31 +149,10 @@ def test_points_near_corners(recorded: ConsistentEstimator, seed: int) -> None:
     owner = np.repeat([0, 1], 12)
     fitted: list[LineFit] = [fit_line(points[owner == number], NOISE) for number in range(2)]
     lines = [ExtractedLine(fit, np.flatnonzero(owner == number)) for number, fit in enumerate(fitted)]
-    expected = {float(line[1]): members for line, members in recorded._uncontested(points, lines)}
-    near = float(spec().settings[0]["near_corner"])
+    near = float(spec().settings[0]["near_line"])
+    expected = {float(line[1]): members for line, members in plainly_uncontested(points, lines, near)}
     rows, ends = np.array([fit.line for fit in fitted]), np.array([fit.ends for fit in fitted])
     for number, fit in enumerate(fitted):
         members = uncontested(points, owner, rows, ends, 2, number, near)
         np.testing.assert_array_equal(members, expected.get(float(fit.line[1]), []))
         assert len(members) < 12
-
-
-@pytest.mark.parametrize("degrees", [5.0, 30.0, 90.0, 150.0])
-def test_points_on_a_known_wall_that_crosses_their_line(
-    recorded: ConsistentEstimator, state: States, degrees: float
-) -> None:
-    # Points along a line that crosses a landmark in the middle of its wall.
-    lost = []
-    for index, wall in enumerate(recorded._map.walls):
-        theta = recorded._filter.anchored[index, 1] + np.radians(degrees)
-        middle = recorded._map.ends(index).mean(axis=0)
-        points = middle + np.linspace(-0.4, 0.4, 20)[:, None] * np.array([-np.sin(theta), np.cos(theta)])
-        near, kink = (float(spec().settings[0][name]) for name in ("near_corner", "min_kink"))
-        crossing = on_crossing_wall(points, float(theta), near, kink, recorded._filter, recorded._map)
-        kept = np.flatnonzero(~crossing)
-        members = np.arange(len(points))
-        found = off_crossing_walls(state.filter, state.walls, points, members, float(theta), spec().settings[0])
-        np.testing.assert_array_equal(found, kept if len(kept) >= 6 else [])
-        lost.append(len(points) - len(kept))
-        assert wall.extent.ends[0] < wall.extent.ends[1]
-    assert min(lost) > 0 if degrees > 8.0 else min(lost) == 0

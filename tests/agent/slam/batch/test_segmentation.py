@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from support.batch_stages import NOISE, cached, estimator_after, estimator_config, spec, state_from
+from support.batch_stages import NOISE, cached, estimator_after, spec, state_from
 
 from limslam_agent.kernels import measurement
 from limslam_agent.slam.batch import segmentation
@@ -19,7 +19,6 @@ split, predicted, ends, turned = (
     cached(segmentation.wall_segments), cached(measurement.predict_ranges), cached(measurement.hit_points),
     cached(measurement.towards),
 )  # fmt: skip
-CONFIG = estimator_config().segmentation
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +61,7 @@ def test_segments(estimator: ConsistentEstimator, shape: str, seed: int, cone: f
     poses = estimator._filter.clone_poses(readings.clones)
     line = fit_line(hit_points(poses, readings), NOISE).line
     points = hit_points(poses, readings.towards(line[1], poses[:, 2]))
-    expected = wall_segments(readings, members, line, estimator._filter, NOISE, CONFIG)
+    expected = wall_segments(readings, members, line, estimator._filter, NOISE)
     found, own = split(ekf, places_of(estimator, readings), rows, points, members, line, spec().settings[0])
     assert len(own) == len(expected)
     for row, these, segment in zip(found, own, expected, strict=False):
@@ -78,7 +77,7 @@ def test_the_readings_bend(estimator: ConsistentEstimator) -> None:
         readings, _ = readings_of_walls(estimator, shape, 0)
         points = hit_points(estimator._filter.clone_poses(readings.clones), readings)
         line = fit_line(points, NOISE).line
-        found = wall_segments(readings, np.arange(40), line, estimator._filter, NOISE, CONFIG)
+        found = wall_segments(readings, np.arange(40), line, estimator._filter, NOISE)
         counts.append(sum(len(segment.members) for segment in found))
     assert counts[0] == 40
     assert min(counts[1:]) < 40

@@ -12,6 +12,7 @@ from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import preset
 from limslam_agent.slam.batch.batch_slam import BatchSlam
 from limslam_agent.slam.consistent.consistent import ConsistentEstimator, _Candidate
+from limslam_agent.slam.consistent.limits import FAR_GATE
 from limslam_agent.slam.consistent.segmentation import WallSegment
 from limslam_agent.slam.core.diagnostics import Comparison
 from limslam_agent.slam.slam import LineSlam
@@ -21,7 +22,7 @@ from limslam_env.interface import Observation
 
 START = np.zeros(3)
 CONFIG = preset("consistent")
-LIMITS = ConsistentConfig().association
+GATE = ConsistentConfig().association.gate
 WALL = np.array([[-1.0, 0.5, 5.0, 0.5]])
 BACK_AND_FORTH = [*straight(3.0), *straight(-2.5), *straight(2.0)]
 FALSE_TURN = range(len(straight(5.5)) + 1, len(straight(5.5)) + 5)
@@ -48,7 +49,7 @@ def test_a_filter_that_is_too_sure_is_corrected_by_the_only_wall_nearby(degrees:
     assert len(slam.all_landmarks) == 1
     # The first comparison after the false turn lies between the gates, and it is said that the landmark was taken.
     tests = [each.tests[0] for each in heard if each.step > FALSE_TURN[0]]
-    refused = [test for test in tests if LIMITS.gate < test.distance < LIMITS.far_gate]
+    refused = [test for test in tests if GATE < test.distance < FAR_GATE]
     assert refused
     assert refused[0].excluded == ""
 

@@ -11,7 +11,6 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from limslam_agent.config.consistent import SegmentationConfig
 from limslam_agent.slam.consistent.beam_model import Readings, hit_points
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.segmentation import WallSegment, wall_segments
@@ -24,7 +23,6 @@ from limslam_env.interface import NominalNoise, RobotSpec
 
 ROBOT = RobotSpec()
 LEFT = [0, 1]  # the beams at 90 and 45 deg
-CONFIG = SegmentationConfig()
 STEP = 0.02  # m driven between two readings
 NOISES = (0.0, 0.02, 0.04)
 
@@ -46,7 +44,7 @@ class Drive(NamedTuple):
         """The straight pieces of what was read, about the line that fits all of it best."""
         chosen = np.arange(len(self.hits)) if members is None else members
         line = fit_line(self.points[chosen], self.std).line
-        return wall_segments(self.readings, chosen, line, self.belief, self.std, CONFIG)
+        return wall_segments(self.readings, chosen, line, self.belief, self.std)
 
 
 def ray(start: FloatArray, heading: float, corners: FloatArray) -> float:
@@ -227,7 +225,7 @@ def test_few_points_are_nothing() -> None:
     drive = drive_past(WALL, 0.8, 0.0, 1)
     for count in range(6):
         assert wall_segments(
-            drive.readings, np.arange(count), np.array([0.6, 0.5 * math.pi]), drive.belief, drive.std, CONFIG
+            drive.readings, np.arange(count), np.array([0.6, 0.5 * math.pi]), drive.belief, drive.std
         ) == []  # fmt: skip
     (piece,) = drive.pieces(np.arange(0, 60, 10))
     assert piece.members.tolist() == list(range(0, 60, 10))
@@ -237,7 +235,7 @@ def test_readings_that_graze_the_line_make_no_piece_of_it() -> None:
     drive = drive_past(WALL, 0.8, 0.0, 1)
     # A line across the wall: the beams at 90 deg run along it, and they are the first of each pair.
     across = np.array([0.4, 0.0])
-    assert wall_segments(drive.readings, np.arange(0, 60, 2), across, drive.belief, drive.std, CONFIG) == []
+    assert wall_segments(drive.readings, np.arange(0, 60, 2), across, drive.belief, drive.std) == []
 
 
 def test_the_pieces_are_of_the_chosen_readings_only() -> None:

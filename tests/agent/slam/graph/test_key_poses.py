@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from limslam_agent.config.graph import KeyPoseConfig, MotionConfig
+from limslam_agent.config.graph import KeyPoseConfig
 from limslam_agent.slam.graph.key_poses import (
+    KEY_DISTANCE,
     LogData,
     calibrated_steps,
     choose_keys,
@@ -35,7 +36,7 @@ def wandering(count=200, beams=3):
 
 
 def keys_of(log):
-    return choose_keys(log, KeyPoseConfig(), MotionConfig())
+    return choose_keys(log, KeyPoseConfig())
 
 
 def test_without_correction_every_event_is_where_odometry_has_it():
@@ -63,9 +64,9 @@ def test_points_lie_where_their_beams_end():
 
 
 def test_key_poses_are_neither_far_nor_turned_apart():
-    log, config = wandering(), KeyPoseConfig()
+    log = wandering()
     keys = keys_of(log)
-    assert np.all(np.diff(keys.key_travel) < config.distance + 0.2)
+    assert np.all(np.diff(keys.key_travel) < KEY_DISTANCE + 0.2)
     assert np.all(keys.first_event[keys.event_key] <= np.arange(len(log.time)))
 
 
@@ -109,7 +110,7 @@ def test_a_standing_robot_gives_points_once():
 def test_dense_scans_are_thinned_to_all_beams_in_turn():
     log = wandering(beams=180)
     keys = keys_of(log)
-    all_points = choose_keys(log, KeyPoseConfig(points_per_metre=1e6), MotionConfig())
+    all_points = choose_keys(log, KeyPoseConfig(points_per_metre=1e6))
     assert len(all_points.point_event) == log.hit[np.unique(all_points.point_event)].sum()
     density = len(keys.point_event) / keys.travel[-1]
     assert 70.0 < density < 145.0

@@ -40,7 +40,7 @@ def curved_log(count=60):
 
 
 def keys_of(log):
-    return choose_keys(log, KeyPoseConfig(), MotionConfig())
+    return choose_keys(log, KeyPoseConfig())
 
 
 def test_relation_jacobian():

@@ -17,7 +17,7 @@ CONFIG = GraphConfig()
 @pytest.fixture(scope="module")
 def drive():
     log, truth = corridor_log(laps=1)
-    keys = choose_keys(log, CONFIG.keys, CONFIG.motion)
+    keys = choose_keys(log, CONFIG.keys)
     return log, truth, keys
 
 
@@ -70,7 +70,7 @@ def test_links_are_the_nearest_points_of_their_band(true_cloud):
 
 def test_visits_are_linked_across_and_only_they():
     log, truth = corridor_log(laps=2)
-    keys = choose_keys(log, CONFIG.keys, CONFIG.motion)
+    keys = choose_keys(log, CONFIG.keys)
     cloud = point_cloud(keys, Trajectory(truth[keys.first_event], np.zeros(ERRORS)), 0.01)
     links = links_across(cloud, 0.3)
     gap = np.abs(cloud.travel[links[:, 0]] - cloud.travel[links[:, 1]])

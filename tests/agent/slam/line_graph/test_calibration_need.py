@@ -5,7 +5,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph import smoother
 from limslam_agent.slam.line_graph.problem import make_problem
@@ -39,4 +38,4 @@ def test_sensors_with_a_cone_need_relative_errors(monkeypatch, sensor, found, is
     monkeypatch.setattr(smoother, "is_contradicted", lambda *_: False)
     association = SimpleNamespace(state=None, labels=None)
     settled = smoother.Settled(problem, association, ())
-    assert smoother._may_need_calibration(settled, SmootherConfig()) == is_needed
+    assert smoother._may_need_calibration(settled) == is_needed

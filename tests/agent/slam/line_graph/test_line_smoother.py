@@ -8,10 +8,15 @@ import pytest
 from support.drives import ROBOT
 from support.smoother_runs import START, WHEEL_VARIANCE, noisy_run, true_labels
 
-from limslam_agent.config.smoother import CalibrationPrior
 from limslam_agent.slam.line_graph import chain_kernels, elimination
 from limslam_agent.slam.line_graph.line_smoother import pose_covariances, solve
-from limslam_agent.slam.line_graph.problem import Readings, make_problem, state_from_motions, state_from_poses
+from limslam_agent.slam.line_graph.problem import (
+    CALIBRATION_PRIOR,
+    Readings,
+    make_problem,
+    state_from_motions,
+    state_from_poses,
+)
 from limslam_agent.slam.line_graph.reassociation import solve_labels
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
 from limslam_env.interface import NominalNoise
@@ -199,7 +204,7 @@ def ranges_of(problem, number):
 
 @pytest.mark.usefixtures("block")
 def test_wheel_sizes_are_found():
-    problem, poses = noisy_run(6, mismatch=0.02, prior=CalibrationPrior())
+    problem, poses = noisy_run(6, mismatch=0.02, prior=CALIBRATION_PRIOR)
     solution = smoothed(problem, poses)
     # The left wheel reports 2 % too much: it is smaller than specified.
     assert solution.state.calibration[0, :2] == pytest.approx([-0.02, 0.02], abs=0.006)
@@ -209,7 +214,7 @@ def test_wheel_sizes_are_found():
 
 
 def test_a_range_bias_is_found():
-    problem, poses = noisy_run(7, noise=0.0, prior=CalibrationPrior())
+    problem, poses = noisy_run(7, noise=0.0, prior=CALIBRATION_PRIOR)
     biased = problem.readings.distances + 0.015
     object.__setattr__(problem.readings, "distances", biased)
     assert smoothed(problem, poses).state.calibration[0, 3] == pytest.approx(0.015, abs=0.004)

@@ -13,7 +13,7 @@ from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph.problem import by_turns, rows_of, state_from_poses
 from limslam_agent.slam.line_graph.reassociation import solve_labels
-from limslam_agent.slam.line_graph.sensor_errors import beam_turns, fitted_sensor, residual_std
+from limslam_agent.slam.line_graph.sensor_errors import TURN_STD, beam_turns, fitted_sensor, residual_std
 from limslam_agent.slam.line_graph.smoother import FilteredRun, settle, smooth_run
 from limslam_env.interface import NominalNoise
 
@@ -36,7 +36,7 @@ def widened(problem, poses, width):
 @pytest.mark.parametrize("noise", [0.0, 0.02, 0.04])
 def test_sensors_as_specified_change_nothing(noise):
     problem, poses = noisy_run(1, noise)
-    assert fitted_sensor(problem, solved(problem, poses), CONFIG, problem.range_std) is problem
+    assert fitted_sensor(problem, solved(problem, poses), problem.range_std) is problem
 
 
 @pytest.mark.parametrize(("true", "told"), [(0.04, 0.02), (0.02, 0.04)])
@@ -44,7 +44,7 @@ def test_noise_is_estimated_from_the_residuals(true, told):
     problem, poses = noisy_run(2, true)
     told_wrong = replace(problem, range_std=told)
     found = solved(told_wrong, poses)
-    assert fitted_sensor(told_wrong, found, CONFIG, told).range_std == pytest.approx(true, rel=0.1)
+    assert fitted_sensor(told_wrong, found, told).range_std == pytest.approx(true, rel=0.1)
 
 
 def test_the_median_is_that_of_a_distribution_without_tails():
@@ -61,7 +61,7 @@ def test_a_beam_width_is_found_and_explains_the_readings():
     problem, poses = noisy_run(4, 0.02, places=3 * ROUND)
     wide = widened(problem, poses, 0.05)
     before = solved(wide, poses)
-    fitted = fitted_sensor(wide, before, CONFIG, wide.range_std)
+    fitted = fitted_sensor(wide, before, wide.range_std)
     after = solved(fitted, poses)
     assert fitted.beam_width == pytest.approx(0.05, abs=0.012)
     assert after.solution.chi_square < before.solution.chi_square - 40.0
@@ -75,7 +75,7 @@ def test_exact_readings_have_no_beam_width():
     exact = replace(problem, range_std=1e-4)
     states = state_from_poses(exact, np.moveaxis(poses, 0, 1))
     found = solve_labels(exact, states, true_labels(exact, poses, walls))
-    assert fitted_sensor(exact, found, CONFIG, exact.range_std).beam_width == 0.0
+    assert fitted_sensor(exact, found, exact.range_std).beam_width == 0.0
 
 
 @pytest.mark.parametrize("width", [0.03, 0.25])
@@ -128,16 +128,16 @@ def test_turned_beams_are_found_and_are_no_width():
     turns = np.radians([0.0, 4.0, 0.0, -3.0, 0.0, 0.0])
     # The beams that are assumed are turned the other way.
     other = replace(problem, robot=RangeSensor(0.02, turns=tuple(-turns)).mounted(problem.robot))
-    fitted = fitted_sensor(other, solved(other, poses), CONFIG, other.range_std)
+    fitted = fitted_sensor(other, solved(other, poses), other.range_std)
     assert fitted.beam_width == 0.0
     assert fitted.turns == pytest.approx(turns, abs=np.radians(0.6))
     assert fitted.robot.beam_angles == pytest.approx(problem.robot.beam_angles, abs=np.radians(0.6))
     after = solved(fitted, poses)
     assert position_error(after.state, poses) < position_error(solved(other, poses).state, poses)
-    again, covariance = beam_turns(fitted, after, CONFIG)
+    again, covariance = beam_turns(fitted, after)
     off = (again - turns)[1:]  # the first beam sees no wall
     assert off @ np.linalg.solve(covariance[1:, 1:], off) < 16.0
-    assert covariance[0, 0] == pytest.approx(CONFIG.sensor.turn_std**2)
+    assert covariance[0, 0] == pytest.approx(TURN_STD**2)
 
 
 @pytest.mark.parametrize("slant", [0.0, 0.1, 0.4, 1.2])
@@ -181,7 +181,7 @@ def test_two_runs_with_known_turns_are_smoothed_as_one():
     problem, poses = noisy_run(6, 0.02)
     run = run_of(problem, poses, RangeSensor(0.02, turns=(0.01,) * 6))
     smoothed = smooth_run(joined_run([run, run], np.zeros(3)), CONFIG)
-    assert smoothed.turns == pytest.approx(np.tile((0.01, CONFIG.sensor.turn_std), (6, 1)))
+    assert smoothed.turns == pytest.approx(np.tile((0.01, TURN_STD), (6, 1)))
     assert smoothed.robot.beam_angles == pytest.approx(problem.robot.beam_angles + 0.01)
 
 

@@ -1,0 +1,77 @@
+"""Limits that decide what the consistent estimator does with readings, plain or in a batch. Nothing sets them.
+
+All values are choices of this project, tuned on seeds that are not reported. Lengths are in metres, angles in radians.
+"""
+
+import math
+
+WALL_END = 0.25
+"""A wall has ended when the robot has driven so far without a hit on it."""
+
+COMPLETE_AFTER = 0.15
+"""A piece of wall is complete when the robot has driven so far since the piece's last reading."""
+
+GAP_AHEAD = 0.9
+"""Largest hole between the points of the beams ahead that still belong to one wall.
+
+It replaces ``HoughConfig.max_gap`` for these beams, which meet a wall at places far apart.
+"""
+
+# Association. A landmark is considered if it is not farther away than this: the gap along the wall, the difference of
+# direction, and the offset across the wall. The angle and the offset also limit the merging of two landmarks.
+MAX_END_GAP, MAX_ANGLE, MAX_OFFSET = 0.35, math.radians(20.0), 0.5
+
+FAR_GATE = 25.0
+"""Readings with a chi-square between ``WallAssociationConfig.gate`` and this one create no landmark.
+
+They update the landmark if every other one has this chi-square or more, and if they lie inside the landmark's known
+ends and would be good enough for a new landmark but for their length. Otherwise they stay pending.
+"""
+
+AMBIGUITY = 9.0
+"""Readings are discarded if the chi-square of a second landmark within the gate is larger by less than this."""
+
+# Updates of a landmark by a piece of wall.
+LEAST_LENGTH = 0.15
+"""Shorter pieces update nothing."""
+
+RESIDUAL_SIGMAS = 3.0
+"""Largest chi-square of the residuals about the best line, in standard deviations of its distribution."""
+
+END_SLACK = 0.05
+"""Readings up to this far beyond a landmark's known ends count as inside."""
+
+# If most readings lie beyond the known ends, the piece must be at least this long, its chi-square at most this large,
+# and the standard deviation of its direction at most this large.
+BEYOND_LENGTH, BEYOND_GATE, BEYOND_ANGLE_STD = 0.20, 9.0, math.radians(4.0)
+
+HUBER = 1.5
+"""Residuals of more standard deviations than this are weighted down (Huber's weights)."""
+
+ITERATIONS, FIRST_ITERATIONS = 2, 4
+"""Iterations of the iterated update, and of the first update of a new landmark."""
+
+# New landmarks.
+LENGTH_IF_COMPLETE = 0.25
+"""Least length of a piece that is complete: no more readings of it will come."""
+
+MAX_ANGLE_STD = math.radians(3.0)
+"""Largest standard deviation of the piece's direction."""
+
+# Two landmarks are one wall, and are merged.
+ONE_WALL_GATE = 16.0
+"""Largest chi-square (two degrees of freedom) of the difference of the two landmarks."""
+
+MIN_OVERLAP = 0.15
+"""Least length of wall that both landmarks cover."""
+
+# Extents of landmarks.
+THROUGH_SIGMAS, THROUGH_SLACK = 3.0, 0.05
+"""A beam has passed through a landmark's line if it is longer than the distance to the line by this many standard
+deviations and by this length."""
+
+MAX_GAP = 0.30
+"""Longest stretch without readings that is drawn as wall."""
+
+THROUGH_TOLERANCE = 1.0
+"""Largest number of beams that passed for each beam that hit, where a wall is drawn."""
