@@ -138,6 +138,19 @@ def test_a_drifted_robot_need_not_wait_for_the_end_of_the_map(whole, has_drifted
     assert (recovery.absence is None) is has_drifted
 
 
+def test_a_place_is_confirmed_although_the_heading_of_the_whole_map_is_uncertain():
+    mapper = Mapper(ROBOT, preset("graph"))
+    mapper._recovery.absence = Absence(None, 1, "", 0.0, None, driven=5.0, placed=1.0, rays=np.empty((0, 6)), has_drifted=True)
+    mapper._present.monitors[0].status = Status("unsure", "the heading's standard deviation is 5.0 deg")
+    mapper.finish()
+    assert [each["event"] for each in mapper.places.records] == ["confirmed"]
+
+
+def test_a_robot_that_is_lost_is_as_uncertain_as_it_was_before(whole):
+    covariance = np.diag([0.8, 0.5, 0.01])
+    np.testing.assert_array_equal(lost(whole, NEAR, covariance=covariance).added_covariance, covariance)
+
+
 def test_a_robot_that_is_shifted_is_as_uncertain_as_the_walls_around_it():
     """The whole world may be turned about the start. The robot is shifted within it, and remains tied to its walls."""
     ekf, match = LineEKF(np.array([[4.0, 0.0, 0.0]])), np.diag([0.05**2, 0.05**2, 0.03**2])
