@@ -429,6 +429,9 @@ class Mapper:
         # smoothed.
         self._present.begin_anew()
         poses += self._play(recovery, found.step)
+        # The search has weighed the readings of these steps together. While they are processed again, a bent map may
+        # contradict a few of them, and the robot would be lost and found in turns.
+        self._present.reset_monitors()
         self._revise(begin, poses)
         recovery.has_joined(found, closed)
 
