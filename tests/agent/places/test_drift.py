@@ -174,12 +174,29 @@ def test_the_errors_beside_the_filter_are_shifted_with_the_pose():
     np.testing.assert_allclose(ekf._bias.by_errors[:3], turned @ before[:3])
 
 
-def test_who_listens_to_associations_still_hears_them_after_a_placement_at_once():
-    mapper, heard, recovery = Mapper(ROBOT), [].append, SimpleNamespace(has_joined=lambda *_: None)
-    mapper.slam.on_association = heard
+def placed_at_once(mapper):
+    """Place the robot of a mapper that was lost in its first step."""
+    recovery = SimpleNamespace(has_joined=lambda *_: None, log=SimpleNamespace(begin=0, end=0, steps=[]))
     recovery.absence = SimpleNamespace(known=SimpleNamespace(copied=lambda: (mapper._slam_at(np.zeros((1, 3))), None)))
-    recovery.log = SimpleNamespace(begin=0, end=0, steps=[])
     placement = SimpleNamespace(gone=[(np.zeros(3), np.eye(3))], carried_at=0, step=0)
     placement.put = lambda *_: (placement, None)
     mapper._go_on_at(recovery, placement)
+
+
+def test_who_listens_to_associations_still_hears_them_after_a_placement_at_once():
+    mapper, heard = Mapper(ROBOT), [].append
+    mapper.slam.on_association = heard
+    placed_at_once(mapper)
     assert mapper.slam.on_association is heard
+
+
+def test_readings_that_are_processed_again_at_a_place_make_no_robot_lost(monkeypatch):
+    mapper = Mapper(ROBOT)
+
+    def play(*_):
+        mapper._present.monitors[0].status = Status("lost", "4 of 31 readings contradict the map")
+        return [(np.zeros(3), np.eye(3))]
+
+    monkeypatch.setattr(mapper, "_play", play)
+    placed_at_once(mapper)
+    assert mapper._present.monitors[0].status == Status()
