@@ -146,7 +146,9 @@ class Kidnapping:
             self.forget()
             return None
         found = [self._weigh(step, change, log.since(step), sensor) for step, change in changes]
-        fitted = [each.change for each in found if each.change in self._fitted_after or each.here > self.config.supported]
+        fitted = [
+            each.change for each in found if each.change in self._fitted_after or each.here > self.config.supported
+        ]
         self._fitted_after = fitted
         likeliest = max(found, key=lambda each: each.evidence)
         is_doubtful, evidence = likeliest.evidence >= self.config.suspected, likeliest.evidence

@@ -140,7 +140,9 @@ def test_a_drifted_robot_need_not_wait_for_the_end_of_the_map(whole, has_drifted
 
 def test_a_place_is_confirmed_although_the_heading_of_the_whole_map_is_uncertain():
     mapper = Mapper(ROBOT, preset("graph"))
-    mapper._recovery.absence = Absence(None, 1, "", 0.0, None, driven=5.0, placed=1.0, rays=np.empty((0, 6)), has_drifted=True)
+    mapper._recovery.absence = Absence(
+        None, 1, "", 0.0, None, driven=5.0, placed=1.0, rays=np.empty((0, 6)), has_drifted=True
+    )
     mapper._present.monitors[0].status = Status("unsure", "the heading's standard deviation is 5.0 deg")
     mapper.finish()
     assert [each["event"] for each in mapper.places.records] == ["confirmed"]
