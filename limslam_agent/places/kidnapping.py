@@ -13,7 +13,8 @@ only makes the robot unsure, because rooms look alike: that a new room fits at t
 an office building, and that a robot is carried away is not.
 
 A change that makes the robot unsure is held until the readings since then clearly fit the believed pose, and not only
-as long as changes are watched: time alone says nothing for the pose.
+as long as changes are watched: time alone says nothing for the pose. If they have clearly fitted at any time since a
+change, and do so no more, the robot was not carried away in that step, but has drifted later.
 """
 
 import math
@@ -112,7 +113,7 @@ class Kidnapping:
     _spacing: float = field(default=0.0, init=False)
     _elsewhere: Status = field(default=Status(), init=False)
     _held: _Held | None = field(default=None, init=False)
-    _fitted_after: list[Suspicion] = field(default_factory=list, init=False)
+    _fitted_after: list[Suspicion] = field(default_factory=list, init=False)  # changes after which readings fitted
 
     @property
     def held(self) -> int | None:
