@@ -179,7 +179,7 @@ class Mapper:
             self._give_up(self._recovery)
         elif self._recovery is not None and self._recovery.is_placed:
             # The run may have ended because nothing is left to see, between two looks at the place.
-            self._recovery.confirm(self._present.monitors[0].status, self.slam, self._present.grid.view)
+            self._recovery.confirm(self._present.monitors[0].by_readings, self.slam, self._present.grid.view)
         self.slam.finish()
 
     @property
@@ -375,7 +375,7 @@ class Mapper:
             if found is not None:
                 self._go_on_at(recovery, found)
         elif recovery.is_due():
-            recovery.confirm(own.status, self.slam, self._present.grid.view)
+            recovery.confirm(own.by_readings, self.slam, self._present.grid.view)
 
     def _go_on_locally(self, recovery: Recovery) -> None:
         """Begin a new map in a local frame, with the steps since the robot was lost.
@@ -429,6 +429,9 @@ class Mapper:
         # smoothed.
         self._present.begin_anew()
         poses += self._play(recovery, found.step)
+        # The search has weighed the readings of these steps together. While they are processed again, a bent map may
+        # contradict a few of them, and the robot would be lost and found in turns.
+        self._present.reset_monitors()
         self._revise(begin, poses)
         recovery.has_joined(found, closed)
 

@@ -13,7 +13,8 @@ only makes the robot unsure, because rooms look alike: that a new room fits at t
 an office building, and that a robot is carried away is not.
 
 A change that makes the robot unsure is held until the readings since then clearly fit the believed pose, and not only
-as long as changes are watched: time alone says nothing for the pose.
+as long as changes are watched: time alone says nothing for the pose. If they have clearly fitted at any time since a
+change, and do so no more, the robot was not carried away in that step, but has drifted later.
 """
 
 import math
@@ -58,12 +59,16 @@ class Doubt:
         Whether the readings of this step itself say so.
     status
         What follows from it.
+    has_fitted
+        Whether the readings after that step have clearly fitted the believed pose for a while. The robot was then not
+        carried away in that step, and has drifted since.
     """
 
     step: int
     evidence: float
     is_dated: bool
     status: Status
+    has_fitted: bool = False
 
 
 class _Weighed(NamedTuple):
@@ -108,6 +113,7 @@ class Kidnapping:
     _spacing: float = field(default=0.0, init=False)
     _elsewhere: Status = field(default=Status(), init=False)
     _held: _Held | None = field(default=None, init=False)
+    _fitted_after: list[Suspicion] = field(default_factory=list, init=False)  # changes after which readings fitted
 
     @property
     def held(self) -> int | None:
@@ -116,7 +122,7 @@ class Kidnapping:
 
     def forget(self) -> None:
         """Hold nothing any more: the frame of the poses has changed."""
-        self._held, self._elsewhere = None, Status()
+        self._held, self._elsewhere, self._fitted_after = None, Status(), []
 
     def doubt(
         self,
@@ -138,9 +144,13 @@ class Kidnapping:
         self._unsearched += driven
         changes = self._with_held(changes, log)
         if not changes:
-            self._elsewhere, self._held = Status(), None
+            self.forget()
             return None
-        found = (self._weigh(step, change, log.since(step), sensor) for step, change in changes)
+        found = [self._weigh(step, change, log.since(step), sensor) for step, change in changes]
+        fitted = [
+            each.change for each in found if each.change in self._fitted_after or each.here > self.config.supported
+        ]
+        self._fitted_after = fitted
         likeliest = max(found, key=lambda each: each.evidence)
         is_doubtful, evidence = likeliest.evidence >= self.config.suspected, likeliest.evidence
         if is_doubtful:
@@ -154,7 +164,8 @@ class Kidnapping:
         if status.level == "ok":
             status = self._elsewhere
         status = self._held_status(likeliest, status)
-        return Doubt(likeliest.step, evidence, likeliest.change.change >= _DATED, status)
+        has_fitted = likeliest.change in self._fitted_after
+        return Doubt(likeliest.step, evidence, likeliest.change.change >= _DATED, status, has_fitted)
 
     def _with_held(self, changes: Sequence[tuple[int, Suspicion]], log: StepLog) -> list[tuple[int, Suspicion]]:
         """The changes, and the one that is held."""

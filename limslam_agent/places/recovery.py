@@ -120,12 +120,14 @@ class Recovery:
     def added_covariance(self) -> FloatArray:
         """What has to be added to the covariance (3, 3) of the pose; zero if the robot is not lost.
 
-        The pose at which a new map was begun stays uncertain, and all poses in this map with it.
+        The pose at which a local frame was begun stays as uncertain as it was in the earlier frame. The pose at which a
+        new map was begun stays uncertain, too, and all poses in this map with it.
         """
         if self.absence is None or self.absence.is_placed:
             return self._offset
         absence = self.absence
-        return self._offset + covariance_of_lost(absence.jump, absence.driven, knows_heading=not absence.is_carried)
+        since = covariance_of_lost(absence.jump, absence.driven, knows_heading=not absence.is_carried)
+        return self._offset + absence.covariance + since
 
     def note(self, step: LoggedStep, slam: LineSlam, grid: OccupancyGrid) -> None:
         """Keep a step of the robot, and now and then a copy of its estimate after it."""
@@ -271,7 +273,7 @@ class Recovery:
         if is_own and (doubt is None or doubt.evidence < self._config.suspected or is_dated):
             return own.status, first, is_dated, change is not None or was_carried
         assert doubt is not None  # noqa: S101 (the monitor or a doubt says that the robot is lost)
-        return own.status if is_own else doubt.status, doubt.step, doubt.is_dated, True
+        return own.status if is_own else doubt.status, doubt.step, doubt.is_dated, not doubt.has_fitted
 
     def _is_refuted(self, absence: Absence, sensor: RangeSensor) -> bool:
         """Whether the readings since the robot was placed contradict the map in which it was."""

@@ -91,6 +91,8 @@ class StatusMonitor:
         The same, as far as it is known now. Set it when the estimator has found out more.
     status
         The present status.
+    by_readings
+        The same by the readings alone, however uncertain the heading is.
     """
 
     def __init__(self, robot: RobotSpec, config: StatusConfig, sensor: RangeSensor) -> None:
@@ -105,7 +107,7 @@ class StatusMonitor:
         self._jump, self._driven, self._since = 0.0, 0.0, 0.0
         self._doubted, self._contradicted = 0, 0
         self._sudden_changes = SuddenChanges(robot, config.contradictions)
-        self.status = Status()
+        self.status = self.by_readings = Status()
 
     def mount(self, robot: RobotSpec, sensor: RangeSensor) -> None:
         """The beams are known to be mounted otherwise, as those of this robot. All doubts remain."""
@@ -161,6 +163,7 @@ class StatusMonitor:
             self._judge(float(covariance[2, 2]), present)
         elif self._fits_again():
             self._reference, self._jump, self.status = None, 0.0, Status()
+            self.by_readings = self.status
 
     @property
     def jump(self) -> float:
@@ -260,7 +263,11 @@ class StatusMonitor:
 
     def _judge(self, heading_variance: float, present: KnownMap) -> None:
         """Find the status of a robot that was not lost so far. If it is lost now, keep the map of this moment."""
-        self.status = self._status(math.sqrt(max(heading_variance, 0.0)))
+        self.status = self.by_readings = self._status()
+        heading_std = math.sqrt(max(heading_variance, 0.0))
+        if self.status.level == "ok" and heading_std > _UNSURE_HEADING:
+            words = f"the heading's standard deviation is {math.degrees(heading_std):.1f} deg"
+            self.status = Status("unsure", words)
         if self.status.level == "lost":
             self._contradicted = self._likeliest_change()
             self._doubted = self._first_doubt()
@@ -268,8 +275,8 @@ class StatusMonitor:
             self._driven, self._since = 0.0, self._place
             self._checks.clear()
 
-    def _status(self, heading_std: float) -> Status:
-        """The status by the last metres of the drive, with the most serious reason."""
+    def _status(self) -> Status:
+        """The status by the readings of the last metres of the drive, with the most serious reason."""
         if self._jump:
             return Status("lost", f"the odometry reports a motion of {self._jump:.1f} m in one step")
         if self.carried is not None:
@@ -279,15 +286,9 @@ class StatusMonitor:
             return Status("unsure", self._late_beams.found.words)
         if contradictions.level != "ok":
             return contradictions
-        return self._doubt(heading_std)
-
-    def _doubt(self, heading_std: float) -> Status:
-        """The status of a robot whose readings fit the map."""
         suspicion = self._sudden_changes.strongest
         if suspicion is not None and suspicion.evidence >= UNSURE:
             return Status("unsure", suspicion.words)
-        if heading_std > _UNSURE_HEADING:
-            return Status("unsure", f"the heading's standard deviation is {math.degrees(heading_std):.1f} deg")
         return Status()
 
     def _by_contradictions(self) -> Status:

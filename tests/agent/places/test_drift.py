@@ -138,6 +138,21 @@ def test_a_drifted_robot_need_not_wait_for_the_end_of_the_map(whole, has_drifted
     assert (recovery.absence is None) is has_drifted
 
 
+def test_a_place_is_confirmed_although_the_heading_of_the_whole_map_is_uncertain():
+    mapper = Mapper(ROBOT, preset("graph"))
+    mapper._recovery.absence = Absence(
+        None, 1, "", 0.0, None, driven=5.0, placed=1.0, rays=np.empty((0, 6)), has_drifted=True
+    )
+    mapper._present.monitors[0].status = Status("unsure", "the heading's standard deviation is 5.0 deg")
+    mapper.finish()
+    assert [each["event"] for each in mapper.places.records] == ["confirmed"]
+
+
+def test_a_robot_that_is_lost_is_as_uncertain_as_it_was_before(whole):
+    covariance = np.diag([0.8, 0.5, 0.01])
+    np.testing.assert_array_equal(lost(whole, NEAR, covariance=covariance).added_covariance, covariance)
+
+
 def test_a_robot_that_is_shifted_is_as_uncertain_as_the_walls_around_it():
     """The whole world may be turned about the start. The robot is shifted within it, and remains tied to its walls."""
     ekf, match = LineEKF(np.array([[4.0, 0.0, 0.0]])), np.diag([0.05**2, 0.05**2, 0.03**2])
@@ -161,12 +176,29 @@ def test_the_errors_beside_the_filter_are_shifted_with_the_pose():
     np.testing.assert_allclose(ekf._bias.by_errors[:3], turned @ before[:3])
 
 
-def test_who_listens_to_associations_still_hears_them_after_a_placement_at_once():
-    mapper, heard, recovery = Mapper(ROBOT), [].append, SimpleNamespace(has_joined=lambda *_: None)
-    mapper.slam.on_association = heard
+def placed_at_once(mapper):
+    """Place the robot of a mapper that was lost in its first step."""
+    recovery = SimpleNamespace(has_joined=lambda *_: None, log=SimpleNamespace(begin=0, end=0, steps=[]))
     recovery.absence = SimpleNamespace(known=SimpleNamespace(copied=lambda: (mapper._slam_at(np.zeros((1, 3))), None)))
-    recovery.log = SimpleNamespace(begin=0, end=0, steps=[])
     placement = SimpleNamespace(gone=[(np.zeros(3), np.eye(3))], carried_at=0, step=0)
     placement.put = lambda *_: (placement, None)
     mapper._go_on_at(recovery, placement)
+
+
+def test_who_listens_to_associations_still_hears_them_after_a_placement_at_once():
+    mapper, heard = Mapper(ROBOT), [].append
+    mapper.slam.on_association = heard
+    placed_at_once(mapper)
     assert mapper.slam.on_association is heard
+
+
+def test_readings_that_are_processed_again_at_a_place_make_no_robot_lost(monkeypatch):
+    mapper = Mapper(ROBOT)
+
+    def play(*_):
+        mapper._present.monitors[0].status = Status("lost", "4 of 31 readings contradict the map")
+        return [(np.zeros(3), np.eye(3))]
+
+    monkeypatch.setattr(mapper, "_play", play)
+    placed_at_once(mapper)
+    assert mapper._present.monitors[0].status == Status()

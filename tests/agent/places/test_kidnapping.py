@@ -74,6 +74,20 @@ def test_a_robot_that_has_drifted_a_little_was_not_carried_away(whole):
     assert doubt(log, [changed(whole, 5)], covariance=np.diag([0.2**2, 0.2**2, 0.05**2])).status.level == "ok"
 
 
+@pytest.mark.parametrize("has_fitted", [True, False])
+def test_a_robot_whose_readings_have_fitted_since_a_change_was_not_carried_away_in_it(whole, has_fitted):
+    """It has drifted later, and its readings say no more where it is."""
+    watched, log, change = Kidnapping(ROBOT, CONFIG), believed(), [changed(whole, 5)]
+    log.steps = log.steps[:30]
+    if has_fitted:
+        assert watched.doubt(change, log, COVARIANCE, SENSOR).status.level == "ok"
+    log.steps += 2 * moved_log(AWAY).steps
+    recovery, own = Recovery(ROBOT, preset("graph"), CONFIG), SimpleNamespace(status=Status(), doubted=0)
+    recovery._doubt = watched.doubt(change, log, COVARIANCE, SENSOR)
+    _, first, _, is_carried = recovery._first_doubt(own, SimpleNamespace(range_sensor=SENSOR))
+    assert (recovery._doubt is None, first, is_carried) == (True, 5, not has_fitted)
+
+
 def test_a_broken_beam_alone_is_no_proof(whole):
     ranges = np.array([step.ranges for step in believed().steps])
     ranges[:, 0] = np.where(np.arange(len(ranges)) % 2, 0.35, 0.55)

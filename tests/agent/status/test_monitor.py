@@ -300,6 +300,7 @@ def test_an_uncertain_heading_is_unsure():
     watched = monitor()
     drive(watched, 10, covariance=np.diag([1e-6, 1e-6, math.radians(5.0) ** 2]))
     assert watched.status == Status("unsure", "the heading's standard deviation is 5.0 deg")
+    assert watched.by_readings == Status(), "the readings fit the map all the same"
     drive(watched, 1, begin=10)
     assert watched.status == Status()
 
