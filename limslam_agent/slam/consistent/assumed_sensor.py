@@ -43,7 +43,9 @@ class AssumedSensor:
     def assume(self, sensor: RangeSensor) -> None:
         """Take the sensor to measure like this from now on."""
         self.sensor, config = sensor, self._config
-        ratio = config.least_ratio if sensor == self._specified else config.further_ratio
+        # Turned beams say nothing of noise and opening angle, and while they are known roughly, they look like both.
+        self._is_specified = sensor._replace(turns=()) == self._specified
+        ratio = config.least_ratio if self._is_specified else config.further_ratio
         self._noise = RangeNoise(sensor, self._reach, config.least_std, ratio)
         self._is_counted = False
 
@@ -73,7 +75,7 @@ class AssumedSensor:
         change[1] = np.clip(change[1], -sensor.cone, LARGEST_CONE - sensor.cone)
         evidence = np.where(np.abs(change) > LEAST_ERRORS, evidence, 0.0)
         gate, noise_gate = config.gate, config.noise_gate
-        if sensor != self._specified:
+        if not self._is_specified:
             gate = noise_gate = config.further_gate
         turned = self._turned(errors)
         if turned is not None:
