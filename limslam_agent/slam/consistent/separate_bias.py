@@ -211,6 +211,12 @@ class RangeErrors(SeparateBias):
         errors, covariance = self._estimate_of_all
         return np.column_stack((errors, np.sqrt(covariance.diagonal())))[TURNS]
 
+    def discounted(self, share: float) -> "RangeErrors":
+        """What is known of the errors if each reading says only a share of what it was taken to say."""
+        other = RangeErrors(len(self._by_errors), self.stds)
+        other._information, other._score = share * self._information, share * self._score
+        return other
+
     def spread_by_turns(self, part: slice) -> FloatArray:
         """Covariance (m, m) of a part of the state by what remains unknown of the directions of the beams."""
         by_turns = self._by_errors[part, TURNS]

@@ -268,6 +268,16 @@ def test_turned_beams_lower_no_gate_of_the_noise(departure: dict[str, Any], is_t
     assert (sensor.correction(errors) is not None) == is_taken
 
 
+@pytest.mark.parametrize(("std", "is_turned"), [(NOISE, True), (0.5 * NOISE, False), (2.0 * NOISE, True)])
+def test_less_noise_than_specified_makes_no_turned_beams(std: float, is_turned: bool) -> None:
+    """Walls that are not straight and clocks that are late look like turned beams, and not like noise."""
+    stated, config = RangeSensor(NOISE), RangeErrorConfig()
+    sensor, errors = AssumedSensor(stated, 1.5, config), RangeErrors(3, config.stds(6))
+    sensor.assume(stated._replace(std=std))
+    errors._information[TURNS, TURNS], errors._score[TURNS] = 4000.0 * np.eye(6), 4000.0 * 0.05
+    assert (sensor._turned(errors) is not None) == is_turned
+
+
 def test_what_is_unknown_of_turned_beams_is_in_the_covariance() -> None:
     turns = tuple(np.radians([3.0, -4.0, 3.0, -3.0, 4.0, -3.0]).tolist())
     observations, _ = observed(0.0, 3, turns=turns)
