@@ -43,7 +43,9 @@ class AssumedSensor:
     def assume(self, sensor: RangeSensor) -> None:
         """Take the sensor to measure like this from now on."""
         self.sensor, config = sensor, self._config
-        ratio = config.least_ratio if sensor == self._specified else config.further_ratio
+        # Turned beams say nothing of noise and opening angle, and while they are known roughly, they look like both.
+        self._is_specified = sensor._replace(turns=()) == self._specified
+        ratio = config.least_ratio if self._is_specified else config.further_ratio
         self._noise = RangeNoise(sensor, self._reach, config.least_std, ratio)
         self._is_counted = False
 
@@ -73,7 +75,7 @@ class AssumedSensor:
         change[1] = np.clip(change[1], -sensor.cone, LARGEST_CONE - sensor.cone)
         evidence = np.where(np.abs(change) > LEAST_ERRORS, evidence, 0.0)
         gate, noise_gate = config.gate, config.noise_gate
-        if sensor != self._specified:
+        if not self._is_specified:
             gate = noise_gate = config.further_gate
         turned = self._turned(errors)
         if turned is not None:
@@ -96,10 +98,15 @@ class AssumedSensor:
         Turned beams look like noise, a bias or an opening angle, so they are corrected first and alone. Beams that are
         known to be turned are corrected whenever that explains the readings better than chance would: the first
         estimate, from few metres, is some tenths of a degree off.
+
+        Noise is estimated by how readings of one segment scatter about its line. What they share, such as the error of
+        a wall that is not straight or of a clock, is no part of it, and looks like turned beams. So noise that is less
+        than specified is no reason to believe in them.
         """
         sensor, count = self.sensor, len(errors.stds[TURNS])
         if not count:
             return None
+        errors = errors.discounted(min(1.0, self.usual_std / self._specified.usual_std(self._reach)) ** 2)
         turns, evidence, gate = errors.estimate_of(TURNS)[0], errors.turn_evidence, self._config.gate
         if sensor.turns:
             # The gain is that beside a prior about the assumed directions. The prior of all turns is about zero.

@@ -99,6 +99,28 @@ class Expected(NamedTuple):
     cosines: FloatArray
 
 
+class Disagreement(NamedTuple):
+    """How badly readings fit a line, as chi-squares.
+
+    Attributes
+    ----------
+    of_line
+        Due to the line's position and direction (two degrees of freedom).
+    left
+        Not explained by any line.
+    used
+        Number of readings that were compared.
+    offset, variance
+        How far along its normal the readings put a parallel line, m, and the variance of that, m^2.
+    """
+
+    of_line: float
+    left: float
+    used: int
+    offset: float
+    variance: float
+
+
 def expected_ranges(poses: FloatArray, readings: Readings, line: FloatArray, anchor: FloatArray) -> Expected:
     """Predict the ranges of beams that meet a line.
 

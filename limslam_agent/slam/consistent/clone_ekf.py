@@ -8,12 +8,11 @@ once.
 """
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg.blas import dgemm
 
-from limslam_agent.slam.consistent.beam_model import Readings, by_range_errors, expected_of
+from limslam_agent.slam.consistent.beam_model import Disagreement, Readings, by_range_errors, expected_of
 from limslam_agent.slam.consistent.clone_slots import CloneSlots
 from limslam_agent.slam.consistent.separate_bias import TURNS, OdometryErrors, RangeErrors, SeparateBias
 from limslam_agent.slam.consistent.spare_memory import SpareMemory
@@ -32,28 +31,6 @@ EQUALITY_NOISE = (1e-4**2, 1e-5**2)
 """Variances, m^2 and rad^2, of the constraint that two merged lines are equal: small, but P stays regular."""
 
 
-class Disagreement(NamedTuple):
-    """How badly readings fit a line, as chi-squares.
-
-    Attributes
-    ----------
-    of_line
-        Due to the line's position and direction (two degrees of freedom).
-    left
-        Not explained by any line.
-    used
-        Number of readings that were compared.
-    offset, variance
-        How far along its normal the readings put a parallel line, m, and the variance of that, m^2.
-    """
-
-    of_line: float
-    left: float
-    used: int
-    offset: float
-    variance: float
-
-
 class CloneEKF(LineEKF):
     """The line filter with anchored lines and clones.
 
@@ -67,6 +44,12 @@ class CloneEKF(LineEKF):
         odometry to be without constant errors.
     range_errors
         Standard deviations of the errors of ``RangeErrors``, m and rad; None if these are not estimated.
+
+    Attributes
+    ----------
+    has_turned_beams
+        Whether beams are known to be turned. What is unknown of their directions is then a part of the covariance of
+        the poses.
     """
 
     def __init__(
@@ -75,7 +58,7 @@ class CloneEKF(LineEKF):
         super().__init__(pose)
         self._bias = None if calibration is None else OdometryErrors(self._poses_end, calibration)
         self._range_errors = None if range_errors is None else RangeErrors(self._poses_end, range_errors)
-        self._beams = len((range_errors or ())[TURNS])
+        self._beams, self.has_turned_beams = len((range_errors or ())[TURNS]), False
         self._anchors = np.zeros((0, 2))
         self._memory = SpareMemory()
         self._clones = CloneSlots()
@@ -84,6 +67,14 @@ class CloneEKF(LineEKF):
     def num_lines(self) -> int:
         """How many lines the state holds."""
         return len(self._anchors)
+
+    @property
+    def joint_pose_covariance(self) -> FloatArray:
+        """Covariance of all poses together (3 n, 3 n), a copy."""
+        joint = super().joint_pose_covariance
+        if self.has_turned_beams and self._range_errors is not None:
+            joint += self._range_errors.spread_by_turns(slice(0, len(joint)))
+        return joint
 
     @property
     def clones_from(self) -> int:
@@ -396,9 +387,14 @@ class CloneEKF(LineEKF):
         return self._range_errors
 
     def correct_ranges(self, errors: FloatArray) -> None:
-        """Correct the state for the errors (k,) of ``RangeErrors``, and begin anew to estimate further ones."""
+        """Correct the state for the errors (k,) of ``RangeErrors``, and begin anew to estimate further ones.
+
+        What remains unknown of turned beams becomes a part of the state's covariance.
+        """
         if self._range_errors is not None:
             change = self._range_errors.by_errors[:, : len(errors)] @ errors
+            if len(errors[TURNS]):
+                self.P += self._range_errors.spread_by_turns(slice(None))
             self._range_errors = self._range_errors.corrected(errors)
             self._correct(change)
 

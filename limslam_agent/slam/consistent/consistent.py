@@ -16,8 +16,8 @@ from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.kernels.tables import MIN_KINK, TURN_SIGMAS
 from limslam_agent.slam.consistent import limits
 from limslam_agent.slam.consistent.assumed_sensor import AssumedSensor
-from limslam_agent.slam.consistent.beam_model import Readings
-from limslam_agent.slam.consistent.clone_ekf import CloneEKF, Disagreement
+from limslam_agent.slam.consistent.beam_model import Disagreement, Readings
+from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.explanation import comparison
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.pending_readings import AHEAD, SIDES, PendingReadings
@@ -223,7 +223,7 @@ class ConsistentEstimator(Estimator):
     def _assume(self, sensor: RangeSensor) -> None:
         """Take the sensor to measure like this from now on."""
         self._sensor.assume(sensor)
-        self._mounted = sensor.mounted(self.robot)
+        self._mounted, self._filter.has_turned_beams = sensor.mounted(self.robot), bool(sensor.turns)
         self._std, self._usual_std = sensor.std, self._sensor.usual_std
         self._settings = self._config.for_ranges(self._usual_std)
 

@@ -208,9 +208,25 @@ class RangeErrors(SeparateBias):
 
         It is known by all readings, also by those from before a correction, and other errors are unknown beside it.
         """
-        information, score = self._earlier[0] + self._information, self._earlier[1] + self._score
-        errors, covariance = _estimated(self._prior, information, score)
+        errors, covariance = self._estimate_of_all
         return np.column_stack((errors, np.sqrt(covariance.diagonal())))[TURNS]
+
+    def discounted(self, share: float) -> "RangeErrors":
+        """What is known of the errors if each reading says only a share of what it was taken to say."""
+        other = RangeErrors(len(self._by_errors), self.stds)
+        other._information, other._score = share * self._information, share * self._score
+        return other
+
+    def spread_by_turns(self, part: slice) -> FloatArray:
+        """Covariance (m, m) of a part of the state by what remains unknown of the directions of the beams."""
+        by_turns = self._by_errors[part, TURNS]
+        return np.asarray(by_turns @ self._estimate_of_all[1][TURNS, TURNS] @ by_turns.T)
+
+    @property
+    def _estimate_of_all(self) -> tuple[FloatArray, FloatArray]:
+        """The errors (k,) and their covariance (k, k) by all readings, also by those from before a correction."""
+        information, score = self._earlier[0] + self._information, self._earlier[1] + self._score
+        return _estimated(self._prior, information, score)
 
     @property
     def turn_gain(self) -> float:

@@ -3,6 +3,7 @@
 import math
 import re
 from dataclasses import asdict, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,8 +16,11 @@ from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.mapper import MOST_RESTARTS, Mapper
 from limslam_agent.output.summary import record_summary, turn_records
 from limslam_agent.places.rays import rays_of
+from limslam_agent.slam.consistent.assumed_sensor import AssumedSensor
 from limslam_agent.slam.consistent.beam_model import Readings, by_range_errors, expected_ranges
 from limslam_agent.slam.consistent.range_noise import RangeNoise
+from limslam_agent.slam.consistent.segmentation import WallSegment
+from limslam_agent.slam.consistent.separate_bias import TURNS, RangeErrors
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
@@ -248,6 +252,47 @@ def test_a_correction_keeps_what_is_reported_of_the_turns() -> None:
     assert slam.beam_turns == pytest.approx(before)
     slam.assume(sensor._replace(turns=(sensor.turns[0] + 0.01, *sensor.turns[1:])))
     assert slam.beam_turns == pytest.approx(before, abs=1e-3)  # the prior is about the assumed turns
+
+
+@pytest.mark.parametrize(("departure", "is_taken"), [({"turns": (0.05,) * 6}, False), ({"std": 0.021}, True)])
+def test_turned_beams_lower_no_gate_of_the_noise(departure: dict[str, Any], is_taken: bool) -> None:
+    """Evidence of 8 to 20 is enough for a further change of the noise, and too little for its first change."""
+    stated, config = RangeSensor(NOISE), RangeErrorConfig()
+    sensor, errors = AssumedSensor(stated, 1.5, config), RangeErrors(3, config.stds(6))
+    sensor.assume(stated._replace(**departure))
+    generator = np.random.default_rng(0)
+    while not 9.0 < sensor._noise.estimate.evidence < 19.0:
+        places, ranges = np.arange(10), np.full(10, 0.7)
+        residuals, points = 1.4 * generator.standard_normal(10), np.zeros((10, 2))
+        sensor.count(WallSegment(places, 0.0, points[0], points, 1.0, 0.0, residuals, ranges))
+    assert (sensor.correction(errors) is not None) == is_taken
+
+
+@pytest.mark.parametrize(("std", "is_turned"), [(NOISE, True), (0.5 * NOISE, False), (2.0 * NOISE, True)])
+def test_less_noise_than_specified_makes_no_turned_beams(std: float, is_turned: bool) -> None:
+    """Walls that are not straight and clocks that are late look like turned beams, and not like noise."""
+    stated, config = RangeSensor(NOISE), RangeErrorConfig()
+    sensor, errors = AssumedSensor(stated, 1.5, config), RangeErrors(3, config.stds(6))
+    sensor.assume(stated._replace(std=std))
+    errors._information[TURNS, TURNS], errors._score[TURNS] = 4000.0 * np.eye(6), 4000.0 * 0.05
+    assert (sensor._turned(errors) is not None) == is_turned
+
+
+def test_what_is_unknown_of_turned_beams_is_in_the_covariance() -> None:
+    turns = tuple(np.radians([3.0, -4.0, 3.0, -3.0, 4.0, -3.0]).tolist())
+    observations, _ = observed(0.0, 3, turns=turns)
+    slam = LineSlam(ROBOT, config_of(), sensor=RangeSensor(NOISE, turns=turns))
+    for seen in observations[:100]:
+        slam.step(seen)
+    ekf = slam._estimator._filter
+    errors, by_filter, before = ekf.range_errors, ekf.P[:3, :3].copy(), slam.covariance
+    by_turns = errors.by_errors[:3, TURNS]
+    np.testing.assert_allclose(before - by_filter, by_turns @ errors.estimate[1][TURNS, TURNS] @ by_turns.T)
+    assert np.linalg.eigvalsh(before - by_filter)[-1] > 1e-8
+    # A correction begins to estimate anew, and keeps what is unknown.
+    slam.assume(slam.range_sensor._replace(turns=(turns[0] + 0.001, *turns[1:])))
+    np.testing.assert_allclose(ekf.P[:3, :3], before, rtol=0.01, atol=1e-9)
+    np.testing.assert_allclose(slam.covariance, ekf.P[:3, :3])
 
 
 def test_each_beam_keeps_its_side_when_it_is_turned() -> None:
