@@ -36,7 +36,7 @@ from limslam_agent.slam.graph.point_links import PointCloud, point_cloud
 from limslam_agent.slam.graph.smooth import GraphResult, saying, smooth_log, without_loops
 from limslam_agent.slam.graph.wall_lines import lines_in
 from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, completed, smooth_run
-from limslam_agent.status.smoothed_status import smoothed_status, unplaced_status
+from limslam_agent.status.smoothed_status import continued_status, smoothed_status, unplaced_status
 from limslam_agent.status.status import LEVELS, Status
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
@@ -240,38 +240,41 @@ def smoothed_by_lines(
         The replay as it was if there is nothing to smooth.
     """
     log, begin = replay.log, time.process_time()
-    places, placed = replay.places, replay.places.placed
+    places, placed = replay.places, replay.places.placed.stop
     poses, covariances = revised(replay.estimated[:, None], replay.covariances[:, None], places.revisions)
     assert log.wheels is not None  # noqa: S101 (the caller chooses the smoother by it)
     run = FilteredRun(
         robot=log.robot,
         noise=replay.config.noise,
-        wheels=log.wheels[placed, None],
-        ranges=log.ranges[placed, None].astype(np.float64),
-        usable=np.broadcast_to(log.has_scan[:, None, None], (len(log), 1, log.ranges.shape[1]))[placed],
-        poses=poses[placed],
-        covariances=covariances[placed],
+        wheels=log.wheels[:, None],
+        ranges=log.ranges[:, None].astype(np.float64),
+        usable=np.broadcast_to(log.has_scan[:, None, None], (len(log), 1, log.ranges.shape[1])),
+        poses=poses,
+        covariances=covariances,
         associations=associations,
         closures=closures,
         breaks=tuple((0, step) for step in places.breaks),
         sensor=sensor,
     )
-    found = smooth_run(run, config)
+    found = smooth_run(run, config, placed)
     if found is None:
         return replay
     found, drawn = completed(found, poses, covariances), found.poses[:, 0]
     poses = found.poses[:, 0]
-    if places.unplaced is not None:
-        status = unplaced_status(float(log.time[min(places.unplaced.begin, len(log) - 1)] - log.time[0]))
+    since = None if placed is None else float(log.time[min(placed, len(log) - 1)] - log.time[0])
+    if since is not None and not found.is_continued:
+        status = unplaced_status(since)
     else:
         status = smoothed_status(
             found.contradictions, (run.poses, run.covariances), (found.poses, found.covariances),
             while_driving=LEVELS[int(replay.levels.max())],
         )  # fmt: skip
+        if status.level == "ok" and since is not None:
+            status = continued_status(since)
     if status.level == "ok":
         status = places.doubt
     seconds = time.process_time() - begin
-    smoothed = Smoothed(poses, _line_figures(found), None, seconds, found.covariances[:, 0], status, run)
+    smoothed = Smoothed(poses, _line_figures(found), None, seconds, found.covariances[:, 0], status, run.until(placed))
     grid = draw_grid(replay, drawn, found.robot)
     return replace(
         replay, landmarks=found.landmarks, segments=found.segments, grid=grid, smoothed=smoothed, beam_turns=found.turns

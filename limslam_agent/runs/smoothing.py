@@ -11,7 +11,7 @@ from limslam_agent.output.export import finite
 from limslam_agent.places.revisions import revised
 from limslam_agent.readings import as_readings
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.status.smoothed_status import lost_note, smoothed_status, unplaced_status
+from limslam_agent.status.smoothed_status import continued_status, lost_note, smoothed_status, unplaced_status
 from limslam_agent.status.status import LEVELS, final_status_scores, worst
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, inverse
@@ -56,26 +56,26 @@ def smooth_episode(episode: "Episode") -> "SmoothedRun | None":
     # The kernels of the smoother load numba, which takes time that other commands do not need.
     from limslam_agent.slam.line_graph.smoother import FilteredRun, completed, smooth_run
 
-    places, known = episode.places, episode.places.placed
+    places = episode.places
     poses, covariances = revised(episode.estimated, episode.covariances, places.revisions)
-    usable, unknown_start = ~episode.dropped[known], tuple[tuple[int, int], ...]()
+    usable, unknown_start = ~episode.dropped, tuple[tuple[int, int], ...]()
     if episode.joined is not None:
         # The second robot's start is not known: it may be anywhere before its first step.
         usable[0, 1], unknown_start = False, ((1, 1),)
     run = FilteredRun(
         robot=episode.config.robot,
         noise=agent.noise,
-        wheels=episode.wheels[known],
-        ranges=episode.ranges[known],
+        wheels=episode.wheels,
+        ranges=episode.ranges,
         usable=usable,
-        poses=poses[known],
-        covariances=covariances[known],
+        poses=poses,
+        covariances=covariances,
         associations=episode.associations,
         closures=episode.closures,
         breaks=(*((0, step) for step in places.breaks), *unknown_start),
         sensor=episode.sensor,
     )
-    found = smooth_run(run, settings)
+    found = smooth_run(run, settings, places.placed.stop)
     if found is not None and unknown_start:
         # What the second robot's pose was before its first step follows from the one after it.
         motion = compose(inverse(poses[1, 1]), poses[0, 1])
@@ -99,7 +99,7 @@ def final_map(episode: "Episode") -> FinalMap:
     ranges = as_readings(episode.ranges, config.robot.min_ranges, config.robot.max_ranges)
     is_new = np.array([config.robot.measures(step) for step in range(len(ranges))])[:, None]
     measured = is_new & ~np.isnan(ranges) & ~episode.dropped
-    known = episode.places.placed
+    known = slice(None) if smoothed.is_continued else episode.places.placed
     grid = drawn_grid(config.agent.grid, smoothed.robot, smoothed.poses[known], ranges[known], measured[known])
     return FinalMap(smoothed.segments, smoothed.landmarks, grid, smoothed.poses)
 
@@ -110,14 +110,18 @@ def final_status(episode: "Episode") -> dict[str, str]:
     if smoothed is None:
         return {}
     places, time = episode.places, episode.time
-    if places.unplaced is not None:
-        status = unplaced_status(float(time[min(places.unplaced.begin, len(time) - 1)] - time[0]))
+    placed = places.placed.stop
+    since = None if placed is None else float(time[min(placed, len(time) - 1)] - time[0])
+    if since is not None and not smoothed.is_continued:
+        status = unplaced_status(since)
     else:
         filtered = revised(episode.estimated, episode.covariances, places.revisions)
         status = smoothed_status(
             smoothed.contradictions, filtered, (smoothed.poses, smoothed.covariances),
             while_driving=LEVELS[int(episode.levels.max())],
         )  # fmt: skip
+        if status.level == "ok" and since is not None:
+            status = continued_status(since)
     if status.level == "ok" and NOT_YET_CONFIRMED in online_statuses:
         status = NOT_YET_CONFIRMED
     if status.level == "ok":

@@ -63,6 +63,11 @@ def unplaced_status(since: float) -> Status:
     return Status("lost", f"the place of the robot is unknown from {since:.0f} s on")
 
 
+def continued_status(since: float) -> Status:
+    """The status of a robot whose place, from a time (s) after the start on, only the smoother has found."""
+    return Status("unsure", f"the robot did not know its place from {since:.0f} s on; only the smoothed path shows it")
+
+
 def _moved(filtered: tuple[FloatArray, FloatArray], smoothed: tuple[FloatArray, FloatArray]) -> tuple[float, float]:
     """The largest distance between the paths, m, and the mean NEES / 3 of the filter against the smoothed path.
 

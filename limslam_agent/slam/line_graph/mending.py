@@ -6,14 +6,23 @@ its score is higher. The score needs no ground truth.
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from limslam_agent.slam.line_graph import line_merging as merging
 from limslam_agent.slam.line_graph.elimination import DegenerateError
 from limslam_agent.slam.line_graph.map_score import LINE_PRICE, Score, explained_readings, line_values, score, tally
-from limslam_agent.slam.line_graph.problem import FEWEST_READINGS, Problem, State, state_from_motions
+from limslam_agent.slam.line_graph.problem import (
+    FEWEST_READINGS,
+    Problem,
+    State,
+    first_steps,
+    moved,
+    state_from_motions,
+    state_from_poses,
+    thinned,
+)
 from limslam_agent.slam.line_graph.reassociation import (
     ONE_WALL,
     ROUNDS,
@@ -27,7 +36,7 @@ from limslam_agent.slam.line_graph.reassociation import (
     solve_again,
     solve_labels,
 )
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 
 _ROUNDS = 3  # of moves
 _LAST_ROUNDS = 4  # of re-association after new lines were created
@@ -49,6 +58,13 @@ _DOUBLED_SIGMAS, _DOUBLED_OFFSET, _DOUBLED_ANGLE = 3.0, 0.03, math.radians(10.0)
 _RUN_GAP = 0.15  # m of driving without a reading that ends a run
 _POINT_GAP = 0.30  # m between the ends of two readings of one wall
 
+# A drive is continued without a filter with poses this far apart, m, in stretches of this length, m. A stretch may
+# cross a hall without a wall, so its walls may be far from where the wheels place them.
+_THIN, _STRETCH, _STRETCH_ROUNDS, _FEWEST_OF_PIECE = 0.1, 10.0, 2, 5
+_FAR_LIMITS = ONE_WALL._replace(max_offset=2.5, max_angle=0.6, min_overlap=0.10)
+_KNOWN_AGAIN = 0.5  # least share of the later readings that are of walls of the beginning
+_MOVES_WITHOUT_FILTER = ("cut", "drop", "reborn")
+
 MOVES = ("anew", "cut", "drop", "reborn")
 """``anew``: only straight wall segments, found along the path of the wheel odometry. ``cut``: lines cut where they were
 not read for a while. ``drop``: as ``cut``, without the lines that beams contradict. ``reborn``: with new lines through
@@ -64,7 +80,7 @@ class Candidate:
     move: str
 
 
-def mend(problem: Problem, found: Association) -> list[Candidate]:
+def mend(problem: Problem, found: Association, first_moves: tuple[str, ...] = MOVES) -> list[Candidate]:
     """The accepted solutions in order, from the initial solution to the best solution.
 
     A round ends with the first move after which beams no longer contradict the map. From then on, only missing lines
@@ -72,7 +88,7 @@ def mend(problem: Problem, found: Association) -> list[Candidate]:
     """
     kept = [Candidate(found, score(problem, found), "start")]
     for number in range(_ROUNDS):
-        moves: tuple[str, ...] = ("cut", "drop", "reborn") if number else MOVES
+        moves: tuple[str, ...] = ("cut", "drop", "reborn") if number else first_moves
         if number and not is_contradicted(problem, kept[-1].association):
             moves = ("reborn",)
         best = _best_of_round(problem, kept[-1], moves)
@@ -80,6 +96,84 @@ def mend(problem: Problem, found: Association) -> list[Candidate]:
             break
         kept.append(best)
     return kept
+
+
+def continued(problem: Problem, known: State, labels: IntArray) -> Association | None:
+    """The association of one robot's whole drive, from that of its beginning, without a filter.
+
+    The drive goes on by its wheels, some metres at a time. Its readings are cut into straight pieces, and the pieces
+    are merged with the lines so far, the surest first. Only every k-th pose takes part.
+
+    Parameters
+    ----------
+    problem
+        The measurements of the whole drive.
+    known, labels
+        The poses of its beginning, and the lines of their readings, which are the first ones of the problem.
+
+    Returns
+    -------
+    Association
+        None if beams contradict the result, or if few of the later readings are of walls of the beginning: then nothing
+        says that the robot is where its wheels report.
+    """
+    begin, driven = known.poses.shape[1], driven_at(problem)
+    every = max(1, int(_THIN * (problem.steps - 1) / max(driven[-1], _THIN)))
+    thin = thinned(problem, every, known.poses[0])
+    kept = np.flatnonzero((problem.readings.places % every == 0) & (problem.readings.places < thin.steps * every))
+    thin_labels = labels[kept[kept < len(labels)]]
+    done, travel = (begin - 1) // every + 1, driven_at(thin)
+    part = first_steps(thin, done)
+    state = state_from_poses(part, known.poses[0, :begin:every][:, None])
+    try:
+        found = solve_labels(part, state, thin_labels[: len(part.readings)])
+        while done < thin.steps:
+            end = min(int(np.searchsorted(travel, travel[done - 1] + _STRETCH)) + 1, thin.steps)
+            part, done = first_steps(thin, end), end
+            found = _with_stretch(part, found)
+        if is_contradicted(part, found):
+            found = mend(part, found, _MOVES_WITHOUT_FILTER)[-1].association
+        if is_contradicted(part, found) or not _is_known_again(part, found, (begin - 1) // every + 1):
+            return None
+        return _refined(problem, found, every, kept)
+    except DegenerateError:
+        return None
+
+
+def _with_stretch(part: Problem, found: Association) -> Association:
+    """The association of a longer part of a drive, whose last poses follow from the wheels alone."""
+    before = found.state
+    motions = part.motions(before.calibration)
+    motions[:, : before.motions.shape[1]] = before.motions
+    state = moved(part, motions, before.lines[:0], before.anchors[:0], before.calibration)
+    labels = np.full(len(part.readings), -1)
+    labels[: len(found.labels)] = found.labels
+    pieces = straight_runs(part, state, labels < 0, _FEWEST_OF_PIECE)
+    labels = np.where(pieces >= 0, pieces + int(labels.max(initial=-1)) + 1, labels)
+    merged, _ = merge(part, solve_labels(part, state, labels), _FAR_LIMITS)
+    return reassociate_from(part, merged, _STRETCH_ROUNDS)
+
+
+def _is_known_again(problem: Problem, found: Association, begin: int) -> bool:
+    """Whether enough readings from a step on are of lines that were also read before it."""
+    used, later = found.labels >= 0, problem.readings.places >= begin
+    again = np.isin(found.labels, np.unique(found.labels[used & ~later])) & used & later
+    return int(again.sum()) >= _KNOWN_AGAIN * max(int(later.sum()), 1)
+
+
+def _refined(problem: Problem, found: Association, every: int, kept: IntArray) -> Association:
+    """The association of all poses and readings, from that of every k-th pose, whose readings are those ``kept``."""
+    nodes = found.state.poses[0]
+    step = np.arange(problem.steps)
+    node = np.minimum(step // every, len(nodes) - 1)
+    motions = problem.motions(found.state.calibration)
+    free = moved(problem, motions, found.state.lines[:0], found.state.anchors[:0], found.state.calibration).poses[0]
+    # Between two nodes, the wheels say where the robot was.
+    poses = se2.compose(nodes[node], se2.between(free[node * every], free))
+    labels = np.full(len(problem.readings), -1)
+    labels[kept] = found.labels
+    state = replace(state_from_poses(problem, poses[:, None]), calibration=found.state.calibration)
+    return reassociate_from(problem, solve_labels(problem, state, labels), ROUNDS)
 
 
 def is_contradicted(problem: Problem, found: Association) -> bool:

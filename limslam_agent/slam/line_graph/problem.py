@@ -5,7 +5,7 @@ arcs, so poses follow from motions.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -27,6 +27,7 @@ FEWEST_READINGS = 6
 _SIZES = SelfCalibrationConfig(size_std=0.03, uneven_std=0.03, axle_std=0.03)
 _BIAS_STD = 0.02  # m, of a bias of all ranges
 _ASIDE_STD = 1e-5  # m: keeps the equations regular, and adds up to less than a millimetre in a run
+_THINNED_ASIDE_STD = 2e-3  # m: what several arcs in a row differ from a single one
 _LEAST_VARIANCE = 1e-12  # m^2
 
 
@@ -253,6 +254,59 @@ def _listed(kept: BoolArray, ranges: FloatArray) -> Readings:
     """The ranges (t, n, n_beams) that are kept, in the order of poses."""
     number, step, beam = np.nonzero(np.moveaxis(kept, 0, 1))
     return Readings(number * len(ranges) + step, beam, ranges[step, number, beam])
+
+
+def thinned(problem: Problem, every: int, poses: FloatArray) -> Problem:
+    """One robot's problem with every k-th pose and its readings; the motions between them are added up.
+
+    The poses (t, 3) say where a carried robot came to. A later motion of a drive may be longer than they are.
+    """
+    count = (problem.steps - 1) // every
+    grouped = (1, count, every, 3)
+    wheels = problem.wheels[:, : count * every].reshape(grouped).sum(axis=2)
+    stds = np.sqrt((problem.stds[:, : count * every] ** 2).reshape(grouped).sum(axis=2))
+    stds[..., 2] = max(_THINNED_ASIDE_STD, _ASIDE_STD)
+    covariances = {
+        each.motion // every: np.diag(stds[0, each.motion // every] ** 2)
+        for each in problem.loose
+        if each.motion < count * every
+    }
+    for each in problem.loose:
+        if each.motion < count * every:
+            covariances[each.motion // every] += np.linalg.inv(each.root.T @ each.root)
+    jumps = np.zeros_like(wheels)
+    carried = [] if problem.jumps is None else np.unique(np.flatnonzero(problem.jumps[0].any(axis=1)) // every).tolist()
+    for motion in carried:
+        ends = poses[[motion * every, (motion + 1) * every]].copy()
+        ends[1, 2] = ends[0, 2] + math.remainder(ends[1, 2] - ends[0, 2], 2.0 * math.pi)
+        wheels[0, motion] = 0.0
+        kernels.motions_between(ends, problem.robot.axle, jumps[0, motion : motion + 1])
+    return replace(
+        problem, wheels=wheels, stds=stds, jumps=jumps if carried else None,
+        readings=_every(problem.readings, every, count), looks=_every(problem.looks, every, count),
+        loose=tuple(LooseMotion.of(0, motion, each) for motion, each in covariances.items()),
+    )  # fmt: skip
+
+
+def _every(readings: Readings, every: int, last: int) -> Readings:
+    """The readings of every k-th pose up to number ``last`` of these."""
+    kept = (readings.places % every == 0) & (readings.places <= last * every)
+    return Readings(readings.places[kept] // every, readings.beams[kept], readings.distances[kept])
+
+
+def first_steps(problem: Problem, count: int) -> Problem:
+    """One robot's problem of its first ``count`` steps."""
+    return replace(
+        problem, wheels=problem.wheels[:, : count - 1], stds=problem.stds[:, : count - 1],
+        jumps=None if problem.jumps is None else problem.jumps[:, : count - 1],
+        readings=_before(problem.readings, count), looks=_before(problem.looks, count),
+        loose=tuple(each for each in problem.loose if each.motion < count - 1),
+    )  # fmt: skip
+
+
+def _before(readings: Readings, count: int) -> Readings:
+    kept = readings.places < count
+    return Readings(readings.places[kept], readings.beams[kept], readings.distances[kept])
 
 
 def state_from_poses(problem: Problem, poses: FloatArray) -> State:

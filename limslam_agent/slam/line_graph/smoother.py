@@ -16,7 +16,7 @@ from limslam_agent.slam.line_graph.chain_kernels import motion_jacobians, motion
 from limslam_agent.slam.line_graph.elimination import DegenerateError
 from limslam_agent.slam.line_graph.line_smoother import pose_covariances, solve
 from limslam_agent.slam.line_graph.map_score import score, tally
-from limslam_agent.slam.line_graph.mending import is_contradicted, is_repaired, mend
+from limslam_agent.slam.line_graph.mending import continued, is_contradicted, is_repaired, mend
 from limslam_agent.slam.line_graph.problem import (
     CALIBRATION_PRIOR,
     FEWEST_READINGS,
@@ -37,6 +37,7 @@ from limslam_env.interface import NominalNoise, RobotSpec
 _CALIBRATION_GATE = 40.0
 _CALIBRATION_PRICE = 20.0  # by how much estimated errors must raise the score
 _SENSOR_ROUNDS = 4  # errors of the sensor are estimated at most this many times, each time with a new solution
+_CONTINUED = "continued"
 _UNSURE_HEADING = math.radians(4.0)  # rad: standard deviation of the filter from which on associations may be wrong
 # The error of the right wheel less that of the left one, and the error of the axle less the mean of the wheels.
 _RELATIVE = np.array([[-1.0, 1.0, 0.0, 0.0], [-0.5, -0.5, 1.0, 0.0]])
@@ -82,6 +83,11 @@ class FilteredRun:
     breaks: tuple[tuple[int, int], ...] = ()
     sensor: RangeSensor | None = None
 
+    def until(self, step: int | None) -> "FilteredRun":
+        """The run before a step of its own."""
+        rows = ("wheels", "ranges", "usable", "poses", "covariances")
+        return self if step is None else replace(self, **{name: getattr(self, name)[:step] for name in rows})
+
 
 @dataclass(frozen=True, eq=False)
 class SmoothedRun:
@@ -120,6 +126,11 @@ class SmoothedRun:
     robot: RobotSpec
     turns: FloatArray | None = None
 
+    @property
+    def is_continued(self) -> bool:
+        """Whether the poses since the filter lost its place were found by the smoother alone."""
+        return _CONTINUED in self.moves
+
 
 def completed(found: SmoothedRun, poses: FloatArray, covariances: FloatArray) -> SmoothedRun:
     """A smoothed run with the later steps of a longer run, whose poses (t, n, 3) stay as they are."""
@@ -146,16 +157,48 @@ class Settled:
         return score(self.problem, self.association).total - price
 
 
-def smooth_run(run: FilteredRun, config: SmootherConfig | None = None) -> SmoothedRun | None:
+def smooth_run(
+    run: FilteredRun, config: SmootherConfig | None = None, unplaced: int | None = None
+) -> SmoothedRun | None:
     """Estimate all poses and lines of a run from all its measurements.
 
     The filter's associations are the initial associations, and every association can change. Wrong associations are
     searched for where beams contradict the result, or where the filter's heading was uncertain. The result is None if
     the robots did not move or no wall was seen often enough: there is nothing to smooth then.
+
+    ``unplaced`` is the step from which on the filter did not know the place of the only robot. The result ends there,
+    unless its own walls say where the robot went.
     """
     config = config or SmootherConfig()
-    best = settle(run, config)
+    best = settle(run.until(unplaced), config)
+    if best is not None and unplaced is not None:
+        best = _continued(best, run) or best
     return None if best is None else _smoothed(best)
+
+
+def _continued(best: Settled, run: FilteredRun) -> Settled | None:
+    """The solution of a whole run, from that of its beginning; None if nothing says where the robot was later."""
+    whole = make_problem(run.robot, run.noise, run.poses[0], run.wheels, run.ranges, run.usable, None, run.first_step)
+    later = whole.steps - best.problem.steps
+    if later < 1:
+        return None
+    jumps = None if best.problem.jumps is None else np.pad(best.problem.jumps, ((0, 0), (0, later), (0, 0)))
+    carried = tuple(each for each in best.problem.loose if jumps is not None and jumps[0, each.motion].any())
+    own = {each.motion for each in carried}
+    loose = tuple(each for each in whole.loose if each.motion not in own) + carried
+    wheels = whole.wheels.copy()
+    wheels[0, sorted(own)] = 0.0
+    whole = replace(
+        best.problem,
+        wheels=wheels,
+        stds=whole.stds,
+        jumps=jumps,
+        loose=loose,
+        readings=whole.readings,
+        looks=whole.looks,
+    )
+    found = continued(whole, best.association.state, best.association.labels)
+    return None if found is None else Settled(whole, found, (*best.moves, _CONTINUED))
 
 
 def settle(run: FilteredRun, config: SmootherConfig) -> Settled | None:

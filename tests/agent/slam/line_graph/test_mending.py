@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.drives import room
-from support.smoother_runs import noisy_run, position_error, true_labels
+from support.smoother_runs import ROUND, noisy_run, position_error, true_labels
 
 from limslam_agent.slam.line_graph import mending
 from limslam_agent.slam.line_graph.map_score import explained_looks, line_values, score, tally
-from limslam_agent.slam.line_graph.mending import doubled_lines, is_repaired, mend, straight_runs
-from limslam_agent.slam.line_graph.problem import state_from_motions
+from limslam_agent.slam.line_graph.mending import continued, doubled_lines, is_repaired, mend, straight_runs
+from limslam_agent.slam.line_graph.problem import Readings, first_steps, state_from_motions
 from limslam_agent.slam.line_graph.reassociation import reassociate, solve_labels
 from limslam_agent.slam.line_graph.smoothed_map import smoothed_map
 
@@ -148,3 +148,23 @@ TRUE_LINES = [(0.0, -0.5 * np.pi), (0.0, 0.5 * np.pi), (3.0, 0.0), (2.4, 0.5 * n
 
 def turn(first, second):
     return (first - second + np.pi) % (2.0 * np.pi) - np.pi
+
+
+def test_a_drive_goes_on_without_a_filter_where_its_walls_are_known_again():
+    laps = [*ROUND, *ROUND]
+    problem, poses = noisy_run(5, places=laps)
+    half = problem.steps // 2
+    begin = first_steps(problem, half)
+    found = solve_labels(begin, state_from_motions(begin), true_labels(problem, poses)[: len(begin.readings)])
+    whole = continued(problem, found.state, found.labels)
+    assert whole.state.poses.shape[1] == problem.steps
+    assert position_error(whole.state, poses) < 0.03
+    assert len(whole.state.lines) == 4
+    # In another room, few readings are of known walls, or beams contradict these: it may have been carried there.
+    elsewhere, _ = noisy_run(5, places=laps, walls=room(-0.5, -0.9, 4.1, 3.9))
+    readings = Readings(*(
+        np.concatenate((getattr(begin.readings, name), getattr(elsewhere.readings, name)[later]))
+        for name in ("places", "beams", "distances") for later in [elsewhere.readings.places >= half]
+    ))  # fmt: skip
+    carried = replace(problem, wheels=problem.wheels[:, : elsewhere.steps - 1], readings=readings, looks=readings)
+    assert continued(carried, found.state, found.labels) is None
