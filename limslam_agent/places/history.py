@@ -5,15 +5,15 @@ from typing import cast
 
 import numpy as np
 
-from limslam_agent.config.status import ContradictionConfig
+from limslam_agent.places.localisation import KnownPlaces
+from limslam_agent.places.rays import step_rays
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.contradictions import expected_ranges
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import Observation, RobotSpec
 
-_WORST = 3.0  # standard deviations: largest residual that counts
+_WORST = 3.0  # usual changes: largest change that counts
 _CHANGE = 0.10  # m: a reading seldom changes by more in a step in which the robot is not carried away
 
 
@@ -103,16 +103,12 @@ class StepLog:
         return np.array(poses[::-1])
 
 
-def carried_at(
-    log: StepLog,
-    placed: FloatArray,
-    robot: RobotSpec,
-    segments: FloatArray,
-    sensor: RangeSensor,
-    config: ContradictionConfig,
-) -> int:
+def carried_at(log: StepLog, placed: FloatArray, robot: RobotSpec, sensor: RangeSensor, place: KnownPlaces) -> int:
     """The first step after a robot was carried away: earlier readings fit the poses that were believed, later ones fit
     the poses by which it was placed again.
+
+    Both are weighed by the evidence of the readings in the map, which is 0 on ground that the map does not have. There,
+    no reading contradicts anything, and a step would be taken for one of the new place if only contradictions counted.
 
     Parameters
     ----------
@@ -120,43 +116,23 @@ def carried_at(
         The steps. The robot was carried away after the first of them, and before the step after the last placed one.
     placed
         Poses (m, 3) of the first m steps of the log if the robot had been carried away before them.
-    segments
-        Walls of the map (k, 4), m.
-    sensor
-        How ranges are measured.
+    robot, sensor
+        Body and beams as specified, and how ranges are measured.
+    place
+        The map of the time before.
     """
     steps = log.steps[: len(placed)]
-    ranges = np.array([step.ranges for step in steps])
-    costs = [
-        _misfits(poses, ranges, robot, segments, sensor, config)
-        for poses in (np.array([step.pose for step in steps]), placed)
+    # The steps before the break are explained by the poses that were believed, and the others by the placed ones.
+    gained = [
+        here.evidence - there.evidence
+        for step, pose in zip(steps, placed, strict=True)
+        for here, there in [place.weigh(np.array([step.pose, pose]), step_rays(step.ranges, robot, sensor))]
     ]
-    # The steps before the break are explained by the first cost, and the others by the second one.
-    totals = np.cumsum(costs[0] - costs[1])
+    totals = np.cumsum(gained)
     # Readings may change by more where the break is.
     change = _CHANGE + 5.0 * sensor.usual_std(float(robot.max_ranges.max()))
     changes = np.diff([step.ranges for step in log.steps[: len(placed) + 1]], axis=0) / change
     saved = np.minimum(np.abs(np.nan_to_num(changes)), _WORST) ** 2
-    totals[: len(saved)] -= saved.sum(axis=1)
+    totals[: len(saved)] += saved.sum(axis=1)
     # Of equally good steps, the last one is the nearest to the first doubt.
-    return log.begin + len(totals) - int(totals[::-1].argmin())
-
-
-def _misfits(
-    poses: FloatArray,
-    ranges: FloatArray,
-    robot: RobotSpec,
-    segments: FloatArray,
-    sensor: RangeSensor,
-    config: ContradictionConfig,
-) -> FloatArray:
-    """Sum of the squared residuals (m,) of the readings (m, n_beams) of each pose (m, 3) that pass through walls.
-
-    Other readings speak against no pose: the map does not have all walls.
-    """
-    slack = np.diag([config.slack**2, config.slack**2, 0.0])
-    expected = expected_ranges(robot, poses, slack, segments, sensor, config)
-    has_wall = np.isfinite(expected.ranges)
-    seen = np.minimum(ranges, robot.max_ranges)
-    beyond = (seen - np.where(has_wall, expected.ranges, np.inf)) / np.where(has_wall, expected.stds, 1.0)
-    return np.asarray((np.clip(np.nan_to_num(beyond, nan=0.0, neginf=0.0), 0.0, _WORST) ** 2).sum(axis=1))
+    return log.begin + len(totals) - int(totals[::-1].argmax())

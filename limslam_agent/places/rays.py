@@ -56,6 +56,20 @@ def rays_of(steps: Sequence[Seen], robot: RobotSpec, sensor: RangeSensor | None 
     return np.ascontiguousarray(rays[_latest(rays)][-_RAYS:])
 
 
+def step_rays(ranges: FloatArray, robot: RobotSpec, sensor: RangeSensor) -> FloatArray:
+    """The rays (m, 6) of the readings (n_beams,), m, of one step, in the frame of the robot.
+
+    ``robot`` has its beams as specified. Readings that saw nothing count, since no other step says whether they are
+    dropouts.
+    """
+    robot = sensor.mounted(robot)
+    seen_nothing = ranges >= robot.too_far
+    usable = ranges > robot.too_near
+    lengths = np.where(seen_nothing, robot.max_ranges, np.clip(ranges - sensor.bias, 1e-6, robot.max_ranges - 1e-6))
+    columns = robot.beam_origins, robot.beam_directions, lengths, robot.max_ranges
+    return np.ascontiguousarray(np.column_stack(columns)[usable])
+
+
 def _missed(seen_nothing: BoolArray, measured: BoolArray) -> BoolArray:
     """Which readings (m, n_beams) may have seen nothing only because the sensor missed what was there.
 

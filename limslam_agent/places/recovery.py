@@ -452,10 +452,7 @@ class Recovery:
         placed = log.driven_back(compose(frame, log[last].pose), last + 1)[: max(absence.since - log.begin, 1)]
         step = log.begin + len(placed)
         if absence.known is not None and log.begin == absence.known.step and not absence.is_dated:
-            step = carried_at(
-                log, placed, sensor.mounted(self._robot), absence.place.segments, sensor,
-                self._agent.status.contradictions,
-            )  # fmt: skip
+            step = carried_at(log, placed, self._robot, sensor, absence.place)
         pose = placed[step - 1 - log.begin]
         before = next((copy for copy in self._local_copies if absence.gone and copy.step > log.begin), None)
         if before is not None:

@@ -9,8 +9,10 @@ import pytest
 
 from limslam_agent import LineSlam, Mapper, preset
 from limslam_agent.config.presets import with_until
+from limslam_agent.grid.occupancy import GridView
 from limslam_agent.output.summary import record_summary
 from limslam_agent.places.history import LoggedStep, StepLog, carried_at
+from limslam_agent.places.localisation import KnownPlaces
 from limslam_agent.places.revisions import BEGUN_ANEW, NOT_CONFIRMED, PlaceHistory, Revision, revised
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import score, write_episode
@@ -216,20 +218,26 @@ def test_a_carried_robot_came_to_where_it_was_found():
         assert least == pytest.approx(off * (1.0 if shift[2] else 0.3 / 0.64), abs=0.1), shift
 
 
-def test_the_break_lies_where_the_readings_change():
-    robot, walls = RobotSpec(), np.array([[0.0, 1.0, 10.0, 1.0], [0.0, 5.0, 10.0, 5.0]])
+@pytest.mark.parametrize("is_known", [True, False], ids=["to mapped ground", "to unmapped ground"])
+def test_the_break_lies_where_the_readings_change(is_known):
+    """A short wall was drawn 0.3 m too near, and a beam seems to pass through it while the robot is still there."""
+    robot, walls = RobotSpec(), np.array([[0.0, 1.0, 10.0, 1.0], [0.0, 5.0, 10.0, 5.0], [3.35, -0.6, 3.35, 0.4]])
+    grid = GridView(np.array([0.0, -1.0]), 0.1, np.ones((60 if is_known else 20, 100), dtype=np.int16))
     motion, jump, log = np.array([0.05, 0.0, 0.0]), np.array([0.0, 3.5, 0.0]), StepLog(100)
     for number in range(20):
         pose = np.array([2.0 + 0.05 * number, 0.2, 0.0])
         y = pose[1] + (jump[1] if number >= 12 else 0.0)
         ahead = np.full(len(robot.beams), np.nan)
         ahead[0] = (1.0 if number < 12 else 5.0) - y - robot.radius
+        if 8 <= number < 12:
+            ahead[3] = 1.3
         log.steps.append(LoggedStep({}, pose, motion, ahead))
     last = log[119].pose + jump
     placed = log.driven_back(last, 120)
     np.testing.assert_allclose(placed, [step.pose + jump for step in log.steps], atol=1e-9)
-    limits = preset("graph").status.contradictions
-    assert carried_at(log, placed, robot, walls, RangeSensor(NOISE), limits) == 112
+    sensor = RangeSensor(NOISE)
+    place = KnownPlaces(walls if is_known else walls[[0, 2]], grid, sensor)
+    assert carried_at(log, placed, robot, sensor, place) == 112
     log.forget_before(110)
     assert (log.begin, log.end, len(log.since(115))) == (110, 120, 5)
 
