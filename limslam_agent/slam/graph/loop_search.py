@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
+from limslam_agent.slam.graph.agreement import supported
 from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Hops, Loop, information_matrix, solve
 from limslam_agent.slam.graph.least_squares import relation_factor
 from limslam_agent.slam.graph.local_maps import LocalMap
@@ -39,6 +40,9 @@ _BACKWARD_SHIFT, _BACKWARD_TURN = 0.3, np.radians(4.0)
 _EARLY_ANNEALING, _EARLY_ITERATIONS = (5.0, 1.0), 3
 # The covariance is computed anew if the weight of a loop has changed by more than this.
 _WEIGHT_CHANGE = 0.3
+# What loops say about the hops: loops whose position is known this well, m, and at least so many; the share of them
+# that the scaled covariances must explain, and the least scale.
+_KNOWN_STD, _FEWEST, _EXPLAINED, _LEAST_SCALE = 1.0, 6, 0.9, 0.003
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,6 +107,28 @@ def loops_along_the_way(chunks: Chunks) -> list[Loop]:
         if found:
             belief.close(found)
     return belief.loops
+
+
+def scale_of_hops(chunks: Chunks) -> float:
+    """The factor, at most 1, that makes the covariances of the hops as large as the errors that loops show.
+
+    The squared distance between a loop and the chain of hops, in units of the chain's covariance, is three on average
+    if the covariances are right. Where walls are clean and smooth, it is a hundred times smaller. Only loops that other
+    loops support are used.
+    """
+    loops = loops_along_the_way(chunks)
+    good = supported(loops, chunks.poses, chunks.travel)
+    loops = [loop for loop, agreed in zip(loops, good, strict=True) if agreed]
+    known = [loop for loop in loops if np.linalg.eigvalsh(loop.information[:2, :2])[0] > _KNOWN_STD**-2]
+    if len(known) < _FEWEST:
+        return 1.0
+    joint = np.linalg.inv(information_matrix(chunks.poses, chunks.hops, [], np.zeros(0)))
+    ends = np.array([(loop.first, loop.second) for loop in known])
+    error, jacobian = relation_factor(chunks.poses, ends[:, 0], ends[:, 1], np.array([loop.relative for loop in known]))
+    columns = (3 * ends[:, :, None] + np.arange(3)).reshape(len(ends), 6)
+    chain = jacobian @ joint[columns[:, :, None], columns[:, None, :]] @ jacobian.transpose(0, 2, 1)
+    squares = np.einsum("fi,fij,fj->f", error, np.linalg.inv(chain), error)
+    return float(np.clip(np.quantile(squares, _EXPLAINED) / 3.0, _LEAST_SCALE, 1.0))
 
 
 def loops_of_newest(chunks: Chunks, belief: "Belief") -> list[Loop]:

@@ -34,6 +34,7 @@ from limslam_agent.slam.graph.chunk_graph import (
     carry_over,
     hop_chi_squares,
     hops_between,
+    inflated,
     information_matrix,
     solve_annealed,
     unbent,
@@ -85,12 +86,16 @@ class Round:
 
 @dataclass(frozen=True, eq=False)
 class LogProblem:
-    """The common data of all rounds: key poses, local trajectory, recording, settings, and covariances of the hops."""
+    """The common data of all rounds: key poses, local trajectory, recording, settings, and covariances of the hops.
+
+    ``hop_scale`` is the factor of the hops' covariances in the search and in the strain. The status does without it.
+    """
 
     keys: KeyPoses
     local: Trajectory
     data: LogData
     config: GraphConfig
+    hop_scale: float = 1.0
     _covariances: dict[float, FloatArray] = field(default_factory=dict)
 
     def hop(self, number: int) -> float:
@@ -107,6 +112,7 @@ class LogProblem:
         maps = cut_chunks(self.keys, trajectory, config.maps, middles, self.data.max_range)
         poses = trajectory.poses[middles]
         hops = hops_between(poses, self._hop_covariances(number))
+        hops = Hops(hops.motions, self.hop_scale * hops.covariances)
         return Chunks(maps, middles, poses, self.keys.key_travel[middles], hops, config)
 
     def unbent(self, trajectory: Trajectory, number: int) -> Trajectory:
@@ -132,7 +138,9 @@ class LogProblem:
 
     def strain(self, number: int) -> Strain:
         """What the chunks of a round cost where their path bends away from the local smoothing."""
-        return Strain(self.local_hops(number), HOP_KERNEL, _STRAIN)
+        hops = self.local_hops(number)
+        covariances = inflated(self.hop_scale * self._hop_covariances(number))
+        return Strain(Hops(hops.motions, covariances), HOP_KERNEL, _STRAIN)
 
     def bends(self, trajectory: Trajectory) -> tuple[IntArray, FloatArray]:
         """The key poses (h,) at which the hops of a trajectory begin, and their chi-squares (h,) by local smoothing."""
@@ -228,6 +236,11 @@ def _place_guarded(candidates: Candidates, placed: _Placed, score: MapScore) -> 
     return _pruned(chunks, placed, score) if gained else placed
 
 
+def _place_near(candidates: Candidates, placed: _Placed, score: MapScore) -> _Placed:
+    """The start without the wide search. Where many places look alike, it finds wrong loops only."""
+    return _pruned(candidates.chunks, placed, score)
+
+
 def _place_all(candidates: Candidates, placed: _Placed, score: MapScore) -> _Placed:
     """The unguarded start: all groups of the wide search are added, and only the robust kernels reject loops."""
     chunks = candidates.chunks
@@ -237,7 +250,9 @@ def _place_all(candidates: Candidates, placed: _Placed, score: MapScore) -> _Pla
     return _Placed(loops, solution, placed.dropped)
 
 
-STARTS: dict[str, Callable[[Candidates, _Placed, MapScore], _Placed]] = {"guard": _place_guarded, "all": _place_all}
+STARTS: dict[str, Callable[[Candidates, _Placed, MapScore], _Placed]] = {
+    "guard": _place_guarded, "all": _place_all, "near": _place_near,
+}  # fmt: skip
 
 
 def _pruned(chunks: Chunks, placed: _Placed, score: MapScore) -> _Placed:

@@ -37,7 +37,7 @@ from limslam_agent.slam.graph.key_poses import (
 )
 from limslam_agent.slam.graph.local_maps import chunk_middles
 from limslam_agent.slam.graph.local_smoothing import smooth_locally
-from limslam_agent.slam.graph.loop_search import loops_along_the_way
+from limslam_agent.slam.graph.loop_search import loops_along_the_way, scale_of_hops
 from limslam_agent.slam.graph.rounds import STARTS, Candidates, LogProblem, Round, do_round, is_settled
 from limslam_env.geometry import FloatArray, IntArray, se2
 
@@ -272,9 +272,11 @@ def _score(search: _Search) -> float:
 
 
 def _begun(keys: KeyPoses, data: LogData, config: GraphConfig, turn: float, report: Report) -> list[_Search]:
-    """The first round of both starts, in the frame in which the first heading is ``turn`` (rad)."""
+    """The first round of all starts, in the frame in which the first heading is ``turn`` (rad)."""
     report("local smoothing")
     log = LogProblem(keys, _local(keys, data, config, turn), data, config)
+    chunks = log.chunks(log.local, 0)
+    log = replace(log, hop_scale=scale_of_hops(chunks))
     chunks = log.chunks(log.local, 0)
     candidates = Candidates(chunks, loops_along_the_way(chunks))
     searches = []

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from limslam_agent.config.graph import GraphConfig
+from limslam_agent.slam.graph import loop_search
 from limslam_agent.slam.graph.agreement import MAX_GROUP, agreements, distances_after_alignment, groups_of, supported
 from limslam_agent.slam.graph.chunk_graph import (
     Hops,
@@ -17,7 +18,7 @@ from limslam_agent.slam.graph.chunk_graph import (
     unbent,
 )
 from limslam_agent.slam.graph.key_poses import Trajectory, integrate
-from limslam_agent.slam.graph.loop_search import Belief, Chunks
+from limslam_agent.slam.graph.loop_search import Belief, Chunks, scale_of_hops
 from limslam_env.geometry import se2
 
 INFORMATION = np.diag([1.0 / 0.1**2, 1.0 / 0.1**2, 1.0 / 0.03**2])
@@ -194,3 +195,24 @@ def test_the_covariance_stays_symmetric_and_positive_over_many_loops():
     assert np.linalg.eigvalsh(covariance).min() > -1e-9
     information = information_matrix(truth, chunks.hops, belief.loops, np.ones(len(belief.loops)))
     assert np.allclose(np.diag(covariance), np.diag(np.linalg.inv(information)), rtol=0.3, atol=1e-6)
+
+
+@pytest.mark.parametrize(("noise", "low", "high"), [(0.0, 0.003, 0.01), (0.3, 0.03, 0.3), (1.0, 0.4, 1.0)])
+def test_the_scale_of_the_hops_follows_the_errors_that_loops_show(truth, monkeypatch, noise, low, high):
+    generator, deviations = np.random.default_rng(3), np.array([0.1, 0.1, 0.05])
+    motions = se2.between(truth[:-1], truth[1:])
+    motions += noise * deviations * generator.standard_normal(motions.shape)
+    hops = Hops(motions, np.tile(np.diag(deviations**2), (len(motions), 1, 1)))
+    chunks = Chunks(
+        [None] * len(truth),
+        np.arange(len(truth)),
+        integrate(truth[0], motions),
+        2.5 * np.arange(len(truth)),
+        hops,
+        GraphConfig(),
+    )
+    loops = loops_of(truth, [(number, number + 24) for number in range(24)])
+    monkeypatch.setattr(loop_search, "loops_along_the_way", lambda _: loops)
+    assert low <= scale_of_hops(chunks) <= high
+    monkeypatch.setattr(loop_search, "loops_along_the_way", lambda _: loops[:2])
+    assert scale_of_hops(chunks) == 1.0
