@@ -50,7 +50,8 @@ def live(
     if not places:
         raise ValueError("either --serial PORT, --udp PORT or --ros2 is needed, the place where the robot is")
     if len(places) > 1:
-        raise ValueError(f"{places[0]} and {places[1]} are two places: the robot is at one of them only")
+        named = f"{', '.join(places[:-1])} and {places[-1]}"
+        raise ValueError(f"{named} are different places: the robot is at one of them only")
     if ros_arguments and not options.ros2:
         raise ValueError(f"{ros_arguments[0]}: only --ros2 takes arguments for ROS 2")
     agent = _agent_config(given, options)

@@ -200,11 +200,11 @@ class _Rows:
         if len(fields) != count and not (is_silent and len(readings) == 1):
             # 0,1,0,031 has twice as many fields as numbers, or nearly so if some of them are whole.
             is_doubled = self.separator == b"," and 1.3 * count < len(fields) <= 2 * count
-            hint = ": a comma is a decimal mark only where ; or tabs stand between the columns" if is_doubled else ""
+            hint = ": if commas are decimal marks here, separate the columns by ; or tabs" if is_doubled else ""
             raise ValueError(f"{len(fields)} columns where the header names {count}{hint}")
         names = ("t", "left", "right") if self.leading == len(_WHEELS) else ("t", "x", "y", "theta")
         move = [parse_number(field, name) for field, name in zip(fields, names, strict=False)]
-        move[0] = self._continued_time(move)
+        move[0] = self._take_time(move)
         values = [math.nan] * len(self.directions) if is_silent else [_reading(field) for field in readings]
         if self.options.zero_is_nothing:
             values = [math.inf if value <= 0.0 else value for value in values]
@@ -231,8 +231,16 @@ class _Rows:
             raise ValueError(f"{len(fields)} columns where --columns names {named}")
         return [fields[place] for place in self.used]
 
-    def _continued_time(self, move: list[float]) -> float:
-        """The time of a row, s, on the clock of the log: a robot that was switched on again counts from zero anew."""
+    def _take_time(self, move: list[float]) -> float:
+        """The time of a row, s, on the clock of the log.
+
+        A robot that was switched on again counts from zero anew, and its row is added to ``restarts``.
+
+        Raises
+        ------
+        ValueError
+            If the time steps back for another reason.
+        """
         move = [move[0] * self.options.seconds, *move[1:]]
         before = list(self.moves[-self.leading :]) or list(move)
         last, before[0] = before[0], before[0] - self.time_before

@@ -7,6 +7,8 @@ from typing import TypeAlias
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 
 from limslam_agent.output.drawing import MapPicture, legend, limit_bands, paint_map, path_colours
 from limslam_agent.output.finished_run import FinishedRun, heading_error, heading_std, position_error, position_std
@@ -16,6 +18,9 @@ SIZE = (12.0, 6.8)
 """Size of the sheet, inches."""
 
 _COLUMNS = 78  # letters beside each other in the text of a sheet
+_MOST_PATHS_NAMED = 2  # robots up to which the legend of the plots names each path of each robot
+_ANY_ROBOT = "0.45"  # colour of what a legend says of all robots
+_BANDS = ("online", 0.15), ("smoothed", 0.3)  # names and opacity
 
 _Style: TypeAlias = str | tuple[float, tuple[float, ...]]
 _DASHES: _Style = (0, (4, 2))
@@ -96,9 +101,26 @@ def _draw_errors(upper: Axes, lower: Axes, run: FinishedRun) -> None:
         axes.spines[["top", "right"]].set_visible(False)
     if upper.lines:
         # Between the plots, where it hides no curve.
-        upper.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.03), ncols=3)
+        handles = _kinds(run) if len(colours) > _MOST_PATHS_NAMED else None
+        upper.legend(handles=handles, fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.03), ncols=3)
     else:
         upper.text(0.5, 0.5, "neither truth nor odometry is known", ha="center", transform=upper.transAxes, fontsize=9)
+
+
+def _kinds(run: FinishedRun) -> list[Line2D | Patch]:
+    """Entries of a legend for the kinds of paths and bands of many robots; the map's legend has the robots' colours."""
+    handles: list[Line2D | Patch] = [
+        Line2D([], [], color=_ANY_ROBOT, linestyle=style, linewidth=1.2, label=name)
+        for kind, _, style, name in _compared_paths(run)
+        if kind
+    ]
+    if run.true:
+        handles += [
+            Patch(facecolor=_ANY_ROBOT, alpha=alpha, linewidth=0.0, label=_band_name(name))
+            for kind, (name, alpha) in zip((run.covariances, run.smoothed_covariances), _BANDS, strict=True)
+            if kind
+        ]
+    return handles
 
 
 def _compared_paths(run: FinishedRun) -> list[tuple[list[FloatArray], int, _Style, str]]:
@@ -122,13 +144,16 @@ def _draw_bands(upper: Axes, lower: Axes, run: FinishedRun) -> None:
     """
     time = run.time - run.time[0]
     colours = path_colours(len(run.estimated))
-    kinds = (run.covariances, 0.15, "online"), (run.smoothed_covariances, 0.3, "smoothed")
-    for kind, alpha, name in kinds:
+    for kind, (name, alpha) in zip((run.covariances, run.smoothed_covariances), _BANDS, strict=True):
         for number, covariances in enumerate(kind):
-            colour, label = colours[number][0], f"2 sigma, {name}" if number == 0 else None
+            colour, label = colours[number][0], _band_name(name) if number == 0 else None
             of_place, of_heading = 2.0 * position_std(covariances), 2.0 * np.degrees(heading_std(covariances))
             upper.fill_between(time, 0.0, of_place, color=colour, alpha=alpha, linewidth=0.0, label=label)
             lower.fill_between(time, -of_heading, of_heading, color=colour, alpha=alpha, linewidth=0.0)
+
+
+def _band_name(name: str) -> str:
+    return f"2 sigma, {name}"
 
 
 def _without_jumps(degrees: FloatArray) -> FloatArray:

@@ -41,6 +41,9 @@ MANY_NEGATIVE = 0.01
 LARGEST_GAP = 0.5
 """If a wheel travels farther than this from one row to the next, m, the path between them is not known."""
 
+MOSTLY_APART = 0.5
+"""Above this share of rows that are farther apart than that, the rows are too few, and none is a gap."""
+
 MOST_NAMED = 5
 """A warning names at most so many times."""
 
@@ -87,9 +90,13 @@ def _about_gaps(log: RecordedLog) -> list[str]:
         return []
     travel = np.abs(log.wheels[1:]).max(axis=1, initial=0.0)
     (rows,) = np.nonzero(travel > LARGEST_GAP)
+    if len(rows) > MOSTLY_APART * len(travel):
+        apart = f"{np.median(travel):.2f} m between two rows, which are {np.median(np.diff(log.time)):.3g} s apart"
+        advice = "the path between rows is not known, so a log with more rows gives a better map"
+        return [f"a wheel travels {apart} (medians): {advice}"]
     gaps = [f"{travel[row]:.1f} m between {log.time[row]:.1f} s and {log.time[row + 1]:.1f} s" for row in rows]
     more = ", ..." if len(gaps) > MOST_NAMED else ""
-    consequence = "what the robot did between these two rows is not known, so the map may break there"
+    consequence = "what the robot did between these rows is not known, so the map may break there"
     return [f"a wheel travels {', '.join(gaps[:MOST_NAMED])}{more}: {consequence}"] if gaps else []
 
 

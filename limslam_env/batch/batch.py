@@ -80,6 +80,8 @@ class BatchSimulation:
         self._task = _as_numbers(task, max_steps)
         self._homes: Words = np.zeros(count, dtype=np.uint64)
         self._numbers = np.zeros(count, dtype=np.int64)
+        # A seed changes the two above for all environments, but the places of only those that begin an episode.
+        self._place_keys: Words = np.zeros(count, dtype=np.uint64)
         self._episodes = _no_episodes(places.world_of, robots, num_beams)
         self._scratch = scratch_for(robots, num_beams)
         self._threads = num_threads or cores()
@@ -124,6 +126,7 @@ class BatchSimulation:
         episodes = self._episodes
         episodes.poses[envs] = self._places.begin(envs, places, None if start is None else start[envs])
         self._homes, self._numbers, episodes.keys[envs] = homes, numbers, keys
+        self._place_keys[envs] = places
         episodes.noise[envs] = self._noise.drawn(envs, settings)
         episodes.covered[envs] = 0
         width = self._places.sites.tiles.shape[1]
@@ -150,8 +153,7 @@ class BatchSimulation:
 
     def world(self, env: int) -> World:
         """The world that an environment has in its episode."""
-        keys = derive_keys(self._homes[[env]], self._numbers[[env]], _PLACES)
-        return self._places.world(env, keys)
+        return self._places.world(env, self._place_keys[[env]])
 
     def coverage_grid(self, env: int) -> CoverageGrid:
         """The cells that count for the coverage of an environment."""

@@ -15,8 +15,9 @@ class Sb3VecEnv(VecEnv):
 
     ``Sb3VecEnv(gym.make_vec("LimSlam-Random-v0", 64, autoreset_mode="SameStep"))`` makes a batch whose steps are one
     call. The infos of an episode's last step hold ``terminal_observation``, ``TimeLimit.truncated`` and ``episode``
-    (return ``r``, steps ``l``), so that no `VecMonitor` is needed; other infos stay behind, since turning arrays
-    into a dict for each environment would cost more than the step.
+    (return ``r``, steps ``l``), so that no `VecMonitor` is needed. The infos of each step hold its ``cost``, if the
+    batch has one. Other infos stay behind, since turning arrays into a dict for each environment would cost more than
+    the step.
 
     Parameters
     ----------
@@ -36,6 +37,8 @@ class Sb3VecEnv(VecEnv):
         self._actions: NDArray[Any] | None = None
         self._returns, self._lengths = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=np.int64)
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+        if "render_fps" in env.metadata:
+            self.metadata = {**self.metadata, "render_fps": env.metadata["render_fps"]}
 
     def reset(self) -> VecEnvObs:
         """Begin new episodes with the seed and the options that were set since the last reset."""
@@ -58,9 +61,9 @@ class Sb3VecEnv(VecEnv):
         ends = terminated | truncated
         self._returns += rewards
         self._lengths += 1
-        infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
+        infos = self._costs(found)
         for number in np.flatnonzero(ends):
-            infos[number] = {
+            infos[number] |= {
                 "terminal_observation": found["final_obs"][number],
                 "TimeLimit.truncated": bool(truncated[number] and not terminated[number]),
                 "episode": {"r": float(self._returns[number]), "l": int(self._lengths[number])},
@@ -94,6 +97,16 @@ class Sb3VecEnv(VecEnv):
         """A picture (height, width, 3) of each environment; None where the batch has no ``render_mode``."""
         pictures: Sequence[Any] | None = self.env.render()
         return pictures or [None] * self.num_envs
+
+    def _costs(self, found: dict[str, Any]) -> list[dict[str, Any]]:
+        """An info for each environment with the cost of its step; without it if the batch has none."""
+        if "cost" not in found:
+            return [{} for _ in range(self.num_envs)]
+        costs = found["cost"]
+        if "final_info" in found:
+            # The other cost is that of the first observation of the next episode.
+            costs = np.where(found["_final_info"], found["final_info"]["cost"], costs)
+        return [{"cost": cost} for cost in costs.tolist()]
 
     def _numbers(self, indices: VecEnvIndices) -> list[int]:
         return list(self._get_indices(indices))

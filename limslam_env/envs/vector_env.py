@@ -9,7 +9,6 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from limslam_env.batch.batch import Results
 from limslam_env.config import RewardConfig
 from limslam_env.envs.adapter import action_space, observation_space
 from limslam_env.envs.arguments import BatchSource, NoiseSource, Plans, SensorNoise
@@ -32,7 +31,7 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
 
     ## Description
     `gym.make_vec("LimSlam-Env1-v0", num_envs=8192)` makes such a batch. Without noise the observations equal those of
-    the single environment; with noise they have the same distributions. No loop over environments runs in Python, and
+    the single environment; with noise they have the same distributions. No step loops over all environments in Python, and
     from 1024 environments on several threads share the work. The results depend on the seed and the number of
     environments, but not on the number of threads.
 
@@ -135,7 +134,8 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
         results, mask = self._begin(generator, seed, options)
         if seed is not None:
             self._np_random, self._np_random_seed = generator, seed
-        self._follow(results)
+        if self._pictures is not None:
+            self._pictures.begin(results)
         return observation_of(results, 0), info_of(results, 0, mask)
 
     def step(self, actions: ArrayLike) -> tuple[BatchObservation, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
@@ -151,17 +151,14 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
         if not self._is_running:
             raise gym.error.ResetNeeded("call reset before step")
         outcome = self._drive(checked_actions(actions, self.num_envs)[:, None])
-        self._follow(outcome.now)
+        if self._pictures is not None:
+            self._pictures.follow(outcome.now)
         rewards = outcome.rewards[:, 0]
         return observation_of(outcome.now, 0), rewards, outcome.terminated, outcome.truncated, infos_of(outcome, 0)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """A picture (640, 640, 3) of each environment; None without a render mode, and before the first reset."""
         return None if self._pictures is None else self._pictures.paint()
-
-    def _follow(self, results: Results) -> None:
-        if self._pictures is not None:
-            self._pictures.follow(results)
 
     def close_extras(self, **_: Any) -> None:
         """End the threads."""

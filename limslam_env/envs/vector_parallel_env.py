@@ -33,12 +33,12 @@ class LimSlamParallelVectorEnv(Batched):
     each other. A policy that all robots share can stack the values of these dicts; independent policies can take one
     entry each.
 
-    The arguments are those of ``LimSlamVectorEnv`` and these:
+    The arguments are those of ``LimSlamVectorEnv``, but for ``render_mode`` and ``max_episode_steps``, and these:
 
     | Argument      | Default | Meaning                                       |
     |---------------|---------|-----------------------------------------------|
     | num_robots    | 2       | robots in each environment, 1 to 8            |
-    | shared_reward | False   | each robot gets the mean reward of all             |
+    | shared_reward | False   | each robot gets the mean reward of all        |
     | max_cycles    | 18000   | steps of an episode; None never truncates     |
 
     Attributes

@@ -2,48 +2,21 @@
 
 from collections.abc import Sequence
 from importlib.util import find_spec
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
-from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.interface import RobotSpec
+from limslam_env.geometry import FloatArray
 from limslam_env.rendering.overlay import Overlay
-from limslam_env.simulation.coverage import CoverageGrid
-from limslam_env.simulation.simulation import Readings, Truth
-from limslam_env.worlds.world import World
+from limslam_env.simulation.simulation import Readings, Simulation, Truth
 
 if TYPE_CHECKING:
     from limslam_env.rendering.window import Window
 
 RENDER_MODES = ("rgb_array", "human")
 RENDER_FPS = 10
-
-
-class Scene(Protocol):
-    """What a picture shows besides the robots: a simulation, or one environment of a batch."""
-
-    @property
-    def world(self) -> World:
-        """The world."""
-        ...
-
-    @property
-    def robot(self) -> RobotSpec:
-        """The specification of the robots."""
-        ...
-
-    @property
-    def coverage_grid(self) -> CoverageGrid:
-        """The cells that count for coverage."""
-        ...
-
-    @property
-    def seen(self) -> BoolArray:
-        """Which cells of that grid have been seen (rows, columns)."""
-        ...
 
 
 class Painter:
@@ -53,8 +26,6 @@ class Painter:
     ----------
     mode
         ``"rgb_array"``, ``"human"`` or None.
-    square
-        Whether all pictures are squares of one size, whatever the world.
 
     Attributes
     ----------
@@ -71,18 +42,18 @@ class Painter:
         If the mode needs what is not installed.
     """
 
-    def __init__(self, mode: str | None, *, square: bool = False) -> None:
+    def __init__(self, mode: str | None) -> None:
         if mode == "human" and find_spec("pygame") is None:
             raise DependencyNotInstalled("a window needs pygame: pip install 'limslam[play]'")
         if mode is not None and mode not in RENDER_MODES:
             raise ValueError(f"render_mode must be one of {', '.join(RENDER_MODES)} or None, not {mode!r}")
-        self.mode, self._square = mode, square
+        self.mode = mode
         self.window: Window | None = None
         self._last: tuple[Readings, Truth] | None = None
         self._paths: list[list[FloatArray]] = []
         self.overlay: Sequence[Overlay] = ()
 
-    def follow(self, scene: Scene, readings: Readings, truth: Truth) -> None:
+    def follow(self, simulation: Simulation, readings: Readings, truth: Truth) -> None:
         """Remember the state for a later picture; with a window, show it now."""
         if self.mode is None:
             return
@@ -96,30 +67,29 @@ class Painter:
         for path, pose in zip(self._paths, self._last[1].poses, strict=True):
             path.append(pose[:2])
         if self.mode == "human":
-            self.paint(scene)
+            self.paint(simulation)
 
-    def paint(self, scene: Scene) -> NDArray[np.uint8] | None:
+    def paint(self, simulation: Simulation) -> NDArray[np.uint8] | None:
         """The picture (height, width, 3); None before a reset, and when it is shown in the window."""
         if self._last is None:
             return None
         from limslam_env.rendering.rendering import RenderState, render
 
         readings, truth = self._last
-        grid = scene.coverage_grid
+        grid = simulation.coverage_grid
         picture = render(
             RenderState(
-                scene.world, scene.robot, truth.poses, truth.wall_seen, readings.ranges,
+                simulation.world, simulation.robot, truth.poses, truth.wall_seen, readings.ranges,
                 [np.array(path) for path in self._paths], truth.time, truth.coverage,
-                scene.seen & grid.coverable, grid.low, overlay=self.overlay,
-            ),
-            square=self._square,
+                simulation.seen & grid.coverable, grid.low, overlay=self.overlay,
+            )
         )  # fmt: skip
         if self.mode == "rgb_array":
             return picture
         if self.window is None:
             from limslam_env.rendering.window import Window
 
-            self.window = Window(f"LimSLAM: {scene.world.name}", RENDER_FPS)
+            self.window = Window(f"LimSLAM: {simulation.world.name}", RENDER_FPS)
         self.window.show(picture)
         return None
 

@@ -2,6 +2,7 @@
 
 import functools
 import math
+import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -138,19 +139,38 @@ class _Canvas:
 
 
 @dataclass(frozen=True, eq=False)
-class _Background:
+class Background:
     """What of a picture does not change: a canvas with the unseen world, and how much lighter it is where seen."""
 
     canvas: _Canvas
     light: Image
 
 
-def render(state: RenderState, *, square: bool = False) -> Image:
+_SQUARES: weakref.WeakValueDictionary[World, Background] = weakref.WeakValueDictionary()
+
+
+def square_background(world: World) -> Background:
+    """The background of a picture that is as wide as high whatever the world.
+
+    It is drawn once for equal worlds as long as a caller keeps it, since nothing else in a picture takes as long.
+    """
+    background = _SQUARES.get(world)
+    if background is None:
+        background = _SQUARES[world] = _background(world, least_width=HEIGHT, most_width=HEIGHT, least_height=HEIGHT)
+    return background
+
+
+def render(state: RenderState, *, background: Background | None = None) -> Image:
     """The state as a picture (height, width, 3), RGB. The same state gives the same picture.
 
-    A picture is as wide as its world needs it. With ``square`` it is as wide as high, so that all have one size.
+    Parameters
+    ----------
+    state
+        What is drawn.
+    background
+        Of the same world, by :func:`square_background`. None makes a picture as wide as its world needs it.
     """
-    background = _background(state.world, square=square)
+    background = background or _fitting_background(state.world)
     canvas = background.canvas.on(background.canvas.image.copy())
     if state.seen is not None and state.seen_low is not None:
         mask = _seen_mask(canvas, state.seen, state.seen_low, state.seen_cell)
@@ -172,7 +192,7 @@ def render(state: RenderState, *, square: bool = False) -> Image:
 
 def thumbnail(world: World, height: int = 240) -> Image:
     """A world alone as a small picture (height, width, 3), RGB, with its doors and starts."""
-    canvas = _new_canvas(world, height, 10, height // 2, _WIDEST)
+    canvas = _new_canvas(world, height, 10, least_width=height // 2, most_width=_WIDEST)
     _draw_floor(canvas, world, _SEEN)
     canvas.lines(world.doors, _DOOR, 1)
     _draw_walls(canvas, world)
@@ -182,28 +202,36 @@ def thumbnail(world: World, height: int = 240) -> Image:
 
 
 @functools.lru_cache(maxsize=8)
-def _background(world: World, *, square: bool) -> _Background:
-    widths = (HEIGHT, HEIGHT) if square else (_NARROWEST, _WIDEST)
-    canvas = _new_canvas(world, HEIGHT, _MARGIN, *widths, lowest=HEIGHT if square else 0)
+def _fitting_background(world: World) -> Background:
+    """The background of a picture that is as wide as its world needs it."""
+    return _background(world, least_width=_NARROWEST, most_width=_WIDEST)
+
+
+def _background(world: World, *, least_width: int, most_width: int, least_height: int = 0) -> Background:
+    canvas = _new_canvas(
+        world, HEIGHT, _MARGIN, least_width=least_width, most_width=most_width, least_height=least_height
+    )
     everything_seen = canvas.on(canvas.image.copy())
     for layer, floor in ((canvas, _UNSEEN), (everything_seen, _SEEN)):
         _draw_floor(layer, world, floor)
         _draw_walls(layer, world)
         _draw_scale(layer)
     light = np.asarray(cv2.subtract(everything_seen.image, canvas.image), dtype=np.uint8)
-    return _Background(canvas, light)
+    return Background(canvas, light)
 
 
-def _new_canvas(world: World, height: int, margin: int, narrowest: int, widest: int, lowest: int = 0) -> _Canvas:
-    """A canvas of at most ``height`` by ``widest`` and at least ``lowest`` by ``narrowest`` pixels around a world."""
+def _new_canvas(
+    world: World, most_height: int, margin: int, *, least_width: int, most_width: int, least_height: int = 0
+) -> _Canvas:
+    """A canvas around a world; the sizes are in pixels."""
     corners = world.edges.reshape(-1, 2)
     low, extent = corners.min(axis=0), np.maximum(np.ptp(corners, axis=0), 1e-3)
-    scale = float(((widest - 2 * margin, height - 2 * margin) / extent).min())
+    scale = float(((most_width - 2 * margin, most_height - 2 * margin) / extent).min())
     columns, rows = np.ceil(extent * scale).astype(int) + 2 * margin
     # Video codecs want even sides.
-    columns, rows = max(columns + columns % 2, narrowest + narrowest % 2), rows + rows % 2
-    origin = np.array([0.5 * (columns - extent[0] * scale), rows - margin + max(lowest - rows, 0) // 2])
-    rows = max(rows, lowest)
+    columns, rows = max(columns + columns % 2, least_width + least_width % 2), rows + rows % 2
+    origin = np.array([0.5 * (columns - extent[0] * scale), rows - margin + max(least_height - rows, 0) // 2])
+    rows = max(rows, least_height)
     return _Canvas(np.full((rows, columns, 3), _PAPER, dtype=np.uint8), low, origin, scale)
 
 

@@ -2,6 +2,7 @@
 
 import json
 import shutil
+from dataclasses import replace
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -398,6 +399,28 @@ def test_the_legends_stand_beside_the_curves(real_run):
             assert not any(box.overlaps(axes.get_window_extent()) for axes in figure.axes)
         finally:
             plt.close(figure)
+
+
+@pytest.mark.parametrize("robots", [1, 2, 4, 8])
+def test_the_plots_stay_high_for_many_robots(tmp_path, robots):
+    run = read_run(write_folder(tmp_path / "run", robots=robots))
+    covariances = [np.full((30, 3, 3), 0.01) for _ in range(robots)]
+    run = replace(
+        run, odometry=run.true, smoothed=run.estimated, covariances=covariances, smoothed_covariances=covariances
+    )
+    figure = plt.figure(figsize=SIZE, layout="constrained")
+    try:
+        draw_run(figure, run, ["explored"] * 8)
+        figure.canvas.draw()
+        for axes in figure.axes[1:3]:
+            assert axes.get_window_extent().height > 0.2 * figure.bbox.height
+        told = [text.get_text() for text in figure.axes[1].get_legend().get_texts()]
+        of_all = ["estimated online", "smoothed", "odometry alone", "2 sigma, online", "2 sigma, smoothed"]
+        assert told == of_all if robots > 2 else len(told) == 3 * robots + 2
+        whole = [text.get_text() for text in figure.legends[0].get_texts()]
+        assert [f"robot {number + 1}" in whole for number in range(robots)] == [robots > 1] * robots
+    finally:
+        plt.close(figure)
 
 
 def test_long_lines_of_text_do_not_push_the_curves_aside(real_run):

@@ -119,7 +119,8 @@ def test_a_robot_behind_a_serial_port_is_driven_and_stopped(emulator, tmp_path):
     ("told", "words"),
     [
         ((), "either --serial PORT, --udp PORT or --ros2 is needed"),
-        (("--udp", 9, "--serial", "x"), "--serial and --udp are two places: the robot is at one of them only"),
+        (("--udp", 9, "--serial", "x"), "--serial and --udp are different places: the robot is at one of them only"),
+        (("--ros2", "--udp", 9, "--serial", "x"), "--serial, --udp and --ros2 are different places: the robot is at"),
         (("--udp", 0, "--policy", "nothing"), "no policy is called 'nothing'; there are frontier"),
         (("--udp", 0, "--policy", "oracle"), "the policy 'oracle' knows the truth"),
         (("--udp", 0, "--policy", "mine.py:Turn"), "mine.py: no such file"),

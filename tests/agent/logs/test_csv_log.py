@@ -170,7 +170,7 @@ def test_small_steps_back_in_time_stay_as_they_are(write):
         ("0.2,0,0,0,1,1,1,1", "line 3: 8 columns where the header names 7"),
         (
             "0,2,0,0,1,5,0,1,1,1,1",
-            "line 3: 11 columns where the header names 7: a comma is a decimal mark only",
+            "line 3: 11 columns where the header names 7: if commas are decimal marks here, separate the columns by",
         ),
         ("0.2", "line 3: 1 columns where the header names 7"),
         ("0.2,0,0,0", "line 3: 4 columns where the header names 7"),

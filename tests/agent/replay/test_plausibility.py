@@ -208,3 +208,14 @@ def test_a_gap_in_a_wheel_log_is_named_with_its_times():
     )
     (warning,) = [found for found in log_warnings(gapped) if "wheel travels" in found]
     assert f"{np.abs(wheels[last]).max():.1f} m between 10.0 s and 20.0 s: what the robot did" in warning
+
+
+def test_rows_that_are_far_apart_throughout_are_too_few_and_no_gaps():
+    log = wheel_log(np.eye(2))
+    groups = np.arange(0, len(log) - 1, 40)
+    wheels = np.vstack((log.wheels[:1], np.add.reduceat(log.wheels[1:], groups, axis=0)))
+    kept = np.append(0, np.append(groups[1:], len(log) - 1))
+    rare = replace(log, time=log.time[kept], ranges=log.ranges[kept], has_scan=log.has_scan[kept], wheels=wheels)
+    (warning,) = [found for found in log_warnings(rare) if "wheel travels" in found]
+    travel = np.median(np.abs(wheels[1:]).max(axis=1))
+    assert f"{travel:.2f} m between two rows, which are 4 s apart (medians)" in warning

@@ -9,7 +9,7 @@ from support.episodes import held_actions
 from limslam_env.config import NoiseConfig
 from limslam_env.envs.env import LimSlamEnv
 from limslam_env.envs.vector_env import LimSlamVectorEnv
-from limslam_env.rendering.painter import Painter
+from limslam_env.rendering import rendering
 from limslam_env.worlds.generation.floor_plans import FloorPlanConfig
 
 QUIET = NoiseConfig(wheel_variance=0.0)
@@ -22,9 +22,17 @@ def drawing(world=WORLDS, count: int = 3, **arguments) -> LimSlamVectorEnv:
 
 
 def single(world: str) -> LimSlamEnv:
-    env = LimSlamEnv(world, noise=QUIET, render_mode="rgb_array")
-    env._painter = Painter("rgb_array", square=True)
-    return env
+    return LimSlamEnv(world, noise=QUIET, render_mode="rgb_array")
+
+
+def square(env: LimSlamEnv):
+    """The picture of a single environment, as wide as high."""
+    plain = rendering.render
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            rendering, "render", lambda state: plain(state, background=rendering.square_background(state.world))
+        )
+        return env.render()
 
 
 def test_they_are_those_of_the_single_environment_and_all_of_one_size():
@@ -42,7 +50,7 @@ def test_they_are_those_of_the_single_environment_and_all_of_one_size():
     assert [picture.shape for picture in pictures] == [(640, 640, 3)] * 3
     for picture, env in zip(pictures, singles, strict=True):
         # Rays of the batch may differ by less than a hundredth of a pixel.
-        assert (picture != env.render()).any(axis=2).mean() < 1e-3
+        assert (picture != square(env)).any(axis=2).mean() < 1e-3
 
 
 @pytest.mark.parametrize(
@@ -72,6 +80,51 @@ def test_each_environment_is_drawn_in_its_own_world(world, arguments, options):
                 off = abs((x2 - x1) * (v - y1) - (y2 - y1) * (u - x1)) / np.hypot(x2 - x1, y2 - y1)
                 assert off < 1e-5
     assert looked_at > 6
+
+
+@pytest.mark.parametrize("arguments", [{}, {"plans": 9}], ids=["a new plan at each reset", "plans"])
+def test_a_reset_with_a_seed_of_some_leaves_the_others_in_their_worlds(arguments):
+    batch = drawing(SMALL, autoreset_mode="Disabled", **arguments)
+    batch.reset(seed=0)
+    worlds, pictures = [batch._simulation.world(number) for number in range(3)], batch.render()
+    batch.reset(seed=5, options={"reset_mask": np.array([True, False, False])})
+    assert [batch._simulation.world(number) == worlds[number] for number in range(3)] == [False, True, True]
+    after = batch.render()
+    assert [np.array_equal(after[number], pictures[number]) for number in range(3)] == [False, True, True]
+
+
+def test_what_does_not_change_in_an_episode_is_drawn_once(monkeypatch):
+    drawn, draw_floor = [], rendering._draw_floor
+    monkeypatch.setattr(rendering, "_draw_floor", lambda *given: (drawn.append(given[1]), draw_floor(*given)))
+    batch = drawing(SMALL, 10, autoreset_mode="Disabled")
+    batch.reset(seed=0)
+    for _ in range(3):
+        batch.render()
+        batch.step(np.full((10, 2), 0.5))
+    # Seen and unseen are two layers.
+    assert len(drawn) == 2 * len(set(drawn)) == 20
+    batch.reset(options={"reset_mask": np.arange(10) == 4})
+    batch.render()
+    assert len(drawn) == 22
+
+
+def test_a_reset_of_some_adds_no_point_to_the_trails_of_the_others(monkeypatch):
+    trails, render = [], rendering.render
+    monkeypatch.setattr(
+        rendering, "render", lambda state, **given: (trails.append(state.paths[0]), render(state, **given))[1]
+    )
+    batch = drawing(["env1"] * 2, 2, autoreset_mode="Disabled")
+    batch.reset(seed=0)
+    poses = [batch.step(np.full((2, 2), 0.5))[-1]["pose"][1, :2] for _ in range(3)]
+    start = batch.reset(options={"reset_mask": np.array([True, False])})[1]["pose"][0, :2]
+    poses.append(batch.step(np.full((2, 2), 0.5))[-1]["pose"][1, :2])
+    batch.render()
+    np.testing.assert_array_equal(trails[0][0], start)
+    assert len(trails[0]) == 2
+    np.testing.assert_array_equal(trails[1][1:], poses)
+    # Points that no episode has are forgotten.
+    batch.reset()
+    assert len(batch._pictures._trail) == 1
 
 
 def test_a_new_episode_begins_a_new_trail():

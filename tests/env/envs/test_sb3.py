@@ -45,12 +45,26 @@ def test_the_last_step_of_an_episode_says_so():
         last = plain.step(AHEAD)[0]
         total += rewards
         assert ends.tolist() == [step == 4] * 3
-        assert [bool(info) for info in infos] == [step == 4] * 3
+        assert ["episode" in info for info in infos] == [step == 4] * 3
     for number, info in enumerate(infos):
         np.testing.assert_array_equal(info["terminal_observation"]["ranges"], last["ranges"][number])
         assert info["TimeLimit.truncated"] is True
         assert info["episode"] == {"r": pytest.approx(total[number]), "l": 4}
-    assert env.step(AHEAD)[3][0] == {}
+    assert env.step(AHEAD)[3][0] == {"cost": 0.0}
+
+
+def test_every_step_has_its_cost_the_last_one_of_an_episode_too():
+    arguments = {"max_episode_steps": 60, "coverage_goal": None}
+    env, plain = Sb3VecEnv(batch(**arguments)), batch(**{**arguments, "max_episode_steps": None})
+    env.seed(7)
+    env.reset()
+    plain.reset(seed=7)
+    costs, expected = [], []
+    for _ in range(60):
+        costs.append([info["cost"] for info in env.step(AHEAD)[3]])
+        expected.append(plain.step(AHEAD)[-1]["cost"].tolist())
+    assert costs == expected
+    assert sum(costs[-1]) > 0.0
 
 
 def test_reaching_the_goal_is_no_cut():
@@ -79,6 +93,8 @@ def test_it_has_the_pictures_of_the_batch():
     env.reset()
     assert [picture.shape for picture in env.get_images()] == [(640, 640, 3)] * 3
     assert env.render("rgb_array").shape == (1280, 1280, 3)
+    # A VecVideoRecorder reads it here.
+    assert env.metadata["render_fps"] == 10
 
 
 def test_episodes_that_begin_a_step_later_are_refused():

@@ -139,7 +139,7 @@ def test_pruned_clones(recorded: ConsistentEstimator, state: States, most: int) 
 
 
 @pytest.mark.parametrize("seed", range(5))
-def test_points_near_corners(seed: int) -> None:
+def test_uncontested_members_near_a_corner(seed: int) -> None:
     generator = np.random.default_rng(seed)
     along = np.sort(generator.uniform(0.0, 0.8, (2, 12)), axis=1)
     # One reading of each wall lies near the corner at least.
