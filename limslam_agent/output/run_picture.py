@@ -2,13 +2,13 @@
 
 import textwrap
 from collections.abc import Sequence
-from typing import TypeAlias
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
+from matplotlib.typing import LineStyleType
 
 from limslam_agent.output.drawing import MapPicture, legend, limit_bands, paint_map, path_colours
 from limslam_agent.output.finished_run import FinishedRun, heading_error, heading_std, position_error, position_std
@@ -22,9 +22,8 @@ _MOST_PATHS_NAMED = 2  # robots up to which the legend of the plots names each p
 _ANY_ROBOT = "0.45"  # colour of what a legend says of all robots
 _BANDS = ("online", 0.15), ("smoothed", 0.3)  # names and opacity
 
-_Style: TypeAlias = str | tuple[float, tuple[float, ...]]
-_DASHES: _Style = (0, (4, 2))
-_DOTS: _Style = (0, (1, 1))
+_DASHES: LineStyleType = (0, (4, 2))
+_DOTS: LineStyleType = (0, (1, 1))
 
 
 def draw_run(figure: Figure, run: FinishedRun, lines: Sequence[str], true_edges: FloatArray | None = None) -> None:
@@ -123,13 +122,13 @@ def _kinds(run: FinishedRun) -> list[Line2D | Patch]:
     return handles
 
 
-def _compared_paths(run: FinishedRun) -> list[tuple[list[FloatArray], int, _Style, str]]:
+def _compared_paths(run: FinishedRun) -> list[tuple[list[FloatArray], int, LineStyleType, str]]:
     """The paths whose errors are plotted, with the number of their colour, their style and their name.
 
     Their styles are those of the map beside the plots: the best estimate has a line without gaps.
     """
-    online: _Style = _DOTS if run.smoothed else "-"
-    paths: list[tuple[list[FloatArray], int, _Style, str]] = [(run.estimated, 0, online, "estimated online")]
+    online: LineStyleType = _DOTS if run.smoothed else "-"
+    paths: list[tuple[list[FloatArray], int, LineStyleType, str]] = [(run.estimated, 0, online, "estimated online")]
     if run.smoothed:
         paths.append((run.smoothed, 0, "-", "smoothed"))
     if run.true:

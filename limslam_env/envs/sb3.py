@@ -38,7 +38,7 @@ class Sb3VecEnv(VecEnv):
         self._returns, self._lengths = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=np.int64)
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
         if "render_fps" in env.metadata:
-            self.metadata = {**self.metadata, "render_fps": env.metadata["render_fps"]}
+            self.metadata["render_fps"] = env.metadata["render_fps"]
 
     def reset(self) -> VecEnvObs:
         """Begin new episodes with the seed and the options that were set since the last reset."""

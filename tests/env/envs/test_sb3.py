@@ -54,17 +54,19 @@ def test_the_last_step_of_an_episode_says_so():
 
 
 def test_every_step_has_its_cost_the_last_one_of_an_episode_too():
-    arguments = {"max_episode_steps": 60, "coverage_goal": None}
-    env, plain = Sb3VecEnv(batch(**arguments)), batch(**{**arguments, "max_episode_steps": None})
+    # Into a wall, where the episode ends.
+    steps, fast = 150, 2.0 * AHEAD
+    env, plain = Sb3VecEnv(batch(max_episode_steps=steps)), batch(max_episode_steps=None)
     env.seed(7)
     env.reset()
     plain.reset(seed=7)
     costs, expected = [], []
-    for _ in range(60):
-        costs.append([info["cost"] for info in env.step(AHEAD)[3]])
-        expected.append(plain.step(AHEAD)[-1]["cost"].tolist())
+    for _ in range(steps):
+        costs.append([info["cost"] for info in env.step(fast)[3]])
+        expected.append(plain.step(fast)[-1]["cost"].tolist())
     assert costs == expected
-    assert sum(costs[-1]) > 0.0
+    assert costs[0] == [0.0] * 3
+    assert costs[-1] == [1.0] * 3
 
 
 def test_reaching_the_goal_is_no_cut():
