@@ -117,9 +117,8 @@ def scale_of_hops(chunks: Chunks, loops: list[Loop]) -> float:
     ten have at most 6.25, and the factor would be 2.1: it is limited to 1. Where walls are clean and smooth, chi-square
     is a hundred times smaller.
 
-    The loops were found inside of gates around the believed path. So large chi-squares are missing among them, and the
-    factor comes out too small rather than too large. That nine in ten loops must be below the mean of a right
-    chi-square, and not below 6.25, makes the factor twice as large.
+    The loops were found inside of gates around the believed path. So large chi-squares are missing among them, which
+    makes the factor smaller. That nine in ten loops must be below three, and not below 6.25, makes it twice as large.
 
     Parameters
     ----------
