@@ -12,7 +12,7 @@ _DEGREE = math.pi / 180.0
 
 
 @dataclass(frozen=True)
-class KeyPoseConfig(Bounded):
+class PointConfig(Bounded):
     """The choice of the points of a log that are used.
 
     Attributes
@@ -26,7 +26,7 @@ class KeyPoseConfig(Bounded):
 
 
 @dataclass(frozen=True)
-class MotionConfig(Bounded):
+class OdometryErrorConfig(Bounded):
     """The prior of the constant errors of odometry.
 
     Attributes
@@ -144,8 +144,8 @@ class GraphConfig(Bounded):
     """All settings of the graph of local maps."""
 
     reversing: ReversingConfig = field(default_factory=ReversingConfig)
-    keys: KeyPoseConfig = field(default_factory=KeyPoseConfig)
-    motion: MotionConfig = field(default_factory=MotionConfig)
+    keys: PointConfig = field(default_factory=PointConfig)
+    motion: OdometryErrorConfig = field(default_factory=OdometryErrorConfig)
     lines: WallLineConfig = field(default_factory=WallLineConfig)
     smoothing: SmoothingConfig = field(default_factory=SmoothingConfig)
     maps: LocalMapConfig = field(default_factory=LocalMapConfig)

@@ -179,7 +179,8 @@ class Recorder:
                  "side": beam.side}
                 for beam in (robot.beams[index] for index in self._beams.tolist())
             ],
-            "limits": self._mapper.slam.limits, "reasons": list(self._reasons), "frontiers": self._frontiers,
+            "limits": self._mapper.slam.association_limits, "reasons": list(self._reasons),
+            "frontiers": self._frontiers,
             "merges": isinstance(mapper.config.estimator, ConsistentConfig),
             "events": [self._dated(event) for event in self._events],
         }  # fmt: skip
@@ -251,7 +252,7 @@ class Recorder:
         if len(self._slam.closures) > closures and not self._mapper_merges:
             event["why"] = "it shows that two walls are one: it closes the loop and is not used further"
             return
-        explain_waiting(event, self._mapper.slam.limits)
+        explain_waiting(event, self._mapper.slam.association_limits)
 
     @property
     def _mapper_merges(self) -> bool:

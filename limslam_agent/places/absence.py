@@ -70,14 +70,16 @@ class Absence:
         Why the robot is lost, in words.
     jump
         Standard deviation of the position at the beginning, m.
-    covariance
-        Covariance (3, 3) of the pose when it was lost.
+    covariance, left
+        Covariance (3, 3) of the pose when it was lost, and that pose (3,).
     driven, moved, sought
         Distance since the robot was lost, m, the same with turns, and the latter at the latest search.
     gone
         Poses (3,) in the local frame of its first steps, as far as the steps themselves are no longer kept.
     is_dated, is_carried
         Whether the readings have said in which step the robot was carried away, and that it was.
+    has_fitted
+        Whether the readings since then have clearly fitted at any time: the robot may have drifted instead.
     place
         The map of the known frame; None if the place was found in the map of an earlier run.
     decisions
@@ -101,12 +103,14 @@ class Absence:
     jump: float
     place: KnownPlaces | None
     covariance: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    left: FloatArray = field(default_factory=lambda: np.zeros(3))
     driven: float = 0.0
     moved: float = 0.0
     sought: float = 0.0
     gone: list[FloatArray] = field(default_factory=list)
     is_dated: bool = False
     is_carried: bool = False
+    has_fitted: bool = False
     decisions: list[Localisation] = field(default_factory=list)
     placed: float | None = None
     rays: FloatArray | None = None

@@ -109,6 +109,9 @@ def carried_at(log: StepLog, placed: FloatArray, robot: RobotSpec, sensor: Range
 
     Both are weighed by the evidence of the readings in the map, which is 0 on ground that the map does not have. There,
     no reading contradicts anything, and a step would be taken for one of the new place if only contradictions counted.
+    The changes of the readings at the break count, too, in units of a change that is seldom exceeded. That is at least
+    the square root of two standard deviations of a change, so that the whole square, and not half of it, stands for the
+    logarithm of a likelihood.
 
     Parameters
     ----------

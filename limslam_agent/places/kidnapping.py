@@ -14,7 +14,8 @@ an office building, and that a robot is carried away is not.
 
 A change that makes the robot unsure is held until the readings since then clearly fit the believed pose, and not only
 as long as changes are watched: time alone says nothing for the pose. If they have clearly fitted at any time since a
-change, and do so no more, the robot was not carried away in that step, but has drifted later.
+change, and do so no more, the robot has probably drifted later. It may also be at a place that looked at first like the
+one before. So a renewal of the estimate is tried, and otherwise the robot is sought as one that was carried away.
 """
 
 import math
@@ -60,8 +61,8 @@ class Doubt:
     status
         What follows from it.
     has_fitted
-        Whether the readings after that step have clearly fitted the believed pose for a while. The robot was then not
-        carried away in that step, and has drifted since.
+        Whether the readings after that step have clearly fitted the believed pose at any time. The robot may then have
+        drifted since, and need not have been carried away in that step.
     """
 
     step: int

@@ -9,7 +9,7 @@ succession find the same place.
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -43,13 +43,26 @@ from limslam_agent.status.monitor import StatusMonitor, covariance_of_lost
 from limslam_agent.status.status import Status
 from limslam_agent.status.sudden_changes import CLEAR
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import compose, transform_points
+from limslam_env.geometry.se2 import between, compose, compose_jacobians, transform_points
 from limslam_env.interface import RobotSpec
 
 _LOCAL_COPIES = 6
 """Number of copies of the local frame over the steps that are kept."""
 WRONG_PLACE = Status("lost", "the readings contradict the map at the place that was found")
 _WATCHED = 300  # number of steps after a sudden change in which it is weighed
+
+
+class _Loss(NamedTuple):
+    """Why a robot is lost and since when, whether that step is certain, and whether the robot was carried away.
+
+    ``has_fitted`` is that of :class:`Doubt`.
+    """
+
+    status: Status
+    first: int
+    is_dated: bool
+    is_carried: bool
+    has_fitted: bool = False
 
 
 class Recovery:
@@ -120,14 +133,16 @@ class Recovery:
     def added_covariance(self) -> FloatArray:
         """What has to be added to the covariance (3, 3) of the pose; zero if the robot is not lost.
 
-        The pose at which a local frame was begun stays as uncertain as it was in the earlier frame. The pose at which a
-        new map was begun stays uncertain, too, and all poses in this map with it.
+        The pose at which the robot was lost stays as uncertain as it was in the earlier frame. An error of its heading
+        moves the poses that are far from there. The pose at which a new map was begun stays uncertain, too, and all
+        poses in this map with it.
         """
         if self.absence is None or self.absence.is_placed:
             return self._offset
         absence = self.absence
         since = covariance_of_lost(absence.jump, absence.driven, knows_heading=not absence.is_carried)
-        return self._offset + absence.covariance + since
+        by_left, _ = compose_jacobians(absence.left, between(absence.left, self.log.steps[-1].pose))
+        return self._offset + by_left @ absence.covariance @ by_left.T + since
 
     def note(self, step: LoggedStep, slam: LineSlam, grid: OccupancyGrid) -> None:
         """Keep a step of the robot, and now and then a copy of its estimate after it."""
@@ -173,12 +188,14 @@ class Recovery:
         map. A robot that had only drifted near by keeps its place, or it would be found there and lost in turns. If
         the readings have said in which step the robot was carried away, the map until then is good.
         """
-        status, first, is_dated, is_carried = self._first_doubt(own, slam)
+        loss = self._first_doubt(own, slam)
+        status, first, is_dated, is_carried, _ = loss
         jump = math.sqrt(own.added_covariance[0, 0])
         before, self._arrival = self.absence, None
         if before is None:
             known = self._known_before(first, 1 if is_dated else self._config.margin) or self._copy(slam, grid)
-            self.absence = Absence(known, first, status.reason, jump, known.places, slam.covariance)
+            self.absence = Absence(known, first, status.reason, jump, known.places, slam.covariance, slam.pose)
+            self.absence.has_fitted = loss.has_fitted and jump == 0.0
             self.log.forget_before(known.step)
             self.absence.believed = self.log[max(first - 1, self.log.begin)].pose
             if is_carried:
@@ -253,11 +270,11 @@ class Recovery:
             self._kidnapping.forget()
         return self._kidnapping.doubt(changes, self.log, slam.covariance, slam.range_sensor, driven)
 
-    def _first_doubt(self, own: StatusMonitor, slam: LineSlam) -> tuple[Status, int, bool, bool]:
-        """Why the robot is lost and since when, whether that step is certain, and whether it was carried away."""
+    def _first_doubt(self, own: StatusMonitor, slam: LineSlam) -> _Loss:
+        """Why the robot is lost, and since when."""
         is_own, was_carried = own.status.level == "lost", self.absence is not None and self.absence.is_carried
         if self.absence is not None and not is_own:
-            return WRONG_PLACE, self.absence.first, self.absence.is_dated, was_carried
+            return _Loss(WRONG_PLACE, self.absence.first, self.absence.is_dated, was_carried)
         change = own.carried if is_own else None
         first, is_dated = self.log.end - 1 - own.doubted, change is not None
         kept = max(first, self.log.begin)
@@ -271,9 +288,11 @@ class Recovery:
             self._doubt = self._weigh(own, slam)
         doubt, self._doubt = self._doubt, None
         if is_own and (doubt is None or doubt.evidence < self._config.suspected or is_dated):
-            return own.status, first, is_dated, change is not None or was_carried
+            return _Loss(own.status, first, is_dated, change is not None or was_carried)
         assert doubt is not None  # noqa: S101 (the monitor or a doubt says that the robot is lost)
-        return own.status if is_own else doubt.status, doubt.step, doubt.is_dated, not doubt.has_fitted
+        status = own.status if is_own else doubt.status
+        is_dated = doubt.is_dated and not doubt.has_fitted
+        return _Loss(status, doubt.step, is_dated, is_carried=True, has_fitted=doubt.has_fitted)
 
     def _is_refuted(self, absence: Absence, sensor: RangeSensor) -> bool:
         """Whether the readings since the robot was placed contradict the map in which it was."""
@@ -357,20 +376,25 @@ class Recovery:
 
     @property
     def may_be_renewed(self) -> bool:
-        """Whether a robot that was just lost may find its place by a renewal: nothing says that it was carried away."""
+        """Whether a robot that was just lost may find its place by a renewal.
+
+        Nothing says then that it was carried away, or its readings have clearly fitted since it may have been.
+        """
         absence = self.absence
-        return absence is not None and not (absence.was_moved or absence.returned)
+        return absence is not None and not absence.returned and (absence.has_fitted or not absence.was_moved)
 
     def has_been_renewed(self, poses: Sequence[FloatArray], slam: LineSlam, grid: OccupancyGrid) -> None:
         """A renewal has moved the latest steps of a lost robot to poses (3,), where its readings fit.
 
-        So the robot has drifted. Its place is to be confirmed. The frame from before the doubt is kept until then.
+        So the robot has drifted, and was not carried away. Its place is to be confirmed. The frame from before the
+        doubt is kept until then.
         """
         absence = self.absence
         assert absence is not None  # noqa: S101 (only lost robots are renewed)
         self.move(poses)
         absence.placed, absence.sought, absence.returned = absence.driven, absence.moved, self.log.end
         absence.rays, absence.has_drifted = np.empty((0, 6)), True
+        absence.is_carried, absence.jump = False, 0.0
         absence.renewed = KnownPlaces(slam.segments, grid.view, slam.range_sensor)
         self._note_event("renewed", step=self.log.end - 1)
 

@@ -199,9 +199,9 @@ class LineSlam:
         return self._estimator.last_extraction
 
     @property
-    def limits(self) -> dict[str, float]:
+    def association_limits(self) -> dict[str, float]:
         """The limits that decide about associations and loops, for diagnostics to show beside the values."""
-        return self._estimator.limits
+        return self._estimator.association_limits
 
     @property
     def on_association(self) -> Callable[[AssociationRecord], None] | None:

@@ -56,7 +56,7 @@ def test_the_filter_of_two_is_two_filters_until_they_see_one_wall():
     for robot, ekf in enumerate(alone):
         np.testing.assert_allclose(together.poses[robot], ekf.pose, atol=1e-12)
         part = slice(3 * robot, 3 * robot + 3)
-        np.testing.assert_allclose(together.joint_pose_covariance[part, part], ekf.pose_covariance, atol=1e-12)
+        np.testing.assert_allclose(together.joint_pose_covariance[part, part], ekf.joint_pose_covariance, atol=1e-12)
         np.testing.assert_allclose(together.lines[robot], ekf.lines[0], atol=1e-12)
     assert not together.P[:3, 3:6].any()
 

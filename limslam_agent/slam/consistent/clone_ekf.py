@@ -389,7 +389,10 @@ class CloneEKF(LineEKF):
     def correct_ranges(self, errors: FloatArray) -> None:
         """Correct the state for the errors (k,) of ``RangeErrors``, and begin anew to estimate further ones.
 
-        What remains unknown of turned beams becomes a part of the state's covariance.
+        What remains unknown of turned beams becomes a part of the state's covariance. With the derivative V of the
+        state by the turns since the last correction, and their covariance M, that adds V M V' to P, and V begins again
+        at zero. Each correction adds this term by itself, although the error of the turns is the same one in all of
+        them: the products of the derivatives from before and after a correction are left out.
         """
         if self._range_errors is not None:
             change = self._range_errors.by_errors[:, : len(errors)] @ errors

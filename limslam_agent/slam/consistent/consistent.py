@@ -100,7 +100,7 @@ class ConsistentEstimator(Estimator):
         self._pending = [PendingReadings(robot, config.pending, config.pending.beams) for _ in start]
 
     @property
-    def limits(self) -> dict[str, float]:
+    def association_limits(self) -> dict[str, float]:
         """The limits that decide about associations and loops, for diagnostics to show beside the values."""
         return {
             "gate": self._settings.association.gate, "far_gate": limits.FAR_GATE, "ambiguity": limits.AMBIGUITY,

@@ -58,11 +58,6 @@ class LineEKF(ExtendedKalmanFilter):
         return np.array(self.x[:POSE])
 
     @property
-    def pose_covariance(self) -> FloatArray:
-        """Covariance of the pose of the first robot (3, 3), a copy."""
-        return np.array(self.P[:POSE, :POSE])
-
-    @property
     def joint_pose_covariance(self) -> FloatArray:
         """Covariance of all poses together (3 n, 3 n), a copy."""
         return np.array(self.P[: self._poses_end, : self._poses_end])

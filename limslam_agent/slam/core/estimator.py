@@ -52,7 +52,7 @@ class Estimator:
         self.on_comparison: Callable[[Comparison], None] | None = None
 
     @property
-    def limits(self) -> dict[str, float]:
+    def association_limits(self) -> dict[str, float]:
         """The limits that decide about associations and loops, for diagnostics to show beside the values."""
         raise NotImplementedError
 

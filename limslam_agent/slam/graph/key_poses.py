@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limslam_agent.config.graph import KeyPoseConfig
+from limslam_agent.config.graph import PointConfig
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 
@@ -156,7 +156,7 @@ class Trajectory:
         return Trajectory(se2.compose(motion, self.poses), self.bias)
 
 
-def choose_keys(data: LogData, config: KeyPoseConfig) -> KeyPoses:
+def choose_keys(data: LogData, config: PointConfig) -> KeyPoses:
     """Divide a log into key poses, and collect the points of its scans."""
     count = len(data.time)
     moves = np.zeros((count, 3))

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.sparse import csc_matrix, diags_array
 from scipy.sparse.linalg import SuperLU, splu
 
-from limslam_agent.config.graph import MotionConfig
+from limslam_agent.config.graph import OdometryErrorConfig
 from limslam_agent.slam.graph.key_poses import ERRORS, KeyPoses, Trajectory, calibrated_rates, calibrated_steps
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import FloatArray, IntArray, se2
@@ -139,7 +139,9 @@ def odometry_factor(keys: KeyPoses, trajectory: Trajectory) -> tuple[FloatArray,
     return error, np.concatenate((by_poses, by_bias), axis=2)
 
 
-def add_odometry(equations: NormalEquations, keys: KeyPoses, trajectory: Trajectory, motion: MotionConfig) -> None:
+def add_odometry(
+    equations: NormalEquations, keys: KeyPoses, trajectory: Trajectory, motion: OdometryErrorConfig
+) -> None:
     """Add the odometry between key poses, and the prior of its constant errors."""
     error, jacobian = odometry_factor(keys, trajectory)
     count = len(keys)

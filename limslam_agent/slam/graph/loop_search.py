@@ -41,8 +41,8 @@ _EARLY_ANNEALING, _EARLY_ITERATIONS = (5.0, 1.0), 3
 # The covariance is computed anew if the weight of a loop has changed by more than this.
 _WEIGHT_CHANGE = 0.3
 # What loops say about the hops: loops whose position is known this well, m, and at least so many; the share of them
-# that the scaled covariances must explain, and the least scale.
-_KNOWN_STD, _FEWEST, _EXPLAINED, _LEAST_SCALE = 1.0, 6, 0.9, 0.003
+# whose chi-square by the scaled covariances is at most that, and the least scale.
+_KNOWN_STD, _FEWEST, _EXPLAINED, _LARGEST_SQUARE, _LEAST_SCALE = 1.0, 6, 0.9, 3.0, 0.003
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,14 +109,24 @@ def loops_along_the_way(chunks: Chunks) -> list[Loop]:
     return belief.loops
 
 
-def scale_of_hops(chunks: Chunks) -> float:
+def scale_of_hops(chunks: Chunks, loops: list[Loop]) -> float:
     """The factor, at most 1, that makes the covariances of the hops as large as the errors that loops show.
 
-    The squared distance between a loop and the chain of hops, in units of the chain's covariance, is three on average
-    if the covariances are right. Where walls are clean and smooth, it is a hundred times smaller. Only loops that other
-    loops support are used.
+    The chi-square of a loop is its squared distance from the chain of hops, in units of the chain's covariance. The
+    factor is chosen so that nine in ten loops have a chi-square of at most three. If the covariances are right, nine in
+    ten have at most 6.25, and the factor would be 2.1: it is limited to 1. Where walls are clean and smooth, chi-square
+    is a hundred times smaller.
+
+    The loops were found inside of gates around the believed path. So large chi-squares are missing among them, which
+    makes the factor smaller. That nine in ten loops must be below three, and not below 6.25, makes it twice as large.
+
+    Parameters
+    ----------
+    chunks
+        The chunks, with covariances of the hops that have not been scaled.
+    loops
+        Loops along the way. Only those that other loops support, and whose position is known, are used.
     """
-    loops = loops_along_the_way(chunks)
     good = supported(loops, chunks.poses, chunks.travel)
     loops = [loop for loop, agreed in zip(loops, good, strict=True) if agreed]
     known = [loop for loop in loops if np.linalg.eigvalsh(loop.information[:2, :2])[0] > _KNOWN_STD**-2]
@@ -128,7 +138,7 @@ def scale_of_hops(chunks: Chunks) -> float:
     columns = (3 * ends[:, :, None] + np.arange(3)).reshape(len(ends), 6)
     chain = jacobian @ joint[columns[:, :, None], columns[:, None, :]] @ jacobian.transpose(0, 2, 1)
     squares = np.einsum("fi,fij,fj->f", error, np.linalg.inv(chain), error)
-    return float(np.clip(np.quantile(squares, _EXPLAINED) / 3.0, _LEAST_SCALE, 1.0))
+    return float(np.clip(np.quantile(squares, _EXPLAINED) / _LARGEST_SQUARE, _LEAST_SCALE, 1.0))
 
 
 def loops_of_newest(chunks: Chunks, belief: "Belief") -> list[Loop]:

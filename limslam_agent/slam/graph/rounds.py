@@ -35,7 +35,6 @@ from limslam_agent.slam.graph.chunk_graph import (
     hop_chi_squares,
     hops_between,
     inflated,
-    information_matrix,
     solve_annealed,
     unbent,
 )
@@ -71,9 +70,8 @@ class Round:
         What speaks for and against the bundled map.
     verdicts
         The verdicts on all loops that were found.
-    middles, chunk_covariances
-        Middle key poses of the chunks (c,); their covariances (c, 3, 3) from the graph of chunks, relative to the first
-        chunk.
+    middles
+        Middle key poses of the chunks (c,).
     """
 
     trajectory: Trajectory
@@ -81,7 +79,6 @@ class Round:
     evidence: Evidence
     verdicts: list[LoopVerdict]
     middles: IntArray
-    chunk_covariances: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +176,7 @@ class _Placed:
 class Candidates:
     """The chunks of a round, and the loops that were found among them.
 
-    Both starts of the first round share the result of the wide search.
+    The starts of the first round with a wide search share its result.
     """
 
     chunks: Chunks
@@ -201,7 +198,7 @@ class Candidates:
 
 
 def do_round(log: LogProblem, trajectory: Trajectory, number: int, candidates: Candidates, start: str) -> Round:
-    """Do one round: support, wide search, unions from the second round on, and the bundle."""
+    """Do one round: support, the wide search if the start has one, unions from the second round on, and the bundle."""
     config, chunks = log.config, candidates.chunks
     placed = _supported(chunks, candidates.loops)
     score = replace(MapScore.of(chunks.maps), strain=log.strain(number))
@@ -286,13 +283,4 @@ def _bundled(log: LogProblem, trajectory: Trajectory, chunks: Chunks, placed: _P
         evidence=evidence,
         verdicts=verdicts + placed.dropped,
         middles=chunks.middles,
-        chunk_covariances=_covariances(chunks, placed),
     )
-
-
-def _covariances(chunks: Chunks, placed: _Placed) -> FloatArray:
-    """Covariances (c, 3, 3) of the chunks relative to the first chunk, from the graph of chunks."""
-    count = len(chunks)
-    solution = placed.solution
-    joint = np.linalg.inv(information_matrix(solution.poses, chunks.hops, placed.loops, solution.weights))
-    return np.asarray(joint.reshape(count, 3, count, 3)[np.arange(count), :, np.arange(count)])

@@ -69,8 +69,8 @@ class GraphResult:
         G after each round of each search.
     verdicts
         The verdicts on all loops that were found in the round of the result.
-    chunk_events, chunk_covariances
-        Middle events of the chunks (c,), and the covariances (c, 3, 3) of their poses from the graph of chunks.
+    chunk_events
+        Middle events of the chunks (c,).
     errors
         The estimated constant errors (5,) of odometry, as in :class:`Trajectory`.
     keys, trajectory
@@ -89,7 +89,6 @@ class GraphResult:
     scores: dict[str, list[float]]
     verdicts: list[LoopVerdict]
     chunk_events: IntArray
-    chunk_covariances: FloatArray
     errors: FloatArray
     keys: KeyPoses = field(repr=False)
     trajectory: Trajectory = field(repr=False)
@@ -276,9 +275,13 @@ def _begun(keys: KeyPoses, data: LogData, config: GraphConfig, turn: float, repo
     report("local smoothing")
     log = LogProblem(keys, _local(keys, data, config, turn), data, config)
     chunks = log.chunks(log.local, 0)
-    log = replace(log, hop_scale=scale_of_hops(chunks))
-    chunks = log.chunks(log.local, 0)
-    candidates = Candidates(chunks, loops_along_the_way(chunks))
+    loops = loops_along_the_way(chunks)
+    scale = scale_of_hops(chunks, loops)
+    if scale < 1.0:
+        log = replace(log, hop_scale=scale)
+        chunks = log.chunks(log.local, 0)
+        loops = loops_along_the_way(chunks)
+    candidates = Candidates(chunks, loops)
     searches = []
     for start in STARTS:
         _say_round(report, log, start, 0, len(candidates.loops))
@@ -355,10 +358,7 @@ def _next_round(log: LogProblem, trajectory: Trajectory, number: int, start: str
 def _placed_at(found: Round, start: FloatArray, turn: float) -> Round:
     """The round, transformed from the frame in which the log begins at (0, 0, ``turn``) to the frame of the result."""
     motion = se2.compose(np.asarray(start, dtype=float), np.array([0.0, 0.0, -turn]))
-    cos, sin = math.cos(motion[2]), math.sin(motion[2])
-    rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
-    covariances = rotation @ found.chunk_covariances @ rotation.T
-    return replace(found, trajectory=found.trajectory.moved(motion), chunk_covariances=covariances)
+    return replace(found, trajectory=found.trajectory.moved(motion))
 
 
 def without_loops(found: GraphResult, start: FloatArray) -> GraphResult:
@@ -370,13 +370,12 @@ def without_loops(found: GraphResult, start: FloatArray) -> GraphResult:
         scores=found.scores,
         verdicts=verdicts,
         chunk_events=found.chunk_events,
-        chunk_covariances=found.chunk_covariances,
     )
 
 
 def _unlooped(keys: KeyPoses, name: str, trajectory: Trajectory) -> GraphResult:
     """The result of a log that is too short for chunks."""
-    found = Round(trajectory, 0.0, Evidence(0, 0, 0, 0.0), [], np.zeros(1, dtype=np.int64), np.zeros((1, 3, 3)))
+    found = Round(trajectory, 0.0, Evidence(0, 0, 0, 0.0), [], np.zeros(1, dtype=np.int64))
     return _result(keys, name, found, {name: [0.0]})
 
 
@@ -388,7 +387,6 @@ def _result(keys: KeyPoses, name: str, best: Round, scores: dict[str, list[float
         scores=scores,
         verdicts=best.verdicts,
         chunk_events=keys.first_event[best.middles],
-        chunk_covariances=best.chunk_covariances,
         errors=best.trajectory.bias,
         keys=keys,
         trajectory=best.trajectory,

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limslam_agent.config.graph import GraphConfig, MotionConfig, SmoothingConfig
+from limslam_agent.config.graph import GraphConfig, OdometryErrorConfig, SmoothingConfig
 from limslam_agent.slam.graph.key_poses import (
     ERRORS,
     KeyPoses,
@@ -37,12 +37,12 @@ class OdometryErrors:
     information: FloatArray
 
     @classmethod
-    def unknown(cls, config: MotionConfig) -> "OdometryErrors":
+    def unknown(cls, config: OdometryErrorConfig) -> "OdometryErrors":
         """The prior of the settings."""
         stds = config.bias_std, config.scale_std, config.turn_gain_std, config.delay_std, config.direction_std
         return cls(np.zeros(ERRORS), np.diag(np.array(stds) ** -2.0))
 
-    def prior(self, config: MotionConfig) -> MotionConfig:
+    def prior(self, config: OdometryErrorConfig) -> OdometryErrorConfig:
         """The settings for odometry that is corrected for the mean errors: only what is unknown remains."""
         turn, scale, gain, delay, direction = np.sqrt(np.diag(np.linalg.inv(self.information))).tolist()
         return replace(

@@ -48,7 +48,7 @@ class PublishedEstimator(Estimator):
         self._shown: tuple[FloatArray, IntArray] | None = None
 
     @property
-    def limits(self) -> dict[str, float]:
+    def association_limits(self) -> dict[str, float]:
         """The limits that decide about associations and loops, for diagnostics to show beside the values."""
         near, loop = self._config.association, self._config.closing
         return {

@@ -194,7 +194,7 @@ def test_a_change_that_says_little_by_itself_carries_nobody(whole, change, is_ca
     recovery.absence = None
     recovery._kidnapping.is_refuted = lambda *_: False
     slam = SimpleNamespace(covariance=np.eye(3), range_sensor=SENSOR)
-    _, first, is_dated, was_carried = recovery._first_doubt(monitor(change), slam)
+    _, first, is_dated, was_carried, _ = recovery._first_doubt(monitor(change), slam)
     assert (is_dated, was_carried) == (is_carried, is_carried)
     assert first == recovery.log.end - 1 - (3 if is_carried else 9)
 

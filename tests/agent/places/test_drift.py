@@ -11,6 +11,7 @@ from limslam_agent import Mapper, preset
 from limslam_agent.config.places import PlaceConfig
 from limslam_agent.places.absence import Absence
 from limslam_agent.places.history import StepLog
+from limslam_agent.places.kidnapping import CARRIED, Doubt
 from limslam_agent.places.localisation import Localisation, near_fit
 from limslam_agent.places.rays import rays_of
 from limslam_agent.places.recovery import Recovery
@@ -110,6 +111,27 @@ def test_a_robot_that_was_moved_is_not_sought_by_a_renewal(whole, details):
     assert not lost(whole, NEAR, **details).may_be_renewed
 
 
+@pytest.mark.parametrize("has_fitted", [True, False])
+@pytest.mark.parametrize("jump", [0.0, 1.1])
+def test_a_renewal_is_tried_for_a_robot_whose_readings_have_fitted_since_a_change(whole, monkeypatch, has_fitted, jump):
+    """Otherwise it is lost like every robot that may have been carried away."""
+    recovery = lost(whole, FAR)
+    recovery.absence, recovery._doubt = None, Doubt(40, 20.0, is_dated=True, status=CARRIED, has_fitted=has_fitted)
+    slam = SimpleNamespace(covariance=np.eye(3), pose=np.zeros(3), range_sensor=SENSOR)
+    own = SimpleNamespace(status=Status(), doubted=0, added_covariance=np.diag([jump**2, jump**2, 0.0]))
+    known = SimpleNamespace(step=0, grid=SimpleNamespace(view=whole.grid), places=whole)
+    monkeypatch.setattr(recovery, "_copy", lambda *_: known)
+    recovery.lose(own, slam, None)
+    assert recovery.absence.is_carried
+    assert recovery.absence.jump > 1.5, "it may be anywhere in the map"
+    assert recovery.may_be_renewed is (has_fitted and jump == 0.0)
+    assert recovery.seek_near(SENSOR) is None
+    steps = [step.pose for step in recovery.log.steps]
+    grid = SimpleNamespace(view=whole.grid)
+    recovery.has_been_renewed(steps, SimpleNamespace(segments=whole.segments, range_sensor=SENSOR), grid)
+    assert not recovery.absence.was_moved, "the renewal says that it has drifted"
+
+
 def test_a_drifted_robot_is_lost_again_only_by_all_its_readings(whole):
     rays = rays_of(drive(PART, HALL)[:5], ROBOT)
     fitting = lost(whole, (0.0, 0.0, 0.0), placed=0.0, rays=rays, has_drifted=True)
@@ -150,7 +172,14 @@ def test_a_place_is_confirmed_although_the_heading_of_the_whole_map_is_uncertain
 
 def test_a_robot_that_is_lost_is_as_uncertain_as_it_was_before(whole):
     covariance = np.diag([0.8, 0.5, 0.01])
-    np.testing.assert_array_equal(lost(whole, NEAR, covariance=covariance).added_covariance, covariance)
+    recovery = lost(whole, NEAR, covariance=covariance)
+    x, y, _ = recovery.log.steps[-1].pose
+    recovery.absence.left = np.array([x, y, 2.0])
+    np.testing.assert_allclose(recovery.added_covariance, covariance, atol=1e-12)
+    # An error of the heading moves the pose 5 m away across the way from there.
+    recovery.absence.left = np.array([x - 3.0, y - 4.0, 2.0])
+    away = covariance + 0.01 * np.array([[16.0, -12.0, -4.0], [-12.0, 9.0, 3.0], [-4.0, 3.0, 0.0]])
+    np.testing.assert_allclose(recovery.added_covariance, away, atol=1e-12)
 
 
 def test_a_robot_that_is_shifted_is_as_uncertain_as_the_walls_around_it():

@@ -117,7 +117,7 @@ def with_oracle(log: LapLog, config: AgentConfig) -> list[float]:
     for step, observation in enumerate(log.observations):
         estimator.step(observation, log.wall_seen[step])
         if step in moments(log):
-            found.append(nees(estimator.filter.pose, estimator.filter.pose_covariance, log.poses[step]))
+            found.append(nees(estimator.filter.pose, estimator.filter.joint_pose_covariance, log.poses[step]))
     return found
 
 

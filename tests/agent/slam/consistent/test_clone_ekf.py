@@ -330,7 +330,7 @@ def test_the_birth_of_a_line_equals_least_squares_over_poses_and_line(seed: int)
     np.testing.assert_allclose((ekf.x - state) / np.sqrt(np.diag(covariance)), 0.0, atol=1e-3)
     assert_scaled(ekf.P, covariance, 1e-3)
     # What was seen of one unknown line says nothing of where the robot is across it, and how it heads.
-    np.testing.assert_allclose(ekf.pose_covariance[1, 1], np.linalg.inv(information)[1, 1], rtol=0.2)
+    np.testing.assert_allclose(ekf.joint_pose_covariance[1, 1], np.linalg.inv(information)[1, 1], rtol=0.2)
 
 
 def test_a_new_line_is_known_as_well_as_its_prior_says_and_uncorrelated() -> None:
@@ -654,10 +654,10 @@ def test_a_robot_that_is_metres_unsure_learns_nothing_of_its_place_by_merging_tw
     ekf.P += by_world @ np.diag([2.0**2, 2.0**2, 0.1**2]) @ by_world.T
     # The lines are 0.02 rad from parallel: 2 m along them would change their offset by 4 cm.
     np.testing.assert_allclose(ekf.difference(0, 2)[1], relative, rtol=0.01, atol=1e-6)
-    pose, covariance = ekf.pose, ekf.pose_covariance
+    pose, covariance = ekf.pose, ekf.joint_pose_covariance
     ekf.merge(0, 2)
     assert np.abs(ekf.pose - pose).max() < 0.05
-    assert np.trace(ekf.pose_covariance) > 0.99 * np.trace(covariance)
+    assert np.trace(ekf.joint_pose_covariance) > 0.99 * np.trace(covariance)
 
 
 def test_lines_that_are_made_one_meet_in_proportion_to_how_sure_they_are() -> None:
@@ -892,7 +892,7 @@ def test_factors_are_no_part_of_what_a_turned_world_turns() -> None:
         ekf.observe(readings_of([0, 0], LEFT, np.array([0.5, 0.6])), 0, STD, 3, 0.0)
     np.testing.assert_allclose(calibrating.pose, plain.pose, atol=1e-12)
     np.testing.assert_allclose(calibrating.lines, plain.lines, atol=1e-12)
-    np.testing.assert_allclose(calibrating.pose_covariance, plain.pose_covariance, atol=1e-12)
+    np.testing.assert_allclose(calibrating.joint_pose_covariance, plain.joint_pose_covariance, atol=1e-12)
     factors = calibrating.calibration()
     assert factors is not None
     assert factors[0].tolist() == [0.0, 0.0, 0.0]

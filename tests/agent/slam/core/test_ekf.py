@@ -121,7 +121,7 @@ def test_a_hundred_random_steps_equal_filterpys_dense_filter(seed: int) -> None:
     generator = np.random.default_rng(seed)
     ekf = LineEKF(np.array([0.5, -0.3, 2.8]), spread(3, seed, 1e-4))
     dense = ExtendedKalmanFilter(dim_x=3, dim_z=2)
-    dense.x, dense.P = ekf.pose, ekf.pose_covariance
+    dense.x, dense.P = ekf.pose, ekf.joint_pose_covariance
     for line in random_lines(20, generator):
         seen = to_frame(line, ekf.pose) + generator.multivariate_normal(np.zeros(2), SEEN)
         ekf.augment(seen, SEEN)
@@ -183,7 +183,7 @@ def test_the_jacobian_of_the_motion_equals_central_differences(
 
     by_increment = differences(of_pose=False)
     np.testing.assert_allclose(ekf.F, differences(of_pose=True), atol=1e-6)
-    np.testing.assert_allclose(ekf.pose_covariance, by_increment @ covariance @ by_increment.T, atol=1e-9)
+    np.testing.assert_allclose(ekf.joint_pose_covariance, by_increment @ covariance @ by_increment.T, atol=1e-9)
 
 
 @settings(deadline=None, max_examples=100)
@@ -234,11 +234,11 @@ def test_seeing_a_new_line_again_from_the_same_place_does_not_move_the_pose(
     first = np.array([r, theta])
     assume(from_frame(first, ekf.pose)[0] > 0.05)
     index = ekf.augment(first, SEEN)
-    pose, covariance, trace = ekf.pose, ekf.pose_covariance, np.trace(ekf.line_covariance(index))
+    pose, covariance, trace = ekf.pose, ekf.joint_pose_covariance, np.trace(ekf.line_covariance(index))
     ekf.observe_line(first + np.array([0.01, -0.02]), SEEN, index)
     np.testing.assert_allclose(ekf.pose[:2], pose[:2], atol=1e-11)
     assert wrap_angle(float(ekf.pose[2] - pose[2])) == pytest.approx(0.0, abs=1e-11)
-    np.testing.assert_allclose(ekf.pose_covariance, covariance, atol=1e-12)
+    np.testing.assert_allclose(ekf.joint_pose_covariance, covariance, atol=1e-12)
     # The line itself moves half way: both looks are equally sure.
     np.testing.assert_allclose(
         nearest_form(to_frame(ekf.lines[index], ekf.pose), first), first + np.array([0.005, -0.01]), atol=1e-3
@@ -270,7 +270,7 @@ def test_errors_stay_inside_their_chi_square_band_where_the_model_is_nearly_line
                 ekf.observe_line(observed, seen, index)
         error = np.concatenate((ekf.pose - truth, (nearest_form(ekf.lines, LINES) - LINES).ravel()))
         error[2] = wrap_angle(float(error[2]))
-        pose_nees[run] = error[:3] @ np.linalg.solve(ekf.pose_covariance, error[:3])
+        pose_nees[run] = error[:3] @ np.linalg.solve(ekf.joint_pose_covariance, error[:3])
         state_nees[run] = error @ np.linalg.solve(ekf.P, error)
     for values, freedom in ((pose_nees, 3), (state_nees, 11), (innovations, 2 * len(LINES) * (steps - 1))):
         low, high = chi2.ppf([0.025, 0.975], freedom * runs) / runs
@@ -403,7 +403,7 @@ def test_the_innovations_covariance_is_that_of_landmark_pose_and_observation() -
 def test_what_the_filter_gives_away_are_copies() -> None:
     ekf = filter_with(LINES, np.zeros(3), spread(11, 1))
     state, covariance = ekf.x.copy(), ekf.P.copy()
-    for given_away in (ekf.pose, ekf.pose_covariance, ekf.lines, ekf.line_covariance(1)):
+    for given_away in (ekf.pose, ekf.joint_pose_covariance, ekf.lines, ekf.line_covariance(1)):
         given_away.fill(1.0)
     np.testing.assert_array_equal(ekf.x, state)
     np.testing.assert_array_equal(ekf.P, covariance)
@@ -423,7 +423,7 @@ def test_an_update_shrinks_the_covariance_however_it_lies_in_memory(order: str) 
     measured = np.array([0.1])
     ekf.update(measured, lambda _: np.array([[1.0]]), lambda x: x[:1], np.array([[1e-2]]), columns=np.array([0]))
     assert ekf.pose[0] == pytest.approx(0.05)
-    assert ekf.pose_covariance[0, 0] == pytest.approx(0.5e-2)
+    assert ekf.joint_pose_covariance[0, 0] == pytest.approx(0.5e-2)
 
 
 def test_predict_update_is_refused() -> None:

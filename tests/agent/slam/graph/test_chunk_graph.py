@@ -4,7 +4,6 @@ import numpy as np
 import pytest
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph import loop_search
 from limslam_agent.slam.graph.agreement import MAX_GROUP, agreements, distances_after_alignment, groups_of, supported
 from limslam_agent.slam.graph.chunk_graph import (
     Hops,
@@ -198,7 +197,7 @@ def test_the_covariance_stays_symmetric_and_positive_over_many_loops():
 
 
 @pytest.mark.parametrize(("noise", "low", "high"), [(0.0, 0.003, 0.01), (0.3, 0.03, 0.3), (1.0, 0.4, 1.0)])
-def test_the_scale_of_the_hops_follows_the_errors_that_loops_show(truth, monkeypatch, noise, low, high):
+def test_the_scale_of_the_hops_follows_the_errors_that_loops_show(truth, noise, low, high):
     generator, deviations = np.random.default_rng(3), np.array([0.1, 0.1, 0.05])
     motions = se2.between(truth[:-1], truth[1:])
     motions += noise * deviations * generator.standard_normal(motions.shape)
@@ -212,7 +211,5 @@ def test_the_scale_of_the_hops_follows_the_errors_that_loops_show(truth, monkeyp
         GraphConfig(),
     )
     loops = loops_of(truth, [(number, number + 24) for number in range(24)])
-    monkeypatch.setattr(loop_search, "loops_along_the_way", lambda _: loops)
-    assert low <= scale_of_hops(chunks) <= high
-    monkeypatch.setattr(loop_search, "loops_along_the_way", lambda _: loops[:2])
-    assert scale_of_hops(chunks) == 1.0
+    assert low <= scale_of_hops(chunks, loops) <= high
+    assert scale_of_hops(chunks, loops[:2]) == 1.0

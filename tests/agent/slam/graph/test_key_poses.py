@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from limslam_agent.config.graph import KeyPoseConfig
+from limslam_agent.config.graph import PointConfig
 from limslam_agent.slam.graph.key_poses import (
     KEY_DISTANCE,
     LogData,
@@ -36,7 +36,7 @@ def wandering(count=200, beams=3):
 
 
 def keys_of(log):
-    return choose_keys(log, KeyPoseConfig())
+    return choose_keys(log, PointConfig())
 
 
 def test_without_correction_every_event_is_where_odometry_has_it():
@@ -110,7 +110,7 @@ def test_a_standing_robot_gives_points_once():
 def test_dense_scans_are_thinned_to_all_beams_in_turn():
     log = wandering(beams=180)
     keys = keys_of(log)
-    all_points = choose_keys(log, KeyPoseConfig(points_per_metre=1e6))
+    all_points = choose_keys(log, PointConfig(points_per_metre=1e6))
     assert len(all_points.point_event) == log.hit[np.unique(all_points.point_event)].sum()
     density = len(keys.point_event) / keys.travel[-1]
     assert 70.0 < density < 145.0

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from limslam_agent.config.graph import KeyPoseConfig, MotionConfig
+from limslam_agent.config.graph import OdometryErrorConfig, PointConfig
 from limslam_agent.slam.graph.key_poses import ERRORS, LogData, Trajectory, choose_keys, odometry_trajectory
 from limslam_agent.slam.graph.least_squares import (
     NormalEquations,
@@ -40,7 +40,7 @@ def curved_log(count=60):
 
 
 def keys_of(log):
-    return choose_keys(log, KeyPoseConfig())
+    return choose_keys(log, PointConfig())
 
 
 def test_relation_jacobian():
@@ -124,7 +124,7 @@ def test_linked_points_pull_a_wrong_pose_onto_the_line():
     for std in (1e-3, 10.0):
         equations = NormalEquations(3 * len(keys) + ERRORS)
         trajectory = Trajectory(poses, np.zeros(ERRORS))
-        add_odometry(equations, keys, trajectory, MotionConfig())
+        add_odometry(equations, keys, trajectory, OdometryErrorConfig())
         add_links(equations, poses, geometry, np.array([[0, 1]]), std, 1e3)
         moved = poses + equations.solve()[: 3 * len(keys)].reshape(-1, 3)
         before.append(abs(link_error(moved[2], moved[5], geometry[1][0], geometry[1][1], normals[1], scratch)))

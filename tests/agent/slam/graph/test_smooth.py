@@ -91,15 +91,6 @@ def test_every_loop_has_a_reason(two_laps):
     assert all(verdict.kept == (verdict.reason == KEPT) for verdict in result.verdicts)
     known = {KEPT, NO_SUPPORT, OUTVOTED}
     assert {verdict.reason for verdict in result.verdicts} & known
-    assert len(result.chunk_events) == len(result.chunk_covariances)
-
-
-def test_uncertainty_grows_with_the_way_from_the_start(two_laps):
-    _, _, result = two_laps
-    position = np.sqrt(np.trace(result.chunk_covariances[:, :2, :2], axis1=1, axis2=2))
-    assert position[0] < 1e-3
-    assert np.all(np.linalg.eigvalsh(result.chunk_covariances) > -1e-9)
-    assert position[1:].min() > 0.01
 
 
 def test_the_same_log_gives_the_same_poses_and_the_stages_are_reported(two_laps):
@@ -122,11 +113,8 @@ def test_the_start_pose_only_moves_the_result(two_laps):
     start = np.array([3.7, -12.2, 2.5])
     moved = smooth_log(log, start, TWO_ROUNDS)
     motion = se2.compose(start, se2.inverse(truth[0]))
-    rotation = np.eye(3)
-    rotation[:2, :2] = [[np.cos(motion[2]), -np.sin(motion[2])], [np.sin(motion[2]), np.cos(motion[2])]]
     assert np.allclose(moved.poses[0], start, atol=1e-6)
     assert np.abs(se2.between(se2.compose(motion, result.poses), moved.poses)).max() < 1e-6
-    assert np.allclose(moved.chunk_covariances, rotation @ result.chunk_covariances @ rotation.T, atol=1e-9)
     assert (moved.start, moved.scores) == (result.start, result.scores)
 
 

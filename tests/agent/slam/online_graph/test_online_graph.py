@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.corridors import SIX_BEAMS, corridor_log
 
-from limslam_agent.config.graph import GraphConfig, MotionConfig
+from limslam_agent.config.graph import GraphConfig, OdometryErrorConfig
 from limslam_agent.config.presets import preset
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.mapper import Mapper
@@ -96,7 +96,7 @@ def test_a_chunk_has_the_covariance_of_the_first_chunk_about_it(lap):
 
 
 def test_windows_add_their_information_by_their_share():
-    config = MotionConfig()
+    config = OdometryErrorConfig()
     unknown = OdometryErrors.unknown(config)
     prior = unknown.prior(config)
     assert prior.bias_std == pytest.approx(config.bias_std)

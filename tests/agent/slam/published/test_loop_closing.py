@@ -81,13 +81,13 @@ def drifted_filter() -> LineEKF:
 
 def test_the_older_landmark_corrects_the_younger_and_the_pose():
     ekf = drifted_filter()
-    uncertain, apart = ekf.pose_covariance, abs(ekf.difference(0, 1)[0][0])
+    uncertain, apart = ekf.joint_pose_covariance, abs(ekf.difference(0, 1)[0][0])
     older = ekf.lines[0]
     ekf.observe_landmark(0, 1)
     assert abs(ekf.difference(0, 1)[0][0]) < 0.1 * apart
     # The wall seemed too far to the left, so the robot is farther to the right than it believed... of its wall.
     assert ekf.pose[1] == pytest.approx(-0.2, abs=0.05)
-    assert np.trace(ekf.pose_covariance) < np.trace(uncertain)
+    assert np.trace(ekf.joint_pose_covariance) < np.trace(uncertain)
     np.testing.assert_allclose(ekf.lines[0], older, atol=0.02)
     assert ekf.num_lines == 2, "they are not merged"
 
