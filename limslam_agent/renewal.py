@@ -19,8 +19,8 @@ from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose, inverse, wrap_angle
 from limslam_env.interface import Observation
 
-# Least time between two renewals, s, if the robot is lost and does not go on in a local frame.
-_LEAST_PERIOD = 30.0
+LEAST_PERIOD = 30.0
+"""Least time between two renewals, s, if the robot is lost and does not go on in a local frame."""
 
 LEAST_DRIVEN = 1.0
 """A robot that has hardly moved since the last renewal has nothing to smooth, m."""
@@ -114,7 +114,7 @@ class Renewal:
         self._is_wanted, self._level = (self._is_wanted or is_worse) and level != "ok", level
         is_over = waited >= settings.period
         # A stretch that could not be smoothed is tried again when it is twice as long.
-        is_early = self._is_wanted and waited >= _LEAST_PERIOD and len(self._rows) >= 2 * self._tried
+        is_early = self._is_wanted and waited >= LEAST_PERIOD and len(self._rows) >= 2 * self._tried
         is_renewed = (is_over or is_early) and not (is_found or self._began_lost) and self._renew()
         if is_over or is_renewed or is_found:
             self._begin_at_last_row()
@@ -126,7 +126,7 @@ class Renewal:
         The smoother can take back a wrong association. The readings that contradict the estimate then no longer do so.
         """
         waited = len(self._rows) * self._slam.robot.control_period
-        if not self.is_possible or waited < _LEAST_PERIOD or not self._renew(is_expected=False):
+        if not self.is_possible or waited < LEAST_PERIOD or not self._renew(is_expected=False):
             return False
         self._begin_at_last_row()
         return True

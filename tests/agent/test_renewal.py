@@ -11,7 +11,7 @@ from support.drives import along, drive, room
 from limslam_agent import LineSlam, Mapper, preset
 from limslam_agent.config.smoother import RenewalConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.renewal import Renewal
+from limslam_agent.renewal import LEAST_PERIOD, Renewal
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.wall_extent import WallExtent
 from limslam_agent.slam.consistent.wall_map import NEW, Wall
@@ -185,7 +185,7 @@ def test_a_renewal_that_moves_the_path_far_begins_a_new_frame(monkeypatch):
 
 def test_a_robot_that_gets_lost_is_renewed_once():
     settings = config(1000.0)
-    assert renewed_at(settings, range(1000)) == [round(settings.renewal.least / ROBOT.control_period) - 1]
+    assert renewed_at(settings, range(1000)) == [round(LEAST_PERIOD / ROBOT.control_period) - 1]
 
 
 def test_a_robot_that_is_lost_is_renewed_only_from_a_pose_that_was_known():

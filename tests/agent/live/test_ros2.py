@@ -418,7 +418,7 @@ def test_the_grid_has_the_numbers_of_ros():
 @pytest.mark.parametrize(
     ("told", "words"),
     [
-        (("--ros2", "--udp", 9), "either --serial PORT, --udp PORT or --ros2 is needed"),
+        (("--ros2", "--udp", 9), "--udp and --ros2 are different places"),
         (("--udp", 0, "--", "--ros-args"), "--ros-args: only --ros2 takes arguments for ROS 2"),
     ],
 )
