@@ -156,12 +156,7 @@ def _lost(grid: SearchGrid, points: FloatArray, pose: FloatArray, along: FloatAr
 
 
 def _variance_along(lost: FloatArray, cell: float) -> float:
-    """Variance, m^2, from the log-likelihood that is lost by shifts (2 ``_FAR_CELLS`` + 1,) to both sides.
-
-    If another shift is clearly more likely, the overlap has chosen the place, and nothing is known about it.
-    """
-    if lost.min() < -_FALL:
-        return _UNKNOWN_STD**2
+    """Variance, m^2, from the log-likelihood that is lost by shifts (2 ``_FAR_CELLS`` + 1,) to both sides."""
     falls = [int(np.argmax(side >= _FALL)) for side in (lost[_FAR_CELLS::-1], lost[_FAR_CELLS:])]
     return (cell * max(falls)) ** 2 / (2.0 * _FALL) if all(falls) else _UNKNOWN_STD**2
 

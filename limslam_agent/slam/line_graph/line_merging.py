@@ -34,8 +34,8 @@ def merge_lines(
     """Merge lines that may be one wall, in the order of likelihood; return the number of merges.
 
     Every merged pair is a constraint that updates all other lines through their joint covariance. The pair with the
-    greatest likelihood is merged first. A pair with a large covariance passes the chi-square test easily, and this is
-    weak evidence. Two lines that were read from opposite sides only are merged if they are a board.
+    greatest likelihood is merged first. A pair with a large covariance passes the chi-square test easily. This is weak
+    evidence, for which there is a limit of its own. Two lines that were read from opposite sides only are merged if they are a board.
 
     Parameters
     ----------
@@ -43,8 +43,8 @@ def merge_lines(
         (m, 2), (m, 2), (m, 2), (m, 2, 2) and (2 m, 2 m), or (3 m, 3 m) with the places of the anchors along the lines:
         ``seen`` has the ends of the part that was read from each side. All but the anchors are changed.
     limits, kinds
-        The largest chi-square, offset (m) and angle (rad), and the least overlap (m). Lengths of the known boards and
-        walls, m.
+        The largest chi-square, offset (m) and angle (rad), the least overlap (m), and the largest sum of chi-square and
+        the logarithm of the determinant of the difference's covariance. Lengths of the known boards and walls, m.
     most_moved
         Merging stops when the change of a line exceeds this, m and rad, and one standard deviation: the problem must
         then be linearised again.
@@ -66,7 +66,7 @@ def merge_lines(
             if not _is_near(first, second, lines, anchors, ends, limits):
                 continue
             squared, volume = _agreement(first, second, lines, anchors, covariance, work)
-            is_better = squared < limits[0] and squared + volume < best
+            is_better = squared < limits[0] and squared + volume < min(best, limits[4])
             if is_better and _is_one_line(first, second, lines, anchors, seen, limits[3], kinds, work):
                 best, chosen = squared + volume, k
         if chosen < 0:

@@ -45,7 +45,7 @@ _GAIN = 5.0  # by how much a move must raise the score
 # contradictions remains, or if there are no more of them than in correct maps, as a share of all looks.
 _CONTRADICTED, _REMAINING, _UNAVOIDABLE = 0.01, 0.6, 0.002
 _CUT = 3.0  # m driven without a reading of a line, where the line is cut
-_LIMITS = ONE_WALL._replace(max_offset=0.8, max_angle=0.4, min_overlap=0.10)  # of segments that may be one wall
+_LIMITS = ONE_WALL.wider(max_offset=0.8, max_angle=0.4, min_overlap=0.10)  # of segments that may be one wall
 # Moves that begin with more lines are not tried, because their time grows with the third power of this number.
 _MOST_LINES = 600
 # A line is dropped if more beams contradict it than this number, and than this share of its readings.
@@ -61,7 +61,7 @@ _POINT_GAP = 0.30  # m between the ends of two readings of one wall
 # A drive is continued without a filter with poses this far apart, m, in stretches of this length, m. A stretch may
 # cross a hall without a wall, so its walls may be far from where the wheels place them.
 _THIN, _STRETCH, _STRETCH_ROUNDS, _FEWEST_OF_PIECE = 0.1, 10.0, 2, 5
-_FAR_LIMITS = ONE_WALL._replace(max_offset=2.5, max_angle=0.6, min_overlap=0.10)
+_FAR_LIMITS = ONE_WALL.wider(max_offset=2.5, max_angle=0.6, min_overlap=0.10)
 _KNOWN_AGAIN = 0.5  # least share of the later readings that are of walls of the beginning
 _MOVES_WITHOUT_FILTER = ("cut", "drop", "reborn")
 

@@ -4,6 +4,7 @@ Each round merges lines that are one wall, assigns each reading to the line that
 the lines that are more than one wall.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -42,12 +43,26 @@ _LOOSE, _EXACT = 1e-3, 1e-4  # m or rad: convergence tolerances between moves an
 
 
 class OneWall(NamedTuple):
-    """Criteria that two lines are one wall: upper bounds of chi-square, offset (m), angle (rad); least overlap (m)."""
+    """Criteria that two lines are one wall: upper bounds of chi-square, offset (m), angle (rad); least overlap (m).
+
+    ``weakest`` is an upper bound of chi-square plus the logarithm of the determinant of the covariance (m^2 rad^2) of
+    the lines' difference. Two lines of which little is known pass every other test.
+    """
 
     gate: float
     max_offset: float
     max_angle: float
     min_overlap: float
+    weakest: float = math.inf
+
+    def wider(self, max_offset: float, max_angle: float, min_overlap: float) -> "OneWall":
+        """Criteria with wider limits, for pairs that are more likely one wall than two walls within these limits.
+
+        The difference of one wall's two lines is normally distributed, and that of two walls is uniform. Both
+        densities are equal where chi-square plus the logarithm of the determinant is ``weakest``.
+        """
+        weakest = 2.0 * math.log(4.0 * max_offset * max_angle / (2.0 * math.pi))
+        return OneWall(self.gate, max_offset, max_angle, min_overlap, weakest)
 
 
 ONE_WALL = OneWall(16.0, 0.15, 0.12, 0.15)

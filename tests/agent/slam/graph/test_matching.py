@@ -141,13 +141,6 @@ def test_a_match_is_known_along_a_corridor_only_by_what_stands_out_there(ends, s
     assert np.sqrt(covariance[1, 1]) < 0.2
 
 
-@pytest.mark.parametrize(("elsewhere", "std"), [(0.0, 0.5), (-1.0, 0.5), (-5.0, 10.0)])
-def test_a_match_is_unknown_along_a_direction_if_it_fits_clearly_better_elsewhere(elsewhere, std):
-    lost = np.full(121, 4.0)
-    lost[50:71], lost[95:100] = 0.0, elsewhere
-    assert np.sqrt(matching._variance_along(lost, 0.1)) == pytest.approx(std, abs=0.1)
-
-
 def test_a_grid_is_free_along_the_beams_and_hit_at_their_ends():
     grid = draw_grid(np.array([[2.05, 0.05]]), np.array([[0.05, 0.05]]), 80, MAPS)
     assert grid[60, 40] == HIT

@@ -47,6 +47,14 @@ def test_what_is_known_of_a_building_decides_about_vague_lines():
     assert merged(0.05, 0.2, kinds=(20.0, 20.0))[0] == 0
 
 
+def test_two_lines_of_which_little_is_known_are_left_apart_within_wide_limits():
+    lines, anchors, ends, seen = parallel(0.5, POSITIVE)
+    into, wide = np.empty(2, dtype=np.int64), ONE_WALL.wider(max_offset=0.8, max_angle=0.4, min_overlap=0.1)
+    for limits, std, merges in ((wide, 1.0, 0), (wide, 0.2, 1), (wide._replace(weakest=np.inf), 1.0, 1)):
+        parts = (lines.copy(), anchors, ends.copy(), seen.copy(), np.diag([std**2, (0.2 * std) ** 2] * 2))
+        assert merge_lines(*parts, np.array(limits), np.zeros(2), np.array([9.0, 9.0]), into) == merges
+
+
 @pytest.mark.parametrize("turned", [False, True])
 def test_lengths_of_boards_and_walls(turned):
     lines, anchors, ends, seen = parallel(0.2, NEGATIVE, turned=turned)
