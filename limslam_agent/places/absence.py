@@ -78,6 +78,8 @@ class Absence:
         Poses (3,) in the local frame of its first steps, as far as the steps themselves are no longer kept.
     is_dated, is_carried
         Whether the readings have said in which step the robot was carried away, and that it was.
+    odometry_jumped
+        Whether the odometry has reported a motion that no robot makes in one step.
     place
         The map of the known frame; None if the place was found in the map of an earlier run.
     decisions
@@ -107,6 +109,7 @@ class Absence:
     gone: list[FloatArray] = field(default_factory=list)
     is_dated: bool = False
     is_carried: bool = False
+    odometry_jumped: bool = False
     decisions: list[Localisation] = field(default_factory=list)
     placed: float | None = None
     rays: FloatArray | None = None
