@@ -59,8 +59,8 @@ _DOUBLED_SIGMAS, _DOUBLED_OFFSET, _DOUBLED_ANGLE = 3.0, 0.03, math.radians(10.0)
 _RUN_GAP = 0.15  # m of driving without a reading that ends a run
 _POINT_GAP = 0.30  # m between the ends of two readings of one wall
 
-# A drive is continued without a filter in stretches of this length, m. A stretch may cross a hall without a wall, so its
-# walls may be far from where the wheels place them.
+# A drive is continued without a filter in stretches of this length, m. A stretch may cross a hall without a wall, so
+# its walls may be far from where the wheels place them.
 _STRETCH, _STRETCH_ROUNDS, _FEWEST_OF_PIECE = 10.0, 2, 5
 _FAR_LIMITS = ONE_WALL._replace(max_offset=2.5, max_angle=0.6, min_overlap=0.10)
 _KNOWN_AGAIN = 0.5  # least share of the later readings that are of walls of the beginning

@@ -28,8 +28,8 @@ FEWEST_READINGS = 6
 _SIZES = SelfCalibrationConfig(size_std=0.03, uneven_std=0.03, axle_std=0.03)
 _BIAS_STD = 0.02  # m, of a bias of all ranges
 _ASIDE_STD = 1e-5  # m: keeps the equations regular, and adds up to less than a millimetre in a run
-# Poses of a thinned drive are this far apart, m or rad. By noise, and by another calibration, several arcs in a row lead
-# aside of the single arc that they are taken for, with this standard deviation, m.
+# Poses of a thinned drive are this far apart, m or rad. By noise, and by another calibration, several arcs in a row
+# lead aside of the single arc that they are taken for, with this standard deviation, m.
 _NODE_SPACING, _NODE_TURN, _THINNED_ASIDE_STD = 0.1, 0.2, 2e-3
 _LEAST_VARIANCE = 1e-12  # m^2
 
