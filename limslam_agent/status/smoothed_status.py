@@ -50,6 +50,19 @@ def smoothed_status(
     """
     if lost_since is not None and not is_continued:
         return Status("lost", f"the place of the robot is unknown from {lost_since:.0f} s on")
+    status = _by_readings(contradictions, filtered, smoothed, while_driving)
+    if status.level == "ok" and lost_since is not None:
+        words = f"the robot did not know its place from {lost_since:.0f} s on; only the smoothed path shows it"
+        return Status("unsure", words)
+    return status
+
+
+def _by_readings(
+    contradictions: float,
+    filtered: tuple[FloatArray, FloatArray],
+    smoothed: tuple[FloatArray, FloatArray],
+    while_driving: Level,
+) -> Status:
     share = f"{100.0 * contradictions:.2g} % of the readings contradict the smoothed map"
     if contradictions >= _LOST_SHARE:
         return Status("lost", share)
@@ -63,9 +76,6 @@ def smoothed_status(
     heading = math.degrees(math.sqrt(max(float(smoothed[1][..., 2, 2].max()), 0.0)))
     if heading > _UNSURE_HEADING:
         return Status("unsure", f"the smoothed heading's standard deviation reaches {heading:.1f} deg")
-    if lost_since is not None:
-        words = f"the robot did not know its place from {lost_since:.0f} s on; only the smoothed path shows it"
-        return Status("unsure", words)
     return Status()
 
 
