@@ -439,7 +439,9 @@ class Mapper:
         """Take back the map that the robot was lost from. The robot's place in it remains unknown."""
         absence = recovery.absence
         assert absence is not None and absence.known is not None  # noqa: PT018, S101 (the robot was lost from a frame)
-        self._unplaced = Unplaced(absence.known.step, self.slam.segments, self.slam.landmarks, self.grid)
+        self._unplaced = Unplaced(
+            absence.known.step, self.slam.segments, self.slam.landmarks, self.grid, absence.odometry_jumped
+        )
         pose, covariance = self.slam.pose, self.slam.covariance
         slam, grid = absence.known.copied()
         slam.on_association = self._heard_until(slam.associated)

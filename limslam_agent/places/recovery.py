@@ -214,6 +214,7 @@ class Recovery:
             self.absence = replace(
                 before, first=first, placed=None, rays=None, gone=[], has_drifted=False, renewed=None, decisions=[]
             )
+        self.absence.odometry_jumped |= own.jump > 0.0
         self.absence.first = max(self.absence.first, self.log.begin + 1)
         self.absence.is_dated, self.absence.is_carried = is_dated, is_carried or self.absence.is_astray
         self.absence.sought = self.absence.moved + self._config.lost_first - self._config.lost_spacing

@@ -46,12 +46,15 @@ class Unplaced:
         Walls (k, 4), m, and the lines that they lie on.
     grid
         Occupancy grid.
+    odometry_jumped
+        Whether the odometry has jumped since then, so that it does not say how the robot moved.
     """
 
     begin: int
     segments: FloatArray
     landmarks: list[Landmark]
     grid: GridView
+    odometry_jumped: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,6 +82,11 @@ class PlaceHistory:
     def placed(self) -> slice:
         """The steps in which the robot's place is known at the end."""
         return slice(None if self.unplaced is None else self.unplaced.begin)
+
+    @property
+    def may_be_continued(self) -> bool:
+        """Whether the odometry says how a robot that is still lost at the end has moved since it was lost."""
+        return self.unplaced is not None and not self.unplaced.odometry_jumped
 
     @property
     def doubt(self) -> Status:

@@ -36,7 +36,7 @@ from limslam_agent.slam.graph.point_links import PointCloud, point_cloud
 from limslam_agent.slam.graph.smooth import GraphResult, saying, smooth_log, without_loops
 from limslam_agent.slam.graph.wall_lines import lines_in
 from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, completed, smooth_run
-from limslam_agent.status.smoothed_status import continued_status, smoothed_status, unplaced_status
+from limslam_agent.status.smoothed_status import lost_since, smoothed_status
 from limslam_agent.status.status import LEVELS, Status
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
@@ -256,25 +256,24 @@ def smoothed_by_lines(
         breaks=tuple((0, step) for step in places.breaks),
         sensor=sensor,
     )
-    found = smooth_run(run, config, placed)
+    found = smooth_run(run, config, placed, may_be_continued=places.may_be_continued)
     if found is None:
         return replay
     found, drawn = completed(found, poses, covariances), found.poses[:, 0]
     poses = found.poses[:, 0]
-    since = None if placed is None else float(log.time[min(placed, len(log) - 1)] - log.time[0])
-    if since is not None and not found.is_continued:
-        status = unplaced_status(since)
-    else:
-        status = smoothed_status(
-            found.contradictions, (run.poses, run.covariances), (found.poses, found.covariances),
-            while_driving=LEVELS[int(replay.levels.max())],
-        )  # fmt: skip
-        if status.level == "ok" and since is not None:
-            status = continued_status(since)
+    status = smoothed_status(
+        found.contradictions,
+        (run.poses, run.covariances),
+        (found.poses, found.covariances),
+        while_driving=LEVELS[int(replay.levels.max())],
+        lost_since=lost_since(log.time, placed),
+        is_continued=found.is_continued,
+    )
     if status.level == "ok":
         status = places.doubt
     seconds = time.process_time() - begin
-    smoothed = Smoothed(poses, _line_figures(found), None, seconds, found.covariances[:, 0], status, run.until(placed))
+    basis = run if found.is_continued else run.until(placed)
+    smoothed = Smoothed(poses, _line_figures(found), None, seconds, found.covariances[:, 0], status, basis)
     grid = draw_grid(replay, drawn, found.robot)
     return replace(
         replay, landmarks=found.landmarks, segments=found.segments, grid=grid, smoothed=smoothed, beam_turns=found.turns

@@ -60,6 +60,8 @@ def score(episode: Episode) -> dict[str, Any]:
     events, closed = _events(episode), [(closure.older, closure.younger) for closure in episode.closures]
     placed = slice(episode.placed_robots)  # the poses of a robot that was not placed are in a frame of its own
     known, online = episode.placed_steps, None if episode.smoothed is None else online_map(episode)
+    # The map of a continued run is drawn from all steps, and its online map from those before the robot was lost.
+    mapped = slice(None) if episode.smoothed is not None and episode.smoothed.is_continued else known
     columns = (episode.true, episode.estimated, episode.odometry, episode.covariances)
     trajectory = team_scores(*(rows[:, placed] for rows in columns))
     limit = offline_optimum_scores(episode, trajectory["ate_m"]) if config.limit else {}
@@ -74,9 +76,9 @@ def score(episode: Episode) -> dict[str, Any]:
             config.robot,
             episode.coverage_grid,
             episode.final_map,
-            episode.true[known, placed],
-            episode.final_map.poses[known, placed],
-            None if online is None else replace(online, poses=online.poses[known]),
+            episode.true[mapped, placed],
+            episode.final_map.poses[mapped, placed],
+            None if online is None else (replace(online, poses=online.poses[known]), episode.true[known, placed]),
         ),
         **drive_scores(episode.time, episode.coverage, episode.true, episode.contact, has_explored=has_explored),
         **association_metrics(events, len(episode.world.edges)),
@@ -131,17 +133,17 @@ def map_scores(
     final: WallsAndGrid,
     true: FloatArray,
     estimated: FloatArray,
-    online: FinalMap | None = None,
+    online: tuple[FinalMap, FloatArray] | None = None,
 ) -> dict[str, float | None]:
     """Metrics of a map. True poses (t, n, 3), and the poses that the map was drawn from, align it with the world.
 
-    If the map is a smoothed one, ``online`` is what the robots knew when the run stopped. The metrics of its walls end
-    in ``_online``.
+    If the map is a smoothed one, ``online`` is what the robots knew when the run stopped, with the true poses of its
+    own steps. The metrics of its walls end in ``_online``.
     """
     segments, grid = final.segments, final.grid
     claimed = grid.centres(np.argwhere(grid.free))
     visible = metrics.visible_samples(world, robot.radius, robot.reach)
-    before = {} if online is None else _wall_scores(world, visible, online.segments, true, online.poses)
+    before = {} if online is None else _wall_scores(world, visible, online[0].segments, online[1], online[0].poses)
     return {
         **_wall_scores(world, visible, segments, true, estimated),
         **{f"{name}_online": value for name, value in before.items()},

@@ -11,7 +11,7 @@ from limslam_agent.output.export import finite
 from limslam_agent.places.revisions import revised
 from limslam_agent.readings import as_readings
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.status.smoothed_status import continued_status, lost_note, smoothed_status, unplaced_status
+from limslam_agent.status.smoothed_status import lost_note, lost_since, smoothed_status
 from limslam_agent.status.status import LEVELS, final_status_scores, worst
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, inverse
@@ -75,7 +75,7 @@ def smooth_episode(episode: "Episode") -> "SmoothedRun | None":
         breaks=(*((0, step) for step in places.breaks), *unknown_start),
         sensor=episode.sensor,
     )
-    found = smooth_run(run, settings, places.placed.stop)
+    found = smooth_run(run, settings, places.placed.stop, may_be_continued=places.may_be_continued)
     if found is not None and unknown_start:
         # What the second robot's pose was before its first step follows from the one after it.
         motion = compose(inverse(poses[1, 1]), poses[0, 1])
@@ -109,19 +109,15 @@ def final_status(episode: "Episode") -> dict[str, str]:
     online_statuses, smoothed = episode.snapshot.statuses, episode.smoothed
     if smoothed is None:
         return {}
-    places, time = episode.places, episode.time
-    placed = places.placed.stop
-    since = None if placed is None else float(time[min(placed, len(time) - 1)] - time[0])
-    if since is not None and not smoothed.is_continued:
-        status = unplaced_status(since)
-    else:
-        filtered = revised(episode.estimated, episode.covariances, places.revisions)
-        status = smoothed_status(
-            smoothed.contradictions, filtered, (smoothed.poses, smoothed.covariances),
-            while_driving=LEVELS[int(episode.levels.max())],
-        )  # fmt: skip
-        if status.level == "ok" and since is not None:
-            status = continued_status(since)
+    places = episode.places
+    status = smoothed_status(
+        smoothed.contradictions,
+        revised(episode.estimated, episode.covariances, places.revisions),
+        (smoothed.poses, smoothed.covariances),
+        while_driving=LEVELS[int(episode.levels.max())],
+        lost_since=lost_since(episode.time, places.placed.stop),
+        is_continued=smoothed.is_continued,
+    )
     if status.level == "ok" and NOT_YET_CONFIRMED in online_statuses:
         status = NOT_YET_CONFIRMED
     if status.level == "ok":

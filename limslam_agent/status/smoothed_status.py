@@ -26,6 +26,8 @@ def smoothed_status(
     smoothed: tuple[FloatArray, FloatArray],
     *,
     while_driving: Level,
+    lost_since: float | None = None,
+    is_continued: bool = False,
 ) -> Status:
     """Whether the smoothed path and map can be trusted.
 
@@ -41,7 +43,26 @@ def smoothed_status(
         smoother.
     while_driving
         The worst level of the status while the robots drove.
+    lost_since
+        Time after the start, s, from which on the filter did not know the robot's place; None if it knew it at the end.
+    is_continued
+        Whether the smoother has found the poses since then by itself.
     """
+    if lost_since is not None and not is_continued:
+        return Status("lost", f"the place of the robot is unknown from {lost_since:.0f} s on")
+    status = _by_readings(contradictions, filtered, smoothed, while_driving)
+    if status.level == "ok" and lost_since is not None:
+        words = f"the robot did not know its place from {lost_since:.0f} s on; only the smoothed path shows it"
+        return Status("unsure", words)
+    return status
+
+
+def _by_readings(
+    contradictions: float,
+    filtered: tuple[FloatArray, FloatArray],
+    smoothed: tuple[FloatArray, FloatArray],
+    while_driving: Level,
+) -> Status:
     share = f"{100.0 * contradictions:.2g} % of the readings contradict the smoothed map"
     if contradictions >= _LOST_SHARE:
         return Status("lost", share)
@@ -58,14 +79,9 @@ def smoothed_status(
     return Status()
 
 
-def unplaced_status(since: float) -> Status:
-    """The status of a robot whose place is unknown at the end, from a time (s) after the start on."""
-    return Status("lost", f"the place of the robot is unknown from {since:.0f} s on")
-
-
-def continued_status(since: float) -> Status:
-    """The status of a robot whose place, from a time (s) after the start on, only the smoother has found."""
-    return Status("unsure", f"the robot did not know its place from {since:.0f} s on; only the smoothed path shows it")
+def lost_since(time: FloatArray, unplaced: int | None) -> float | None:
+    """The time of a step after the first one of the steps (t,), s; None if there is no such step."""
+    return None if unplaced is None else float(time[min(unplaced, len(time) - 1)] - time[0])
 
 
 def _moved(filtered: tuple[FloatArray, FloatArray], smoothed: tuple[FloatArray, FloatArray]) -> tuple[float, float]:

@@ -6,7 +6,7 @@ its score is higher. The score needs no ground truth.
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from limslam_agent.slam.line_graph.problem import (
     state_from_motions,
     state_from_poses,
     thinned,
+    thinning_nodes,
 )
 from limslam_agent.slam.line_graph.reassociation import (
     ONE_WALL,
@@ -58,9 +59,9 @@ _DOUBLED_SIGMAS, _DOUBLED_OFFSET, _DOUBLED_ANGLE = 3.0, 0.03, math.radians(10.0)
 _RUN_GAP = 0.15  # m of driving without a reading that ends a run
 _POINT_GAP = 0.30  # m between the ends of two readings of one wall
 
-# A drive is continued without a filter with poses this far apart, m, in stretches of this length, m. A stretch may
-# cross a hall without a wall, so its walls may be far from where the wheels place them.
-_THIN, _STRETCH, _STRETCH_ROUNDS, _FEWEST_OF_PIECE = 0.1, 10.0, 2, 5
+# A drive is continued without a filter in stretches of this length, m. A stretch may cross a hall without a wall, so
+# its walls may be far from where the wheels place them.
+_STRETCH, _STRETCH_ROUNDS, _FEWEST_OF_PIECE = 10.0, 2, 5
 _FAR_LIMITS = ONE_WALL.wider(max_offset=2.5, max_angle=0.6, min_overlap=0.10)
 _KNOWN_AGAIN = 0.5  # least share of the later readings that are of walls of the beginning
 _MOVES_WITHOUT_FILTER = ("cut", "drop", "reborn")
@@ -102,14 +103,15 @@ def continued(problem: Problem, known: State, labels: IntArray) -> Association |
     """The association of one robot's whole drive, from that of its beginning, without a filter.
 
     The drive goes on by its wheels, some metres at a time. Its readings are cut into straight pieces, and the pieces
-    are merged with the lines so far, the surest first. Only every k-th pose takes part.
+    are merged with the lines so far, the surest first. At first, only poses some way apart take part.
 
     Parameters
     ----------
     problem
         The measurements of the whole drive.
     known, labels
-        The poses of its beginning, and the lines of their readings, which are the first ones of the problem.
+        The poses and the calibration of its beginning, and the lines of the readings there, which are the first ones of
+        the problem.
 
     Returns
     -------
@@ -117,25 +119,24 @@ def continued(problem: Problem, known: State, labels: IntArray) -> Association |
         None if beams contradict the result, or if few of the later readings are of walls of the beginning: then nothing
         says that the robot is where its wheels report.
     """
-    begin, driven = known.poses.shape[1], driven_at(problem)
-    every = max(1, int(_THIN * (problem.steps - 1) / max(driven[-1], _THIN)))
-    thin = thinned(problem, every, known.poses[0])
-    kept = np.flatnonzero((problem.readings.places % every == 0) & (problem.readings.places < thin.steps * every))
-    thin_labels = labels[kept[kept < len(labels)]]
-    done, travel = (begin - 1) // every + 1, driven_at(thin)
-    part = first_steps(thin, done)
-    state = state_from_poses(part, known.poses[0, :begin:every][:, None])
+    begin = known.poses.shape[1]
+    nodes = thinning_nodes(problem, [begin - 1])
+    thin, kept = thinned(problem, nodes, known.calibration), np.flatnonzero(np.isin(problem.readings.places, nodes))
+    first, travel = int(np.searchsorted(nodes, begin)), driven_at(thin)
+    part, done = first_steps(thin, first), first
+    state = state_from_poses(part, known.poses[0, nodes[:first], None], known.calibration)
     try:
-        found = solve_labels(part, state, thin_labels[: len(part.readings)])
+        found = solve_labels(part, state, labels[kept[: len(part.readings)]])
         while done < thin.steps:
-            end = min(int(np.searchsorted(travel, travel[done - 1] + _STRETCH)) + 1, thin.steps)
-            part, done = first_steps(thin, end), end
+            done = min(int(np.searchsorted(travel, travel[done - 1] + _STRETCH)) + 1, thin.steps)
+            part = first_steps(thin, done)
             found = _with_stretch(part, found)
         if is_contradicted(part, found):
             found = mend(part, found, _MOVES_WITHOUT_FILTER)[-1].association
-        if is_contradicted(part, found) or not _is_known_again(part, found, (begin - 1) // every + 1):
+        if not _is_supported(part, found, first):
             return None
-        return _refined(problem, found, every, kept)
+        found = _refined(problem, found, nodes, kept)
+        return found if _is_supported(problem, found, begin) else None
     except DegenerateError:
         return None
 
@@ -154,26 +155,29 @@ def _with_stretch(part: Problem, found: Association) -> Association:
     return reassociate_from(part, merged, _STRETCH_ROUNDS)
 
 
-def _is_known_again(problem: Problem, found: Association, begin: int) -> bool:
-    """Whether enough readings from a step on are of lines that were also read before it."""
+def _is_supported(problem: Problem, found: Association, begin: int) -> bool:
+    """Whether no more beams than usual contradict a drive, and enough readings from a step on are of lines that were
+    also read before it.
+    """
     used, later = found.labels >= 0, problem.readings.places >= begin
     again = np.isin(found.labels, np.unique(found.labels[used & ~later])) & used & later
-    return int(again.sum()) >= _KNOWN_AGAIN * max(int(later.sum()), 1)
+    is_known_again = int(again.sum()) >= _KNOWN_AGAIN * max(int(later.sum()), 1)
+    return is_known_again and not is_contradicted(problem, found)
 
 
-def _refined(problem: Problem, found: Association, every: int, kept: IntArray) -> Association:
-    """The association of all poses and readings, from that of every k-th pose, whose readings are those ``kept``."""
-    nodes = found.state.poses[0]
-    step = np.arange(problem.steps)
-    node = np.minimum(step // every, len(nodes) - 1)
-    motions = problem.motions(found.state.calibration)
-    free = moved(problem, motions, found.state.lines[:0], found.state.anchors[:0], found.state.calibration).poses[0]
+def _refined(problem: Problem, found: Association, nodes: IntArray, kept: IntArray) -> Association:
+    """The association of all poses and readings, from that of the poses at nodes, whose readings are those ``kept``."""
+    state, steps = found.state, np.arange(problem.steps)
+    free = moved(
+        problem, problem.motions(state.calibration), state.lines[:0], state.anchors[:0], state.calibration
+    ).poses[0]
     # Between two nodes, the wheels say where the robot was.
-    poses = se2.compose(nodes[node], se2.between(free[node * every], free))
+    before = np.searchsorted(nodes, steps, side="right") - 1
+    poses = se2.compose(state.poses[0][before], se2.between(free[nodes[before]], free))
     labels = np.full(len(problem.readings), -1)
     labels[kept] = found.labels
-    state = replace(state_from_poses(problem, poses[:, None]), calibration=found.state.calibration)
-    return reassociate_from(problem, solve_labels(problem, state, labels), ROUNDS)
+    whole = state_from_poses(problem, poses[:, None], state.calibration)
+    return reassociate_from(problem, solve_labels(problem, whole, labels), ROUNDS)
 
 
 def is_contradicted(problem: Problem, found: Association) -> bool:

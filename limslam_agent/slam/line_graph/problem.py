@@ -5,6 +5,7 @@ arcs, so poses follow from motions.
 """
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -27,7 +28,9 @@ FEWEST_READINGS = 6
 _SIZES = SelfCalibrationConfig(size_std=0.03, uneven_std=0.03, axle_std=0.03)
 _BIAS_STD = 0.02  # m, of a bias of all ranges
 _ASIDE_STD = 1e-5  # m: keeps the equations regular, and adds up to less than a millimetre in a run
-_THINNED_ASIDE_STD = 2e-3  # m: what several arcs in a row differ from a single one
+# Poses of a thinned drive are this far apart, m or rad. By noise, and by another calibration, several arcs in a row
+# lead aside of the single arc that they are taken for, with this standard deviation, m.
+_NODE_SPACING, _NODE_TURN, _THINNED_ASIDE_STD = 0.1, 0.2, 2e-3
 _LEAST_VARIANCE = 1e-12  # m^2
 
 
@@ -68,7 +71,8 @@ class Problem:
     starts
         Known poses (n, 3) of the first step, m and rad.
     wheels, stds
-        Reported motions (n, t - 1, 3), m, whose last column is zero, and their standard deviations.
+        Reported motions (n, t - 1, 3), m, and their standard deviations. The last column, the motion aside, is zero
+        unless the drive is thinned.
     readings, range_std, growth
         The readings of walls, and the standard deviation of one of usual length, m. It grows with the range: the part
         that is proportional to the squared range is ``growth``, 1/m^2, times that of short ranges.
@@ -256,42 +260,56 @@ def _listed(kept: BoolArray, ranges: FloatArray) -> Readings:
     return Readings(number * len(ranges) + step, beam, ranges[step, number, beam])
 
 
-def thinned(problem: Problem, every: int, poses: FloatArray) -> Problem:
-    """One robot's problem with every k-th pose and its readings; the motions between them are added up.
+def thinning_nodes(problem: Problem, forced: Iterable[int]) -> IntArray:
+    """The steps of one robot whose poses are kept by :func:`thinned`: about 0.1 m or 0.2 rad apart.
 
-    The poses (t, 3) say where a carried robot came to. A later motion of a drive may be longer than they are.
+    A motion cannot be divided, so two of them may be farther apart by one motion. The first and the last step are among
+    them, the steps that are ``forced``, and both steps of each motion of a carried robot.
     """
-    count = (problem.steps - 1) // every
-    grouped = (1, count, every, 3)
-    wheels = problem.wheels[:, : count * every].reshape(grouped).sum(axis=2)
-    stds = np.sqrt((problem.stds[:, : count * every] ** 2).reshape(grouped).sum(axis=2))
-    stds[..., 2] = max(_THINNED_ASIDE_STD, _ASIDE_STD)
-    covariances = {
-        each.motion // every: np.diag(stds[0, each.motion // every] ** 2)
-        for each in problem.loose
-        if each.motion < count * every
-    }
+    carried = [] if problem.jumps is None else np.flatnonzero(problem.jumps[0].any(axis=1)).tolist()
+    kept = {problem.steps - 1, *forced, *carried, *(motion + 1 for motion in carried)}
+    nodes, driven, turned = [0], 0.0, 0.0
+    for step, (left, right, _) in enumerate(problem.wheels[0].tolist(), start=1):
+        driven += 0.5 * abs(left + right)
+        turned += abs(right - left) / problem.robot.axle
+        if driven >= _NODE_SPACING or turned >= _NODE_TURN or step in kept:
+            nodes.append(step)
+            driven = turned = 0.0
+    return np.array(nodes)
+
+
+def thinned(problem: Problem, nodes: IntArray, calibration: FloatArray) -> Problem:
+    """One robot's problem with the poses and readings at its :func:`thinning_nodes` alone.
+
+    A motion between two nodes is the single arc, with a motion aside, that leads where all arcs between them lead by a
+    calibration (1, 4 or more).
+    """
+    nothing = np.zeros((0, 2))
+    free = moved(problem, problem.motions(calibration), nothing, nothing, calibration).poses[0]
+    wheels = np.empty((1, len(nodes) - 1, 3))
+    kernels.motions_between(free[nodes], problem.axle(calibration[0]), wheels[0])
+    wheels[..., :2] /= 1.0 + calibration[0, :2]
+    jumps = None if problem.jumps is None else problem.jumps[:, nodes[:-1]]
+    if jumps is not None:  # both steps of a motion of a carried robot are nodes
+        wheels[jumps.any(axis=2)] = 0.0
+    stds = np.sqrt(np.add.reduceat(problem.stds**2, nodes[:-1], axis=1))
+    stds[..., 2] = _THINNED_ASIDE_STD
+    covariances = dict[int, FloatArray]()
     for each in problem.loose:
-        if each.motion < count * every:
-            covariances[each.motion // every] += np.linalg.inv(each.root.T @ each.root)
-    jumps = np.zeros_like(wheels)
-    carried = [] if problem.jumps is None else np.unique(np.flatnonzero(problem.jumps[0].any(axis=1)) // every).tolist()
-    for motion in carried:
-        ends = poses[[motion * every, (motion + 1) * every]].copy()
-        ends[1, 2] = ends[0, 2] + math.remainder(ends[1, 2] - ends[0, 2], 2.0 * math.pi)
-        wheels[0, motion] = 0.0
-        kernels.motions_between(ends, problem.robot.axle, jumps[0, motion : motion + 1])
+        motion = int(np.searchsorted(nodes, each.motion, side="right")) - 1
+        covariances.setdefault(motion, np.diag(stds[0, motion] ** 2))
+        covariances[motion] += np.linalg.inv(each.root.T @ each.root)
     return replace(
-        problem, wheels=wheels, stds=stds, jumps=jumps if carried else None,
-        readings=_every(problem.readings, every, count), looks=_every(problem.looks, every, count),
+        problem, wheels=wheels, stds=stds, jumps=jumps,
+        readings=_at(problem.readings, nodes), looks=_at(problem.looks, nodes),
         loose=tuple(LooseMotion.of(0, motion, each) for motion, each in covariances.items()),
     )  # fmt: skip
 
 
-def _every(readings: Readings, every: int, last: int) -> Readings:
-    """The readings of every k-th pose up to number ``last`` of these."""
-    kept = (readings.places % every == 0) & (readings.places <= last * every)
-    return Readings(readings.places[kept] // every, readings.beams[kept], readings.distances[kept])
+def _at(readings: Readings, nodes: IntArray) -> Readings:
+    """The readings of some steps, whose numbers are those among these steps."""
+    kept = np.isin(readings.places, nodes)
+    return Readings(np.searchsorted(nodes, readings.places[kept]), readings.beams[kept], readings.distances[kept])
 
 
 def first_steps(problem: Problem, count: int) -> Problem:
@@ -309,14 +327,18 @@ def _before(readings: Readings, count: int) -> Readings:
     return Readings(readings.places[kept], readings.beams[kept], readings.distances[kept])
 
 
-def state_from_poses(problem: Problem, poses: FloatArray) -> State:
-    """A state without lines at poses (t, n, 3). The first pose is the known start; headings may be wrapped."""
+def state_from_poses(problem: Problem, poses: FloatArray, calibration: FloatArray | None = None) -> State:
+    """A state without lines at poses (t, n, 3). The first pose is the known start; headings may be wrapped.
+
+    The calibration (n, 4 or more) is the assumed one if it is None.
+    """
+    calibration = problem.assumed_calibration if calibration is None else calibration
     chains = np.moveaxis(np.asarray(poses, dtype=float), 0, 1).copy()
     chains[..., 2] = np.unwrap(chains[..., 2], axis=1)
     motions = np.empty_like(problem.wheels)
-    for chain, motion in zip(chains, motions, strict=True):
-        kernels.motions_between(chain, problem.robot.axle, motion)
-    return moved(problem, motions, np.zeros((0, 2)), np.zeros((0, 2)), problem.assumed_calibration)
+    for chain, motion, sizes in zip(chains, motions, calibration, strict=True):
+        kernels.motions_between(chain, problem.axle(sizes), motion)
+    return moved(problem, motions, np.zeros((0, 2)), np.zeros((0, 2)), calibration)
 
 
 def state_from_motions(problem: Problem) -> State:

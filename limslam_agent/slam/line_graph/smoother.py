@@ -158,7 +158,11 @@ class Settled:
 
 
 def smooth_run(
-    run: FilteredRun, config: SmootherConfig | None = None, unplaced: int | None = None
+    run: FilteredRun,
+    config: SmootherConfig | None = None,
+    unplaced: int | None = None,
+    *,
+    may_be_continued: bool = True,
 ) -> SmoothedRun | None:
     """Estimate all poses and lines of a run from all its measurements.
 
@@ -167,11 +171,11 @@ def smooth_run(
     the robots did not move or no wall was seen often enough: there is nothing to smooth then.
 
     ``unplaced`` is the step from which on the filter did not know the place of the only robot. The result ends there,
-    unless its own walls say where the robot went.
+    unless it ``may_be_continued`` and its own walls say where the robot went.
     """
     config = config or SmootherConfig()
     best = settle(run.until(unplaced), config)
-    if best is not None and unplaced is not None:
+    if best is not None and unplaced is not None and may_be_continued:
         best = _continued(best, run) or best
     return None if best is None else _smoothed(best)
 

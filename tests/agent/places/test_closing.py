@@ -138,7 +138,13 @@ def test_the_odometry_holds_for_a_robot_whose_covariance_explains_its_place(whol
 def monitor(change=None, **details):
     status = Status("lost", "a reason")
     carried = None if change is None else SimpleNamespace(change=change)
-    found = {"doubted": 3, "contradicted": 9, "added_covariance": np.zeros((3, 3)), "changes": lambda _: []}
+    found = {
+        "doubted": 3,
+        "contradicted": 9,
+        "added_covariance": np.zeros((3, 3)),
+        "changes": lambda _: [],
+        "jump": 0.0,
+    }
     return SimpleNamespace(status=status, carried=carried, **{**found, **details})
 
 
@@ -156,6 +162,10 @@ def test_a_place_that_is_refuted_is_taken_back_as_a_whole(whole):
     recovery.lose(monitor(), slam, None)
     assert recovery.absence.is_astray, "the pose from before is no longer kept"
     assert recovery.absence.is_carried
+    assert not recovery.absence.odometry_jumped
+    for jump in (1.1, 0.0):
+        recovery.lose(monitor(jump=jump), slam, None)
+        assert recovery.absence.odometry_jumped, "it remains so when the robot is lost again"
 
 
 @pytest.mark.parametrize(("away", "is_undone"), [((3.0, 0.0, 0.0), True), ((0.3, 0.0, 0.0), False)])

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from limslam_agent.status.smoothed_status import lost_note, smoothed_status
+from limslam_agent.status.smoothed_status import lost_note, lost_since, smoothed_status
 from limslam_agent.status.status import Status, final_status_scores
 
 STEPS = 50
@@ -46,6 +46,16 @@ def test_large_corrections_of_a_certain_filter_are_unsure(aside, std, level):
 def test_an_uncertain_smoothed_heading_is_unsure():
     status = smoothed_status(0.0, path(), path(heading_std=np.radians(6.0)), while_driving="ok")
     assert status == Status("unsure", "the smoothed heading's standard deviation reaches 6.0 deg")
+
+
+def test_a_robot_that_was_lost_to_the_end_is_lost_or_unsure():
+    since = lost_since(np.arange(10.0, 20.0), 4)
+    assert since == 4.0
+    assert lost_since(np.arange(10.0), None) is None
+    lost = smoothed_status(0.0, path(), path(), while_driving="lost", lost_since=since)
+    assert lost == Status("lost", "the place of the robot is unknown from 4 s on")
+    found = smoothed_status(0.0, path(), path(), while_driving="lost", lost_since=since, is_continued=True)
+    assert (found.level, "from 4 s on" in found.reason) == ("unsure", True)
 
 
 def test_the_note_says_when_the_robot_was_lost():

@@ -10,7 +10,14 @@ from support.smoother_runs import ROUND, noisy_run, position_error, true_labels
 from limslam_agent.slam.line_graph import mending
 from limslam_agent.slam.line_graph.map_score import explained_looks, line_values, score, tally
 from limslam_agent.slam.line_graph.mending import continued, doubled_lines, is_repaired, mend, straight_runs
-from limslam_agent.slam.line_graph.problem import Readings, first_steps, state_from_motions
+from limslam_agent.slam.line_graph.problem import (
+    CALIBRATION_PRIOR,
+    Readings,
+    first_steps,
+    state_from_motions,
+    thinned,
+    thinning_nodes,
+)
 from limslam_agent.slam.line_graph.reassociation import reassociate, solve_labels
 from limslam_agent.slam.line_graph.smoothed_map import smoothed_map
 
@@ -168,3 +175,78 @@ def test_a_drive_goes_on_without_a_filter_where_its_walls_are_known_again():
     ))  # fmt: skip
     carried = replace(problem, wheels=problem.wheels[:, : elsewhere.steps - 1], readings=readings, looks=readings)
     assert continued(carried, found.state, found.labels) is None
+
+
+def continued_half(problem, poses):
+    """The drive that is continued from its first half, whose walls are known."""
+    begin = first_steps(problem, problem.steps // 2)
+    found = solve_labels(begin, state_from_motions(begin), true_labels(problem, poses)[: len(begin.readings)])
+    return continued(problem, found.state, found.labels)
+
+
+def at_steps(problem, steps):
+    """A problem with the poses of some steps (t,), which may repeat; no wheels report motions that are left out."""
+    is_new = np.diff(steps) == 1
+    places = [problem.readings.places == step for step in steps]
+    parts = [
+        (np.full(own.sum(), number), problem.readings.beams[own], problem.readings.distances[own])
+        for number, own in enumerate(places)
+    ]
+    readings = Readings(*(np.concatenate(each) for each in zip(*parts, strict=True)))
+    motions = np.minimum(steps[:-1], problem.steps - 2)
+    wheels, stds = problem.wheels[:, motions].copy(), problem.stds[:, motions].copy()
+    wheels[:, ~is_new], stds[:, ~is_new] = 0.0, [1e-6, 1e-6, 1e-5]
+    return replace(problem, wheels=wheels, stds=stds, readings=readings, looks=readings)
+
+
+def test_a_drive_with_another_axle_goes_on():
+    problem, poses = noisy_run(5, prior=CALIBRATION_PRIOR, places=[*ROUND, *ROUND])
+    middle = problem.wheels[..., :2].mean(axis=-1, keepdims=True)
+    wheels = problem.wheels.copy()
+    wheels[..., :2] = middle + 1.05 * (wheels[..., :2] - middle)
+    whole = continued_half(replace(problem, wheels=wheels), poses)
+    assert position_error(whole.state, poses) < 0.03
+    assert abs(whole.state.calibration[0, 2] - 0.05) < 0.01
+
+
+def test_a_drive_that_stood_for_long_goes_on():
+    problem, poses = noisy_run(5, places=[*ROUND, *ROUND])
+    stood = problem.steps // 3
+    steps = np.concatenate((np.arange(stood), np.full(3 * problem.steps, stood), np.arange(stood, problem.steps)))
+    whole = continued_half(at_steps(problem, steps), poses[:, steps])
+    assert position_error(whole.state, poses[:, steps]) < 0.03
+
+
+@pytest.mark.parametrize("back", [2, 40])
+def test_a_thinned_drive_leads_where_the_drive_leads(back):
+    problem, _ = noisy_run(5)
+    jumps, wheels = np.zeros_like(problem.wheels), problem.wheels.copy()
+    jumps[0, -back], wheels[0, -back] = (0.4, 0.9, 0.2), 0.0
+    carried = replace(problem, wheels=wheels, jumps=jumps)
+    calibration = np.array([[0.01, -0.02, 0.05, 0.0]])
+    nodes = thinning_nodes(carried, [])
+    thin = thinned(carried, nodes, calibration)
+    whole, few = (
+        mending.moved(each, each.motions(calibration), np.zeros((0, 2)), np.zeros((0, 2)), calibration).poses[0]
+        for each in (carried, thin)
+    )
+    np.testing.assert_allclose(few, whole[nodes], atol=1e-9)
+    assert nodes[-1] == problem.steps - 1
+    assert {problem.steps - 1 - back, problem.steps - back} <= set(nodes.tolist())
+    others = np.delete(np.diff(whole[nodes], axis=0), np.searchsorted(nodes, problem.steps - 1 - back), axis=0)
+    assert np.hypot(*others[:, :2].T).max() < 0.13
+    assert np.abs(others[:, 2]).max() < 0.3
+
+
+@pytest.mark.parametrize("left_out", [12, 30, 80])
+def test_a_robot_that_was_carried_a_short_way_does_not_go_on(left_out):
+    problem, poses = noisy_run(5, places=[*ROUND, *ROUND])
+    carried = problem.steps // 2 + 20
+    steps = np.concatenate((np.arange(carried), np.arange(carried + left_out, problem.steps)))
+    assert continued_half(at_steps(problem, steps), poses[:, steps]) is None
+
+
+def test_the_refined_association_is_judged_too(monkeypatch):
+    problem, poses = noisy_run(5, places=[*ROUND, *ROUND])
+    monkeypatch.setattr(mending, "is_contradicted", lambda part, _: part.steps == problem.steps)
+    assert continued_half(problem, poses) is None
