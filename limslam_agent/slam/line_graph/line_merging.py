@@ -35,7 +35,8 @@ def merge_lines(
 
     Every merged pair is a constraint that updates all other lines through their joint covariance. The pair with the
     greatest likelihood is merged first. A pair with a large covariance passes the chi-square test easily. This is weak
-    evidence, for which there is a limit of its own. Two lines that were read from opposite sides only are merged if they are a board.
+    evidence, so it has a limit of its own. Two lines that were read from opposite sides only are merged if they are a
+    board.
 
     Parameters
     ----------
