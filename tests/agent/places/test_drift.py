@@ -118,7 +118,7 @@ def test_a_renewal_is_tried_for_a_robot_whose_readings_have_fitted_since_a_chang
     recovery = lost(whole, FAR)
     recovery.absence, recovery._doubt = None, Doubt(40, 20.0, is_dated=True, status=CARRIED, has_fitted=has_fitted)
     slam = SimpleNamespace(covariance=np.eye(3), pose=np.zeros(3), range_sensor=SENSOR)
-    own = SimpleNamespace(status=Status(), doubted=0, added_covariance=np.diag([jump**2, jump**2, 0.0]))
+    own = SimpleNamespace(status=Status(), doubted=0, jump=jump, added_covariance=np.diag([jump**2, jump**2, 0.0]))
     known = SimpleNamespace(step=0, grid=SimpleNamespace(view=whole.grid), places=whole)
     monkeypatch.setattr(recovery, "_copy", lambda *_: known)
     recovery.lose(own, slam, None)
