@@ -124,12 +124,12 @@ def carried_at(log: StepLog, placed: FloatArray, robot: RobotSpec, sensor: Range
     place
         The map of the time before.
     """
-    steps = log.steps[: len(placed)]
+    steps, mounted = log.steps[: len(placed)], sensor.mounted(robot)
     # The steps before the break are explained by the poses that were believed, and the others by the placed ones.
     gained = [
         here.evidence - there.evidence
         for step, pose in zip(steps, placed, strict=True)
-        for here, there in [place.weigh(np.array([step.pose, pose]), step_rays(step.ranges, robot, sensor))]
+        for here, there in [place.weigh(np.array([step.pose, pose]), step_rays(step.ranges, mounted, sensor.bias))]
     ]
     totals = np.cumsum(gained)
     # Readings may change by more where the break is.

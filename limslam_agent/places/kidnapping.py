@@ -166,7 +166,8 @@ class Kidnapping:
             status = self._elsewhere
         status = self._held_status(likeliest, status)
         has_fitted = likeliest.change in self._fitted_after
-        return Doubt(likeliest.step, evidence, likeliest.change.change >= _DATED, status, has_fitted)
+        is_dated = likeliest.change.change >= _DATED and not has_fitted
+        return Doubt(likeliest.step, evidence, is_dated, status, has_fitted)
 
     def _with_held(self, changes: Sequence[tuple[int, Suspicion]], log: StepLog) -> list[tuple[int, Suspicion]]:
         """The changes, and the one that is held."""

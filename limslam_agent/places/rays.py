@@ -51,23 +51,25 @@ def rays_of(steps: Sequence[Seen], robot: RobotSpec, sensor: RangeSensor | None 
     origins = np.einsum("tij,bj->tbi", turns, robot.beam_origins[used]) + poses[:, None, :2]
     directions = np.einsum("tij,bj->tbi", turns, robot.beam_directions[used])
     reaches = np.broadcast_to(robot.max_ranges[used], ranges.shape)
-    lengths = np.where(seen_nothing, reaches, np.clip(ranges - bias, 1e-6, reaches - 1e-6))
+    lengths = _lengths(ranges, bias, seen_nothing, reaches)
     rays = np.concatenate((origins, directions, lengths[..., None], reaches[..., None]), axis=2)[usable]
     return np.ascontiguousarray(rays[_latest(rays)][-_RAYS:])
 
 
-def step_rays(ranges: FloatArray, robot: RobotSpec, sensor: RangeSensor) -> FloatArray:
+def step_rays(ranges: FloatArray, robot: RobotSpec, bias: float) -> FloatArray:
     """The rays (m, 6) of the readings (n_beams,), m, of one step, in the frame of the robot.
 
-    ``robot`` has its beams as specified. Readings that saw nothing count, since no other step says whether they are
-    dropouts.
+    ``robot`` has its beams as they are mounted, and its readings are too long by ``bias``, m. Readings that saw nothing
+    count, since no other step says whether they are dropouts.
     """
-    robot = sensor.mounted(robot)
-    seen_nothing = ranges >= robot.too_far
-    usable = ranges > robot.too_near
-    lengths = np.where(seen_nothing, robot.max_ranges, np.clip(ranges - sensor.bias, 1e-6, robot.max_ranges - 1e-6))
+    lengths = _lengths(ranges, bias, ranges >= robot.too_far, robot.max_ranges)
     columns = robot.beam_origins, robot.beam_directions, lengths, robot.max_ranges
-    return np.ascontiguousarray(np.column_stack(columns)[usable])
+    return np.ascontiguousarray(np.column_stack(columns)[ranges > robot.too_near])
+
+
+def _lengths(ranges: FloatArray, bias: float, seen_nothing: BoolArray, reaches: FloatArray) -> FloatArray:
+    """Lengths of rays, m: those of beams that have seen nothing are the longest ones, and others are shorter."""
+    return np.where(seen_nothing, reaches, np.clip(ranges - bias, 1e-6, reaches - 1e-6))
 
 
 def _missed(seen_nothing: BoolArray, measured: BoolArray) -> BoolArray:

@@ -188,14 +188,15 @@ class Recovery:
         map. A robot that had only drifted near by keeps its place, or it would be found there and lost in turns. If
         the readings have said in which step the robot was carried away, the map until then is good.
         """
-        loss = self._first_doubt(own, slam)
-        status, first, is_dated, is_carried, _ = loss
+        status, first, is_dated, is_carried, has_fitted = self._first_doubt(own, slam)
         jump = math.sqrt(own.added_covariance[0, 0])
         before, self._arrival = self.absence, None
         if before is None:
             known = self._known_before(first, 1 if is_dated else self._config.margin) or self._copy(slam, grid)
-            self.absence = Absence(known, first, status.reason, jump, known.places, slam.covariance, slam.pose)
-            self.absence.has_fitted = loss.has_fitted and jump == 0.0
+            self.absence = Absence(
+                known, first, status.reason, jump, known.places, slam.covariance, slam.pose,
+                has_fitted=has_fitted and jump == 0.0,
+            )  # fmt: skip
             self.log.forget_before(known.step)
             self.absence.believed = self.log[max(first - 1, self.log.begin)].pose
             if is_carried:
@@ -292,8 +293,7 @@ class Recovery:
             return _Loss(own.status, first, is_dated, change is not None or was_carried)
         assert doubt is not None  # noqa: S101 (the monitor or a doubt says that the robot is lost)
         status = own.status if is_own else doubt.status
-        is_dated = doubt.is_dated and not doubt.has_fitted
-        return _Loss(status, doubt.step, is_dated, is_carried=True, has_fitted=doubt.has_fitted)
+        return _Loss(status, doubt.step, doubt.is_dated, is_carried=True, has_fitted=doubt.has_fitted)
 
     def _is_refuted(self, absence: Absence, sensor: RangeSensor) -> bool:
         """Whether the readings since the robot was placed contradict the map in which it was."""

@@ -60,8 +60,7 @@ def score(episode: Episode) -> dict[str, Any]:
     events, closed = _events(episode), [(closure.older, closure.younger) for closure in episode.closures]
     placed = slice(episode.placed_robots)  # the poses of a robot that was not placed are in a frame of its own
     known, online = episode.placed_steps, None if episode.smoothed is None else online_map(episode)
-    # The map of a continued run is drawn from all steps, and its online map from those before the robot was lost.
-    mapped = slice(None) if episode.smoothed is not None and episode.smoothed.is_continued else known
+    mapped = episode.mapped_steps  # the online map is drawn from the steps before the robot was lost
     columns = (episode.true, episode.estimated, episode.odometry, episode.covariances)
     trajectory = team_scores(*(rows[:, placed] for rows in columns))
     limit = offline_optimum_scores(episode, trajectory["ate_m"]) if config.limit else {}

@@ -12,8 +12,8 @@ ROUND = [(0.6, 0.6), (2.4, 0.6), (2.4, 1.8), (0.6, 1.8), (0.6, 0.7)]
 WHEEL_VARIANCE = 2e-5
 
 
-def noisy_run(seed, noise=0.02, mismatch=0.0, prior=None, robots=1, walls=WALLS, places=ROUND):
-    """A drive round a room, reported with noise: the problem, and the true poses (n, t, 3)."""
+def noisy_drive(seed, noise=0.02, mismatch=0.0, robots=1, walls=WALLS, places=ROUND):
+    """A drive round a room: wheel travel (t, n, 2) and ranges (t, n, n_beams) with noise, and true poses (n, t, 3)."""
     generator = np.random.default_rng(seed)
     wheels, ranges, poses = [], [], []
     for _ in range(robots):
@@ -23,11 +23,14 @@ def noisy_run(seed, noise=0.02, mismatch=0.0, prior=None, robots=1, walls=WALLS,
         wheels.append(reported * np.array([1.0 + mismatch, 1.0 - mismatch]))
         ranges.append([each["ranges"] for each in observations])
         poses.append(true)
-    problem = make_problem(
-        ROBOT, NominalNoise(noise, WHEEL_VARIANCE), np.tile(START, (robots, 1)), np.moveaxis(wheels, 0, 1),
-        np.moveaxis(ranges, 0, 1), prior=prior,
-    )  # fmt: skip
-    return problem, np.array(poses)
+    return np.moveaxis(wheels, 0, 1), np.moveaxis(ranges, 0, 1), np.array(poses)
+
+
+def noisy_run(seed, noise=0.02, mismatch=0.0, prior=None, robots=1, walls=WALLS, places=ROUND):
+    """The problem of a drive round a room that is reported with noise, and the true poses (n, t, 3)."""
+    wheels, ranges, poses = noisy_drive(seed, noise, mismatch, robots, walls, places)
+    starts = np.tile(START, (robots, 1))
+    return make_problem(ROBOT, NominalNoise(noise, WHEEL_VARIANCE), starts, wheels, ranges, prior=prior), poses
 
 
 def true_labels(problem, poses, walls=WALLS):

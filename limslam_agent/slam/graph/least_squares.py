@@ -120,6 +120,15 @@ def relation_factor(
     return np.column_stack((x - measured[:, 0], y - measured[:, 1], turn)), jacobian
 
 
+def relation_covariances(jacobian: FloatArray, joint: FloatArray, first: IntArray, second: IntArray) -> FloatArray:
+    """Covariances (f, 3, 3) of relative poses, from their Jacobians (f, 3, 6) by the first and second pose.
+
+    ``joint`` (3 c, 3 c) is the covariance of all poses.
+    """
+    columns = np.hstack((pose_columns(first), pose_columns(second)))
+    return np.asarray(jacobian @ joint[columns[:, :, None], columns[:, None, :]] @ jacobian.transpose(0, 2, 1))
+
+
 def odometry_factor(keys: KeyPoses, trajectory: Trajectory) -> tuple[FloatArray, FloatArray]:
     """Errors (m - 1, 3) of odometry between key poses, and their Jacobians (m - 1, 3, 11).
 

@@ -13,7 +13,7 @@ import numpy as np
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.agreement import supported
 from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Hops, Loop, information_matrix, solve
-from limslam_agent.slam.graph.least_squares import relation_factor
+from limslam_agent.slam.graph.least_squares import relation_covariances, relation_factor
 from limslam_agent.slam.graph.local_maps import LocalMap
 from limslam_agent.slam.graph.matching import (
     Match,
@@ -132,11 +132,10 @@ def scale_of_hops(chunks: Chunks, loops: list[Loop]) -> float:
     known = [loop for loop in loops if np.linalg.eigvalsh(loop.information[:2, :2])[0] > _KNOWN_STD**-2]
     if len(known) < _FEWEST:
         return 1.0
-    joint = np.linalg.inv(information_matrix(chunks.poses, chunks.hops, [], np.zeros(0)))
-    ends = np.array([(loop.first, loop.second) for loop in known])
-    error, jacobian = relation_factor(chunks.poses, ends[:, 0], ends[:, 1], np.array([loop.relative for loop in known]))
-    columns = (3 * ends[:, :, None] + np.arange(3)).reshape(len(ends), 6)
-    chain = jacobian @ joint[columns[:, :, None], columns[:, None, :]] @ jacobian.transpose(0, 2, 1)
+    joint = np.asarray(np.linalg.inv(information_matrix(chunks.poses, chunks.hops, [], np.zeros(0))), dtype=float)
+    first, second = np.array([(loop.first, loop.second) for loop in known]).T
+    error, jacobian = relation_factor(chunks.poses, first, second, np.array([loop.relative for loop in known]))
+    chain = relation_covariances(jacobian, joint, first, second)
     squares = np.einsum("fi,fij,fj->f", error, np.linalg.inv(chain), error)
     return float(np.clip(np.quantile(squares, _EXPLAINED) / _LARGEST_SQUARE, _LEAST_SCALE, 1.0))
 

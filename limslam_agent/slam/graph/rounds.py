@@ -34,7 +34,6 @@ from limslam_agent.slam.graph.chunk_graph import (
     carry_over,
     hop_chi_squares,
     hops_between,
-    inflated,
     solve_annealed,
     unbent,
 )
@@ -135,19 +134,16 @@ class LogProblem:
 
     def strain(self, number: int) -> Strain:
         """What the chunks of a round cost where their path bends away from the local smoothing."""
-        hops = self.local_hops(number)
-        covariances = inflated(self.hop_scale * self._hop_covariances(number))
-        return Strain(Hops(hops.motions, covariances), HOP_KERNEL, _STRAIN)
+        return Strain(self.local_hops(number, self.hop_scale), HOP_KERNEL, _STRAIN)
 
     def bends(self, trajectory: Trajectory) -> tuple[IntArray, FloatArray]:
         """The key poses (h,) at which the hops of a trajectory begin, and their chi-squares (h,) by local smoothing."""
         middles = self.middles(0)
         return middles[:-1], hop_chi_squares(trajectory.poses[middles], self.local_hops(0))
 
-    def local_hops(self, number: int) -> Hops:
-        """The hops of a round along the local trajectory."""
-        poses = self.local.poses[self.middles(number)]
-        return hops_between(poses, self._hop_covariances(number))
+    def local_hops(self, number: int, scale: float = 1.0) -> Hops:
+        """The hops of a round along the local trajectory, with covariances of the local graph times ``scale``."""
+        return hops_between(self.local.poses[self.middles(number)], scale * self._hop_covariances(number))
 
     def _hop_covariances(self, number: int) -> FloatArray:
         """Covariances (c - 1, 3, 3) of the hops of a round, from the graph of the local smoothing."""

@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Loop, information_matrix
-from limslam_agent.slam.graph.least_squares import relation_factor
+from limslam_agent.slam.graph.least_squares import relation_covariances, relation_factor
 from limslam_agent.slam.graph.loop_search import LEAST_SCORE, Chunks
 from limslam_agent.slam.graph.matching import Match, Window, match, search_grid
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
@@ -103,8 +103,7 @@ def _windows(poses: FloatArray, joint: FloatArray, first: int, seconds: IntArray
     """
     firsts = np.full(len(seconds), first)
     _, jacobian = relation_factor(poses, firsts, seconds, np.zeros((len(seconds), 3)))
-    columns = np.hstack((3 * firsts[:, None] + np.arange(3), 3 * seconds[:, None] + np.arange(3)))
-    covariance = jacobian @ joint[columns[:, :, None], columns[:, None, :]] @ jacobian.transpose(0, 2, 1)
+    covariance = relation_covariances(jacobian, joint, firsts, seconds)
     variances = np.maximum(np.diagonal(covariance, axis1=1, axis2=2), 0.0)
     position, heading = np.sqrt(variances[:, :2].max(axis=1)), np.sqrt(variances[:, 2])
     shift = np.minimum(_WINDOW, _LEAST_WINDOW + _SIGMAS * position)

@@ -64,12 +64,13 @@ _POINT_GAP = 0.30  # m between the ends of two readings of one wall
 _STRETCH, _STRETCH_ROUNDS, _FEWEST_OF_PIECE = 10.0, 2, 5
 _FAR_LIMITS = ONE_WALL.wider(max_offset=2.5, max_angle=0.6, min_overlap=0.10)
 _KNOWN_AGAIN = 0.5  # least share of the later readings that are of walls of the beginning
-_MOVES_WITHOUT_FILTER = ("cut", "drop", "reborn")
 
 MOVES = ("anew", "cut", "drop", "reborn")
 """``anew``: only straight wall segments, found along the path of the wheel odometry. ``cut``: lines cut where they were
 not read for a while. ``drop``: as ``cut``, without the lines that beams contradict. ``reborn``: with new lines through
 readings that no line explains. Every other move is also tried together with ``reborn``."""
+
+_LATER_MOVES = MOVES[1:]  # of a solution that does not come from the filter: *anew* would only forget it
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +90,7 @@ def mend(problem: Problem, found: Association, first_moves: tuple[str, ...] = MO
     """
     kept = [Candidate(found, score(problem, found), "start")]
     for number in range(_ROUNDS):
-        moves: tuple[str, ...] = ("cut", "drop", "reborn") if number else first_moves
+        moves = _LATER_MOVES if number else first_moves
         if number and not is_contradicted(problem, kept[-1].association):
             moves = ("reborn",)
         best = _best_of_round(problem, kept[-1], moves)
@@ -132,7 +133,7 @@ def continued(problem: Problem, known: State, labels: IntArray) -> Association |
             part = first_steps(thin, done)
             found = _with_stretch(part, found)
         if is_contradicted(part, found):
-            found = mend(part, found, _MOVES_WITHOUT_FILTER)[-1].association
+            found = mend(part, found, _LATER_MOVES)[-1].association
         if not _is_supported(part, found, first):
             return None
         found = _refined(problem, found, nodes, kept)
@@ -168,9 +169,7 @@ def _is_supported(problem: Problem, found: Association, begin: int) -> bool:
 def _refined(problem: Problem, found: Association, nodes: IntArray, kept: IntArray) -> Association:
     """The association of all poses and readings, from that of the poses at nodes, whose readings are those ``kept``."""
     state, steps = found.state, np.arange(problem.steps)
-    free = moved(
-        problem, problem.motions(state.calibration), state.lines[:0], state.anchors[:0], state.calibration
-    ).poses[0]
+    free = state_from_motions(problem, state.calibration).poses[0]
     # Between two nodes, the wheels say where the robot was.
     before = np.searchsorted(nodes, steps, side="right") - 1
     poses = se2.compose(state.poses[0][before], se2.between(free[nodes[before]], free))

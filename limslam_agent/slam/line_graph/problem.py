@@ -284,8 +284,7 @@ def thinned(problem: Problem, nodes: IntArray, calibration: FloatArray) -> Probl
     A motion between two nodes is the single arc, with a motion aside, that leads where all arcs between them lead by a
     calibration (1, 4 or more).
     """
-    nothing = np.zeros((0, 2))
-    free = moved(problem, problem.motions(calibration), nothing, nothing, calibration).poses[0]
+    free = state_from_motions(problem, calibration).poses[0]
     wheels = np.empty((1, len(nodes) - 1, 3))
     kernels.motions_between(free[nodes], problem.axle(calibration[0]), wheels[0])
     wheels[..., :2] /= 1.0 + calibration[0, :2]
@@ -314,17 +313,13 @@ def _at(readings: Readings, nodes: IntArray) -> Readings:
 
 def first_steps(problem: Problem, count: int) -> Problem:
     """One robot's problem of its first ``count`` steps."""
+    steps = np.arange(count)
     return replace(
         problem, wheels=problem.wheels[:, : count - 1], stds=problem.stds[:, : count - 1],
         jumps=None if problem.jumps is None else problem.jumps[:, : count - 1],
-        readings=_before(problem.readings, count), looks=_before(problem.looks, count),
+        readings=_at(problem.readings, steps), looks=_at(problem.looks, steps),
         loose=tuple(each for each in problem.loose if each.motion < count - 1),
     )  # fmt: skip
-
-
-def _before(readings: Readings, count: int) -> Readings:
-    kept = readings.places < count
-    return Readings(readings.places[kept], readings.beams[kept], readings.distances[kept])
 
 
 def state_from_poses(problem: Problem, poses: FloatArray, calibration: FloatArray | None = None) -> State:
@@ -341,9 +336,12 @@ def state_from_poses(problem: Problem, poses: FloatArray, calibration: FloatArra
     return moved(problem, motions, np.zeros((0, 2)), np.zeros((0, 2)), calibration)
 
 
-def state_from_motions(problem: Problem) -> State:
-    """The state without lines that follows from the reported wheel travel, and from where robots were carried."""
-    nothing, calibration = np.zeros((0, 2)), problem.assumed_calibration
+def state_from_motions(problem: Problem, calibration: FloatArray | None = None) -> State:
+    """The state without lines that follows from the reported wheel travel, and from where robots were carried.
+
+    The calibration (n, 4 or more) is the assumed one if it is None.
+    """
+    nothing, calibration = np.zeros((0, 2)), problem.assumed_calibration if calibration is None else calibration
     return moved(problem, problem.motions(calibration), nothing, nothing, calibration)
 
 

@@ -182,25 +182,15 @@ def smooth_run(
 
 def _continued(best: Settled, run: FilteredRun) -> Settled | None:
     """The solution of a whole run, from that of its beginning; None if nothing says where the robot was later."""
-    whole = make_problem(run.robot, run.noise, run.poses[0], run.wheels, run.ranges, run.usable, None, run.first_step)
-    later = whole.steps - best.problem.steps
-    if later < 1:
+    drive = make_problem(run.robot, run.noise, run.poses[0], run.wheels, run.ranges, run.usable, None, run.first_step)
+    if drive.steps <= best.problem.steps:
         return None
-    jumps = None if best.problem.jumps is None else np.pad(best.problem.jumps, ((0, 0), (0, later), (0, 0)))
-    carried = tuple(each for each in best.problem.loose if jumps is not None and jumps[0, each.motion].any())
-    own = {each.motion for each in carried}
-    loose = tuple(each for each in whole.loose if each.motion not in own) + carried
-    wheels = whole.wheels.copy()
-    wheels[0, sorted(own)] = 0.0
+    drive = with_breaks(drive, run)
+    # The beginning has shown how the sensor measures, and whether the wheels are as specified.
     whole = replace(
-        best.problem,
-        wheels=wheels,
-        stds=whole.stds,
-        jumps=jumps,
-        loose=loose,
-        readings=whole.readings,
-        looks=whole.looks,
-    )
+        best.problem, wheels=drive.wheels, stds=drive.stds, jumps=drive.jumps, loose=drive.loose,
+        readings=drive.readings, looks=drive.looks,
+    )  # fmt: skip
     found = continued(whole, best.association.state, best.association.labels)
     return None if found is None else Settled(whole, found, (*best.moves, _CONTINUED))
 

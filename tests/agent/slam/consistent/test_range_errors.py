@@ -239,12 +239,17 @@ def test_further_turns_reach_all_parts_of_the_mapper_and_keep_its_doubts() -> No
         )
 
 
-def test_a_correction_keeps_what_is_reported_of_the_turns() -> None:
+def with_turned_beams(steps: int) -> tuple[LineSlam, tuple[float, ...]]:
+    """SLAM after some steps of a robot whose beams are turned by known angles, rad."""
     turns = tuple(np.radians([3.0, -4.0, 3.0, -3.0, 4.0, -3.0]).tolist())
-    observations, _ = observed(0.0, 3, turns=turns)
     slam = LineSlam(ROBOT, config_of(), sensor=RangeSensor(NOISE, turns=turns))
-    for seen in observations[:200]:
+    for seen in observed(0.0, 3, turns=turns)[0][:steps]:
         slam.step(seen)
+    return slam, turns
+
+
+def test_a_correction_keeps_what_is_reported_of_the_turns() -> None:
+    slam, _ = with_turned_beams(200)
     before, sensor = slam.beam_turns, slam.range_sensor
     assert before is not None
     assert before[:, 1].min() < math.radians(0.5)
@@ -279,11 +284,7 @@ def test_less_noise_than_specified_makes_no_turned_beams(std: float, is_turned: 
 
 
 def test_what_is_unknown_of_turned_beams_is_in_the_covariance() -> None:
-    turns = tuple(np.radians([3.0, -4.0, 3.0, -3.0, 4.0, -3.0]).tolist())
-    observations, _ = observed(0.0, 3, turns=turns)
-    slam = LineSlam(ROBOT, config_of(), sensor=RangeSensor(NOISE, turns=turns))
-    for seen in observations[:100]:
-        slam.step(seen)
+    slam, turns = with_turned_beams(100)
     ekf = slam._estimator._filter
     errors, by_filter, before = ekf.range_errors, ekf.P[:3, :3].copy(), slam.covariance
     by_turns = errors.by_errors[:3, TURNS]

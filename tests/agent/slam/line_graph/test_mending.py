@@ -4,9 +4,19 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.drives import room
-from support.smoother_runs import ROUND, noisy_run, position_error, true_labels
+from support.drives import ROBOT, room
+from support.smoother_runs import (
+    ROUND,
+    START,
+    WALLS,
+    WHEEL_VARIANCE,
+    noisy_drive,
+    noisy_run,
+    position_error,
+    true_labels,
+)
 
+from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.line_graph import mending
 from limslam_agent.slam.line_graph.map_score import explained_looks, line_values, score, tally
 from limslam_agent.slam.line_graph.mending import continued, doubled_lines, is_repaired, mend, straight_runs
@@ -14,12 +24,15 @@ from limslam_agent.slam.line_graph.problem import (
     CALIBRATION_PRIOR,
     Readings,
     first_steps,
+    make_problem,
     state_from_motions,
     thinned,
     thinning_nodes,
 )
 from limslam_agent.slam.line_graph.reassociation import reassociate, solve_labels
 from limslam_agent.slam.line_graph.smoothed_map import smoothed_map
+from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_run
+from limslam_env.interface import NominalNoise
 
 
 def truth(seed, noise=0.02, **changes):
@@ -160,10 +173,8 @@ def turn(first, second):
 def test_a_drive_goes_on_without_a_filter_where_its_walls_are_known_again():
     laps = [*ROUND, *ROUND]
     problem, poses = noisy_run(5, places=laps)
-    half = problem.steps // 2
-    begin = first_steps(problem, half)
-    found = solve_labels(begin, state_from_motions(begin), true_labels(problem, poses)[: len(begin.readings)])
-    whole = continued(problem, found.state, found.labels)
+    begin, found = known_half(problem, poses)
+    half, whole = begin.steps, continued(problem, found.state, found.labels)
     assert whole.state.poses.shape[1] == problem.steps
     assert position_error(whole.state, poses) < 0.03
     assert len(whole.state.lines) == 4
@@ -177,11 +188,44 @@ def test_a_drive_goes_on_without_a_filter_where_its_walls_are_known_again():
     assert continued(carried, found.state, found.labels) is None
 
 
+def known_half(problem, poses):
+    """The first half of a drive, and its solution with the true walls."""
+    begin = first_steps(problem, problem.steps // 2)
+    return begin, solve_labels(begin, state_from_motions(begin), true_labels(problem, poses)[: len(begin.readings)])
+
+
 def continued_half(problem, poses):
     """The drive that is continued from its first half, whose walls are known."""
-    begin = first_steps(problem, problem.steps // 2)
-    found = solve_labels(begin, state_from_motions(begin), true_labels(problem, poses)[: len(begin.readings)])
+    _, found = known_half(problem, poses)
     return continued(problem, found.state, found.labels)
+
+
+@pytest.mark.parametrize("carried", [None, 60])
+def test_a_run_whose_place_is_not_known_from_some_step_on_is_smoothed_to_its_end(carried):
+    wheels, ranges, poses = noisy_drive(5, places=[*ROUND, *ROUND])
+    if carried is not None:  # some motions that no wheel reports
+        left_out = np.arange(carried, carried + 20)
+        wheels, ranges = np.delete(wheels, left_out, 0), np.delete(ranges, left_out, 0)
+        poses = np.delete(poses, left_out, 1)
+        wheels[carried] = 0.0
+    noise = NominalNoise(0.02, WHEEL_VARIANCE)
+    problem, lost = make_problem(ROBOT, noise, START[None], wheels, ranges), len(wheels) // 2
+    labels, readings = true_labels(problem, poses), problem.readings
+    known = [(labels == wall) & (readings.places < lost) for wall in range(len(WALLS))]
+    believed = np.moveaxis(poses, 0, 1).copy()
+    believed[lost:] = believed[lost]
+    run = FilteredRun(
+        ROBOT, noise, wheels, ranges, np.isfinite(ranges), believed, np.zeros((len(wheels), 1, 3, 3)),
+        [AssociationRecord(wall, is_new=True, readings=np.column_stack((readings.places[own], readings.beams[own])))
+         for wall, own in enumerate(known)],
+        [], breaks=() if carried is None else ((0, carried),),
+    )  # fmt: skip
+    found = smooth_run(run, unplaced=lost)
+    assert found.is_continued
+    assert np.hypot(*(found.poses[:, 0] - poses[0])[:, :2].T).max() < 0.1
+    # Where the odometry has jumped, the wheels do not say how the robot moved.
+    beginning = smooth_run(run, unplaced=lost, may_be_continued=False)
+    assert (len(beginning.poses), beginning.is_continued) == (lost, False)
 
 
 def at_steps(problem, steps):
