@@ -6,7 +6,7 @@ they had seen if the path was at most 0.3 m off, 12 % of a path that was 0.5 m o
 1.6 m off. The latter crossed up to 3.5 walls in 100 m, and right paths at most 1.8.
 
 Where two places look alike, most points of a wrong map are confirmed, too. But points are then contradicted at one
-place only: in two made-up rings of corridors at 16 and 29 % of the points along some 17 m of driving, 15 times as often
+place only: in two made-up rings of corridors at 16 and 29 % of the points along some 20 m of driving, 15 times as often
 as in three quarters of the log. In 21 right paths, among them cluttered ones of real logs, the factor was at most 5.
 And wrong loops bend the path away from what odometry and the walls along the way say. On simulated logs the chi-square
 of a hop of 2.5 m was at most 10 in right paths (7 on ``fr079``), and 21 to 45 where wrong loops had bent the path.
