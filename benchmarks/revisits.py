@@ -56,8 +56,8 @@ class Revisits:
             return f"none of {self.pairs} pairs of visits matches"
         shift, turn = np.percentile(self.shifts, [50, 90]), np.degrees(np.percentile(self.turns, [50, 90]))
         return (
-            f"{len(self.shifts)} of {self.pairs} pairs of visits match, {self.coinciding:.0%} of them within {WITHIN:g} "
-            f"m; median {shift[0]:.2f} m and {turn[0]:.1f} deg, 90 % within {shift[1]:.2f} m and {turn[1]:.1f} deg, "
+            f"{len(self.shifts)} of {self.pairs} pairs of visits match, {self.coinciding:.0%} of them within "
+            f"{WITHIN:g} m; median {shift[0]:.2f} m and {turn[0]:.1f} deg, 90 % within {shift[1]:.2f} m and {turn[1]:.1f} deg, "
             f"largest {self.shifts.max():.2f} m"
         )
 
