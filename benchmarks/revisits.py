@@ -55,10 +55,11 @@ class Revisits:
         if not len(self.shifts):
             return f"none of {self.pairs} pairs of visits matches"
         shift, turn = np.percentile(self.shifts, [50, 90]), np.degrees(np.percentile(self.turns, [50, 90]))
+        pairs = f"{len(self.shifts)} of {self.pairs} pairs of visits match"
+        match = f"{pairs}, {self.coinciding:.0%} of them within {WITHIN:g} m"
+        median = f"median {shift[0]:.2f} m and {turn[0]:.1f} deg"
         return (
-            f"{len(self.shifts)} of {self.pairs} pairs of visits match, {self.coinciding:.0%} of them within "
-            f"{WITHIN:g} m; median {shift[0]:.2f} m and {turn[0]:.1f} deg, 90 % within {shift[1]:.2f} m and {turn[1]:.1f} deg, "
-            f"largest {self.shifts.max():.2f} m"
+            f"{match}; {median}, 90 % within {shift[1]:.2f} m and {turn[1]:.1f} deg, largest {self.shifts.max():.2f} m"
         )
 
 
