@@ -1,4 +1,4 @@
-"""``python -m benchmarks``: suites of runs (``run``), their tables and figures, training, datasets and made-up logs.
+"""``python -m benchmarks``: suites of runs (``run``), their tables and figures, training, datasets and recorded logs.
 
 What takes long to import is imported inside the commands, so that help comes at once.
 """
@@ -28,6 +28,7 @@ app = typer.Typer(
 )
 
 Folder = Annotated[Path, typer.Argument(help="Folder of results that `run` has made.")]
+Log = Annotated[Path, typer.Argument(help="A recorded log.")]
 
 
 class EngineName(StrEnum):
@@ -207,7 +208,7 @@ def made_up_logs(
     seeds: Annotated[str, typer.Option(help="Seeds of the logs: 7, or 0..15 for all from 0 to 15.")] = "0..15",
     variations: Annotated[
         list[str] | None,
-        typer.Option("--variation", help="As log_variations takes it; may be repeated.", show_default="none"),
+        typer.Option("--variation", help="As log-variations takes it; may be repeated.", show_default="none"),
     ] = None,
     length: Annotated[float | None, typer.Option(min=10.0, help="Driven, m.", show_default="100 to 220")] = None,
 ) -> None:
@@ -224,6 +225,45 @@ def _seeds(text: str) -> range:
     if not seeds:
         raise ValueError(f"--seeds: a seed such as 7 or a range such as 0..15 is needed, not {text!r}")
     return seeds
+
+
+@app.command("log-variations")
+def log_variations(
+    log: Log,
+    relations: Annotated[Path, typer.Argument(help="The true relations of the log.")],
+    variations: Annotated[
+        list[str] | None,
+        typer.Argument(help='Settings such as "mirrored noise=0.05"; "" for none.', show_default="the log as it is"),
+    ] = None,
+) -> None:
+    """Smooth a log as it is or with other beams, noise and odometry, and print a line for each variation."""
+    from benchmarks.log_variations import outcome, variation
+
+    # All settings are read before the first log is smoothed, which takes a minute.
+    chosen = {text: variation(text) for text in variations or [""]}
+    for text, how in chosen.items():
+        typer.echo(f"{text or 'as recorded'}: {outcome(log, relations, how).words}")
+
+
+@app.command()
+def revisits(
+    log: Log,
+    folders: Annotated[list[Path], typer.Argument(help="Folders of replays of the log.")],
+) -> None:
+    """Print how well visits of one place coincide in smoothed paths of a log. No truth is needed."""
+    from benchmarks.revisits import revisits_of
+
+    for folder in folders:
+        typer.echo(f"{folder}: {revisits_of(log, folder).words}")
+
+
+@app.command("right-angles")
+def right_angles(folders: Annotated[list[Path], typer.Argument(help="Folders of runs or replays.")]) -> None:
+    """Print how well the walls of maps stand at right angles. No truth is needed."""
+    from benchmarks.right_angles import right_angles_of
+
+    for folder in folders:
+        typer.echo(f"{folder}: {right_angles_of(folder).words}")
 
 
 @app.command()

@@ -1,13 +1,13 @@
 """Errors of the smoothed path of a recorded log, and of drives that were never recorded but could have been.
 
-``python -m benchmarks.log_variations LOG RELATIONS [VARIATION...]`` prints a line for each variation. A variation is a
+``python -m benchmarks log-variations LOG RELATIONS [VARIATION...]`` prints a line for each variation. A variation is a
 list of settings in one argument, such as ``"mirrored beams=90,45,0,-45,-90 noise=0.05"``; "" is the log as it is. The
 settings are the fields of :class:`Variation`. Only the smoothing is done, without the filter in front of it.
 """
 
-import sys
 import time
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -200,10 +200,10 @@ class Outcome:
         return f"{metres:.3f} m / {degrees:.2f} deg, loops {loops:.3f} m, {status.level}, {where}"
 
 
-def outcome(path: str, known: str, how: Variation) -> Outcome:
+def outcome(path: Path, known: Path, how: Variation) -> Outcome:
     """Smooth a log in a variation, and compare the path with the relations in the file ``known``."""
     log = read_log(path, how.beams, how.max_range)
-    assert log.odometry is not None  # noqa: S101 (relations belong to logs of odometry poses)
+    assert log.odometry is not None  # noqa: S101 (tables of wheel travel are refused where no robot is given)
     data, relations = varied(log_data(log, log.odometry, how.noise), read_relations(known), how)
     config = GraphConfig()
     begin = time.process_time()
@@ -212,14 +212,3 @@ def outcome(path: str, known: str, how: Variation) -> Outcome:
     seconds = time.process_time() - begin
     errors = summary(relation_errors(relations, data.time, found.poses, data.odometry))
     return Outcome(found, signals, errors, seconds)
-
-
-def main(arguments: list[str]) -> None:
-    """Print a line for each variation."""
-    path, known, *texts = arguments
-    for text in texts or [""]:
-        print(f"{text or 'as recorded'}: {outcome(path, known, variation(text)).words}", flush=True)
-
-
-if __name__ == "__main__":
-    main(sys.argv[1:])

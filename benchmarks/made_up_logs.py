@@ -286,7 +286,7 @@ def smoothing_table(
 def _cells(path: Path, relations: Path, meant: Variation) -> str:
     """The last cells of a row: errors of the smoothed path in a variation of a log, status, and processor time."""
     try:
-        found = outcome(str(path), str(relations), meant)
+        found = outcome(path, relations, meant)
     except (ValueError, ArithmeticError, LookupError) as error:
         return f"failed: {type(error).__name__}: {error} | | |"
     names = "relation_error_m", "relation_error_deg", "loop_relation_error_m"

@@ -1,12 +1,11 @@
 """How well different visits of the same place coincide in the smoothed path of a log whose true path is not known.
 
-``python -m benchmarks.revisits LOG FOLDER...`` prints a line for each folder of a replay of the log. The log is cut
+``python -m benchmarks revisits LOG FOLDER...`` prints a line for each folder of a replay of the log. The log is cut
 into local maps along the smoothed path. Each pair of local maps that two visits have drawn of one place is matched, and
 the shift of the match is the distance by which the path places the two visits apart. A match in a corridor hardly
 determines the shift along it, so a few shifts are large even where the path is exact. The resolution is 0.1 m, 1 deg.
 """
 
-import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -50,6 +49,25 @@ class Revisits:
         """Share of the pairs that match with a shift below 0.3 m."""
         return float(np.mean(self.shifts <= WITHIN))
 
+    @property
+    def words(self) -> str:
+        """One line for the screen."""
+        if not len(self.shifts):
+            return f"none of {self.pairs} pairs of visits matches"
+        shift, turn = np.percentile(self.shifts, [50, 90]), np.degrees(np.percentile(self.turns, [50, 90]))
+        pairs = f"{len(self.shifts)} of {self.pairs} pairs of visits match"
+        match = f"{pairs}, {self.coinciding:.0%} of them within {WITHIN:g} m"
+        median = f"median {shift[0]:.2f} m and {turn[0]:.1f} deg"
+        return (
+            f"{match}; {median}, 90 % within {shift[1]:.2f} m and {turn[1]:.1f} deg, largest {self.shifts.max():.2f} m"
+        )
+
+
+def revisits_of(log_path: Path, folder: Path) -> Revisits:
+    """Match the visits of each place along the smoothed path of a replay of a log."""
+    poses = read_tum(folder / "trajectory_smoothed.tum")[1]
+    return revisits(log_data(read_log(log_path), poses, 0.0), poses)
+
 
 def revisits(log: LogData, poses: FloatArray) -> Revisits:
     """Match the visits of each place along the path ``poses`` (n, 3) of a log's events.
@@ -92,28 +110,3 @@ def _visits(maps: list[LocalMap], poses: FloatArray, first: int) -> IntArray:
     travel = np.array([each.travel for each in maps])
     near = np.hypot(*(poses[:, :2] - poses[first, :2]).T) <= _NEAR
     return np.flatnonzero(near & (travel - travel[first] >= _APART))
-
-
-def main(path: str, folders: list[str]) -> None:
-    """Print a line for each folder of a replay of the log at ``path``."""
-    log = read_log(path)
-    for folder in folders:
-        poses = read_tum(Path(folder) / "trajectory_smoothed.tum")[1]
-        found = revisits(log_data(log, poses, 0.0), poses)
-        if not len(found.shifts):
-            print(f"{folder}: none of {found.pairs} pairs of visits matches")
-            continue
-        shift, turn = np.percentile(found.shifts, [50, 90]), np.degrees(np.percentile(found.turns, [50, 90]))
-        print(
-            f"{folder}: {len(found.shifts)} of {found.pairs} pairs of visits match, {found.coinciding:.0%} of them "
-            f"within {WITHIN:g} m; median {shift[0]:.2f} m and {turn[0]:.1f} deg, 90 % within {shift[1]:.2f} m and "
-            f"{turn[1]:.1f} deg, largest {found.shifts.max():.2f} m"
-        )
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("log", help="the log")
-    parser.add_argument("folders", nargs="+", help="folders of replays of the log")
-    chosen = parser.parse_args()
-    main(chosen.log, chosen.folders)

@@ -1,9 +1,8 @@
 """How well the walls of a map stand at right angles, and whether laps coincide, for buildings that are known to be so.
 
-``python -m benchmarks.right_angles RESULTS...`` prints a line for each folder of a run or a replay. No truth is needed.
+``python -m benchmarks right-angles FOLDER...`` prints a line for each folder of a run or a replay. No truth is needed.
 """
 
-import argparse
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -42,6 +41,20 @@ class RightAngles:
     in_groups: float
     between: float
     doubled: float
+
+    @property
+    def words(self) -> str:
+        """One line for the screen."""
+        return (
+            f"{self.walls} walls of {self.length:.0f} m, {self.in_groups:.0%} within {WITHIN:g} deg of two directions "
+            f"{self.between:.1f} deg apart, {self.doubled:.0%} with a parallel wall 0.3 to 1 m beside"
+        )
+
+
+def right_angles_of(folder: Path) -> RightAngles:
+    """Measure the walls of the map of a run or a replay."""
+    content = json.loads((folder / "map.json").read_text(encoding="utf-8"))
+    return right_angles(np.array(content["segments"], dtype=float).reshape(-1, 4))
 
 
 def right_angles(segments: FloatArray) -> RightAngles:
@@ -107,20 +120,3 @@ def _doubled(segment: FloatArray, others: FloatArray) -> float:
             low, high = np.sort(ends @ along)
             covered |= (places >= low) & (places <= high)
     return float(covered.mean() * length)
-
-
-def main(folders: list[str]) -> None:
-    """Print a line for each folder."""
-    for folder in folders:
-        content = json.loads((Path(folder) / "map.json").read_text(encoding="utf-8"))
-        found = right_angles(np.array(content["segments"], dtype=float).reshape(-1, 4))
-        print(
-            f"{folder}: {found.walls} walls of {found.length:.0f} m, {found.in_groups:.0%} within {WITHIN:g} deg of "
-            f"two directions {found.between:.1f} deg apart, {found.doubled:.0%} with a parallel wall 0.3 to 1 m beside"
-        )
-
-
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("folders", nargs="+", help="folders of runs or replays")
-    main(parser.parse_args().folders)

@@ -160,6 +160,9 @@ BENCHMARKS = {
         "benchmarks.dataset",
         "benchmarks.peers",
         "benchmarks.made_up_logs",
+        "benchmarks.log_variations",
+        "benchmarks.revisits",
+        "benchmarks.right_angles",
     },
 }
 RULES = ENV | AGENT | BENCHMARKS

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from benchmarks.__main__ import main
 from benchmarks.log_variations import Variation, variation, varied
 from limslam_agent.logs.relations import Relations, relation_errors
 from limslam_agent.slam.graph.key_poses import LogData, integrate, to_world
@@ -58,3 +59,23 @@ def test_settings_are_read():
     assert how == replace(Variation(), mirrored=True, beams=(90.0, 0.0, -90.0), noise=0.05, seed=7)
     with pytest.raises(ValueError, match="loud is no setting"):
         variation("loud=3")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (["log.clf", "log.relations", "noise=0.01", "loud=3"], "loud is no setting"),
+        (["log.clf"], "relations"),
+        (["log.clf", "log.relations"], "log.clf"),
+        (["log.csv", "log.relations"], "wheel travel"),
+    ],
+)
+def test_what_cannot_be_varied_is_refused_with_one_line(arguments, said, tmp_path, capsys, monkeypatch):
+    (tmp_path / "log.csv").write_text("t,left,right,r_0,r_90\n" + "".join(f"{t},0.01,0.01,1,1\n" for t in range(9)))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["benchmarks", "log-variations", *arguments])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    refused = capsys.readouterr().err
+    assert (ended.value.code, refused.count("\n")) == (2, 1)
+    assert said in refused

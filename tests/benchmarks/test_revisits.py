@@ -22,6 +22,7 @@ def test_laps_of_the_true_path_coincide(laps):
     assert found.coinciding > 0.9
     assert np.median(found.shifts) < 0.15  # cells have sides of 0.1 m
     assert np.degrees(np.median(found.turns)) < 2.0
+    assert f"{len(found.shifts)} of {found.pairs} pairs of visits match" in found.words
 
 
 def test_a_displaced_lap_is_measured(laps):

@@ -5,7 +5,8 @@ import json
 import numpy as np
 import pytest
 
-from benchmarks.right_angles import main, right_angles
+from benchmarks.__main__ import main
+from benchmarks.right_angles import right_angles
 
 
 def turned(segments, degrees):
@@ -42,7 +43,12 @@ def test_no_walls_are_refused():
         right_angles(np.zeros((0, 4)))
 
 
-def test_the_command_prints_a_line_for_each_folder(tmp_path, capsys):
+def test_the_command_prints_a_line_for_each_folder(tmp_path, capsys, monkeypatch):
     (tmp_path / "map.json").write_text(json.dumps({"segments": SQUARE}), encoding="utf-8")
-    main([str(tmp_path)])
-    assert "4 walls of 40 m, 100% within 2 deg of two directions 90.0 deg apart" in capsys.readouterr().out
+    monkeypatch.setattr("sys.argv", ["benchmarks", "right-angles", str(tmp_path), str(tmp_path / "missing")])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    printed = capsys.readouterr()
+    assert "4 walls of 40 m, 100% within 2 deg of two directions 90.0 deg apart" in printed.out
+    assert (ended.value.code, printed.err.count("\n")) == (2, 1)
+    assert "missing" in printed.err
