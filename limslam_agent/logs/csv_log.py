@@ -45,7 +45,7 @@ from limslam_agent.logs.recorded_log import (
     parse_number,
     parse_range,
 )
-from limslam_agent.logs.table_options import TableOptions, check_travel, started_again
+from limslam_agent.logs.table_options import CLOCK_COUNTS, TableOptions, check_travel, started_again
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec, SensorSpec
@@ -66,6 +66,9 @@ _FORMS = "t,x,y,theta,r_<deg>,... or t,left,right,r_<deg>,..."
 _RANGE = re.compile(r"r(?:_|\[)([^\[\]]+)\]?")
 _MOST_BEAMS = 4096
 _HEADER_WITHIN = 1000  # lines
+
+NO_ROW = "delete the line if it is no row of the table, or begin it with #"
+"""What helps against a line that was cut short, or that is a message of the robot."""
 
 
 def is_csv(path: FilePath) -> bool:
@@ -200,8 +203,8 @@ class _Rows:
         if len(fields) != count and not (is_silent and len(readings) == 1):
             # 0,1,0,031 has twice as many fields as numbers, or nearly so if some of them are whole.
             is_doubled = self.separator == b"," and 1.3 * count < len(fields) <= 2 * count
-            hint = ": if commas are decimal marks here, separate the columns by ; or tabs" if is_doubled else ""
-            raise ValueError(f"{len(fields)} columns where the header names {count}{hint}")
+            hint = "if commas are decimal marks here, separate the columns by ; or tabs" if is_doubled else NO_ROW
+            raise ValueError(f"{len(fields)} columns where the header names {count}: {hint}")
         names = ("t", "left", "right") if self.leading == len(_WHEELS) else ("t", "x", "y", "theta")
         move = [parse_number(field, name) for field, name in zip(fields, names, strict=False)]
         move[0] = self._take_time(move)
@@ -228,13 +231,14 @@ class _Rows:
         if is_short and len(fields) <= min(self.used[self.leading :]) + 1:
             return [*(fields[place] for place in self.used[: self.leading]), fields[-1]]
         if len(fields) != named:
-            raise ValueError(f"{len(fields)} columns where --columns names {named}")
+            raise ValueError(f"{len(fields)} columns where --columns names {named}: {NO_ROW}")
         return [fields[place] for place in self.used]
 
     def _take_time(self, move: list[float]) -> float:
         """The time of a row, s, on the clock of the log.
 
-        A robot that was switched on again counts from zero anew, and its row is added to ``restarts``.
+        A clock that is full begins again. So does that of a robot that was switched on again, and its row is added to
+        ``restarts``.
 
         Raises
         ------
@@ -245,8 +249,12 @@ class _Rows:
         before = list(self.moves[-self.leading :]) or list(move)
         last, before[0] = before[0], before[0] - self.time_before
         if move[0] < before[0] - LARGEST_STEP_BACK:
+            if self.options.is_clock_full(move[0], before[0]):
+                self.time_before += CLOCK_COUNTS * self.options.seconds
+                return move[0] + self.time_before
             if self.leading == len(_POSE) or not self.options.is_switched_on_again(move, before):
-                raise ValueError(f"the time steps back by {before[0] - move[0]:.1f} s")
+                back = f"the time steps back by {before[0] - move[0]:.1f} s"
+                raise ValueError(f"{back}: if the robot was switched on again, replay the parts as logs of their own")
             # The clock of a robot that was switched on again counts on from the row before.
             self.restarts.append(len(self.has_scan))
             self.time_before = last

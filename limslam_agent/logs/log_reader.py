@@ -15,6 +15,7 @@ from limslam_agent.logs.ros_topics import Topics
 from limslam_agent.logs.table_options import TableOptions
 
 _TEXT_ENDINGS = (".csv", ".csv.gz")
+_SPREADSHEETS = (".xlsx", ".xls", ".ods")
 
 
 def read_log(
@@ -55,6 +56,8 @@ def read_log(
         If the file is larger than the limits or cannot be used, or a choice does not apply to its format.
     """
     reach = DEFAULT_MAX_RANGE if max_range is None else max_range
+    if PurePath(path).suffix.lower() in _SPREADSHEETS:
+        raise LogError(f"{fspath(path)}: is a spreadsheet, which must be saved as CSV in UTF-8")
     if is_bag(path):
         _refuse_options(path, table)
         return read_ros(path, beams_deg, reach, topics, limits)

@@ -138,7 +138,8 @@ def _check_ending(path: FilePath) -> None:
     place = Path(path)
     if place.is_dir():
         if not (place / METADATA).is_file():
-            raise LogError(f"{fspath(path)}: is a folder, but not a ROS 2 bag: it has no {METADATA}")
+            run = f"; the log of this run is {place / 'log.npz'}" if (place / "log.npz").is_file() else ""
+            raise LogError(f"{fspath(path)}: is a folder, but not a ROS 2 bag: it has no {METADATA}{run}")
         for file in place.iterdir():
             if not file.is_dir():
                 first_bytes(file, 0)  # a pipe in the folder would never end

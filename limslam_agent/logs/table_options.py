@@ -18,6 +18,12 @@ TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 LARGEST_OFF_AXIS_DEG = 45.0
 """Directions of zones lie at most this far from the optical axis of their sensor, deg."""
 
+CLOCK_COUNTS = 2.0**32
+"""A clock in ms or us begins again after so many counts: that in us every 72 minutes."""
+
+LONGEST_PAUSE = 10.0
+"""Longest time between two rows in which a clock begins again because it is full, s."""
+
 FEWEST_COUNTER_BITS = 8
 """Counters that begin again have at least so many bits."""
 
@@ -118,6 +124,10 @@ class TableOptions:
                 f"--zone-axes: no axis lies within {LARGEST_OFF_AXIS_DEG:g} deg of the column at {degrees:g} deg"
             )
         return self.metres / math.cos(apart)
+
+    def is_clock_full(self, time: float, before: float) -> bool:
+        """Whether a clock that steps back between two rows of time, s, was full, and so began again at 0."""
+        return 0.0 <= time - before + CLOCK_COUNTS * self.seconds < LONGEST_PAUSE
 
     def is_switched_on_again(self, row: Sequence[float], before: Sequence[float]) -> bool:
         """Whether a clock that steps back between two rows of time, s, left and right began again with the robot.

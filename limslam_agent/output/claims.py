@@ -10,6 +10,7 @@ Beside a place ``NAME`` there are hidden files while a process writes there:
 Whoever next gets the lock of the place finds out from them how far a dead process had come.
 """
 
+import errno
 import os
 import re
 import shutil
@@ -84,6 +85,10 @@ def claimed(path: Path) -> Iterator[None]:
         with locked(hidden(path, "lock"), f"{path}: another process is writing there"):
             recover(path)
             yield
+    except OSError as error:
+        if error.errno == errno.ENOSPC:  # such an error names no file
+            error.filename = error.filename or str(path)
+        raise
     finally:
         for parent in missing:
             with suppress(OSError):  # it is not empty

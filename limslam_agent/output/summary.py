@@ -242,7 +242,8 @@ def _reversing(metrics: Mapping[str, Any]) -> list[str]:
 
 def _errors(metrics: Mapping[str, Any]) -> list[str]:
     if not _has(metrics, "ate_m", "odometry_ate_m"):
-        return []
+        aligned = _has(metrics, "ate_aligned_m")
+        return [f"error       {metrics['ate_aligned_m']:.3f} m rms when aligned"] if aligned else []
     lines = [f"error       {metrics['ate_m']:.3f} m rms; by odometry alone {metrics['odometry_ate_m']:.3f} m"]
     if _has(metrics, "anees"):
         smoothed = f", smoothed {metrics['anees_smoothed']:.2g}" if _has(metrics, "anees_smoothed") else ""

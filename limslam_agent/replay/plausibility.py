@@ -47,6 +47,12 @@ MOSTLY_APART = 0.5
 MOST_NAMED = 5
 """A warning names at most so many times."""
 
+CLEARLY_FASTER = 1.2
+"""A wheel whose average speed is this many times its largest one has travel in another unit."""
+
+MANY_NOTHING = 0.5
+"""Above this share of readings that saw nothing, the building is so wide that one beam may never see a wall."""
+
 LEAST_SPREAD = 0.5
 """If the middle half of the readings of a beam has a wider range than this, m, the robot has moved."""
 
@@ -55,7 +61,7 @@ def log_warnings(log: RecordedLog) -> list[str]:
     """What is unlikely about the times, the ranges and the odometry of a log, one sentence for each finding."""
     about_times = _about_times(log)
     about_odometry = [] if about_times else _about_odometry(log)
-    about_ranges = [*_about_ranges(log), *_about_zeros(log), *_about_negatives(log)]
+    about_ranges = [*_about_ranges(log), *_about_zeros(log), *_about_negatives(log), *_about_beams(log)]
     return [*_about_restarts(log), *about_times, *_about_gaps(log), *about_ranges, *about_odometry]
 
 
@@ -136,6 +142,24 @@ def _about_zeros(log: RecordedLog) -> list[str]:
     return [f"{text}: if the sensors report 0 where they see nothing, {remedy}"]
 
 
+def _about_beams(log: RecordedLog) -> list[str]:
+    """Beams that say the same in every row, although the readings of another one show that the robot has moved."""
+    if _spread(log) < LEAST_SPREAD:
+        return []
+    readings = np.minimum(log.ranges[log.has_scan], log.robot.max_ranges)
+    lowest, highest = np.fmin.reduce(readings), np.fmax.reduce(readings)  # nan where a beam has no reading
+    is_dead, saw_nothing = ~(highest > lowest), lowest >= log.robot.too_far
+    if _seen(log)[1] > MANY_NOTHING:
+        is_dead &= ~saw_nothing
+    if not is_dead.any():
+        return []
+    angles = [f"{angle:g}" for angle in np.round(np.degrees(log.robot.beam_angles), 1)]
+    said = ["nothing was seen" if nothing else f"{low:.3g}" for nothing, low in zip(saw_nothing, lowest, strict=True)]
+    which = ", ".join(f"the beam at {angles[beam]} deg says {said[beam]}" for beam in np.nonzero(is_dead)[0])
+    others = ",".join(angle for angle, dead in zip(angles, is_dead, strict=True) if not dead)
+    return [f"{which} in every row: is its sensor connected? --beams={others} leaves it out"]
+
+
 def _about_odometry(log: RecordedLog) -> list[str]:
     if log.odometry is None:
         return [] if log.wheels is None else _about_wheels(log, log.wheels)
@@ -161,6 +185,10 @@ def _about_wheels(log: RecordedLog, wheels: FloatArray) -> list[str]:
     left, right = np.abs(wheels[1:]).sum(axis=0).tolist()
     if left == right == 0.0:
         return ["the wheels never move: are the encoders connected, and are left and right their columns?"]
+    speed, most = max(left, right) / max(float(np.ptp(log.time)), 1e-9), log.robot.max_wheel_speed
+    if speed > CLEARLY_FASTER * most:
+        text = f"a wheel travels at {speed:.2g} m/s on average, but the robot's max_wheel_speed is {most:g} m/s"
+        return [f"{text}: are left and right travel, not speeds, and are the metres for each tick right?"]
     if min(left, right) > 0.0 or max(left, right) < LEAST_DRIVEN:
         return _misread(log, _path(wheels, log.robot.axle), by_wheels=True)
     still, moving = ("left", "right") if left == 0.0 else ("right", "left")

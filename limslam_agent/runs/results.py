@@ -63,13 +63,17 @@ def score(episode: Episode) -> dict[str, Any]:
     mapped = episode.mapped_steps  # the online map is drawn from the steps before the robot was lost
     columns = (episode.true, episode.estimated, episode.odometry, episode.covariances)
     trajectory = team_scores(*(rows[:, placed] for rows in columns))
+    is_elsewhere = config.prior_map is not None and not episode.in_prior_map
+    if is_elsewhere:  # The estimates are in a frame of their own: only aligned ones can be compared with the truth.
+        trajectory = {**dict.fromkeys(trajectory), "ate_aligned_m": trajectory["ate_aligned_m"]}
     limit = offline_optimum_scores(episode, trajectory["ate_m"]) if config.limit else {}
+    smoothed = smoothed_scores(episode, limit.get("limit_ate_m"))
     is_over = episode.is_finished and not episode.stop_reason.endswith(NOT_EXPLORED)
     has_explored = is_over and explores(config.policy, config.laps)
     return {
         **trajectory,
         **limit,
-        **smoothed_scores(episode, limit.get("limit_ate_m")),
+        **(dict.fromkeys(smoothed) if is_elsewhere else smoothed),
         **map_scores(
             episode.world,
             config.robot,

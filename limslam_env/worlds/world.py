@@ -72,9 +72,13 @@ class World:
         obstacles = tuple(_frozen(polygon, "obstacles", 2) for polygon in self.obstacles)
         object.__setattr__(self, "obstacles", obstacles)
         if len(self.size) != 2 or not all(math.isfinite(side) and 0.0 < side <= MAX_SIDE for side in self.size):
-            raise WorldError(f"size must be two lengths up to {MAX_SIDE:g} m, not {list(self.size)}")
+            sides = ", ".join(f"{side:g}" for side in self.size)
+            raise WorldError(f"size must be two lengths up to {MAX_SIDE:g} m, not [{sides}]: are they in m?")
         object.__setattr__(self, "size", (float(self.size[0]), float(self.size[1])))
         _check_edges(self)
+        for number, theta in enumerate(self.starts[:, 2]):
+            if abs(theta) > 4.0 * math.pi:
+                raise WorldError(f"starts[{number}]: a heading is within 4 pi rad, not {theta:g}: is it in rad?")
 
     @functools.cached_property
     def edges(self) -> FloatArray:

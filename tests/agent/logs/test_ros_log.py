@@ -340,7 +340,10 @@ def test_an_ending_that_is_not_the_contents_is_refused(tmp_path):
 
 
 def test_folders_and_missing_files_are_refused(tmp_path):
-    assert "is a folder, but not a ROS 2 bag: it has no metadata.yaml" in refusal(tmp_path)
+    assert refusal(tmp_path).endswith("is a folder, but not a ROS 2 bag: it has no metadata.yaml")
+    (tmp_path / "log.npz").touch()
+    assert refusal(tmp_path).endswith(f"; the log of this run is {tmp_path / 'log.npz'}")
+    assert "is a spreadsheet, which must be saved as CSV" in refusal(tmp_path / "table.xlsx")
     assert "No such file" in refusal(tmp_path / "absent.bag")
     bag = write_bag(tmp_path, drive(2), "sqlite")
     storage_of(bag).unlink()

@@ -88,8 +88,8 @@ def test_a_table_of_poses_takes_the_places_of_the_beams_from_the_robot(write):
         ("t,left,r_0\n0,0,1\n", TableOptions(ROBOT), "or t,left,right,r_<deg>,..., not 't,left,r_0'"),
         (HEAD + "0,0,far,1,1,1\n", TableOptions(ROBOT), "line 2: right is not a number: 'far'"),
         (HEAD + "0,0,inf,1,1,1\n", TableOptions(ROBOT), "line 2: right is inf"),
-        (HEAD + "0,0,0,1,1\n", TableOptions(ROBOT), "line 2: 5 columns where the header names 6"),
-        (HEAD + "0,0,0,1,1,1\n-5,0,0,1,1,1\n", TableOptions(ROBOT), "the time steps back by 5.0 s"),
+        (HEAD + "0,0,0,1,1\n", TableOptions(ROBOT), "line 2: 5 columns where the header names 6: delete the line"),
+        (HEAD + "0,0,0,1,1,1\n-5,0,0,1,1,1\n", TableOptions(ROBOT), "the time steps back by 5.0 s: if the robot was"),
         (HEAD + METRES, TableOptions(ROBOT, 100.0), "a wheel travels 2 m in 0.1 s at time 0.1 s"),
         (HEAD + TICKS, TableOptions(ROBOT, 0.001, time_unit="ms"), "--accumulated says that they count from the start"),
         (HEAD + TICKS, replace(TICK_OPTIONS, metres_per_tick=1.0), "Is --metres-per-tick 1 right?"),
@@ -97,6 +97,15 @@ def test_a_table_of_poses_takes_the_places_of_the_beams_from_the_robot(write):
 )
 def test_a_table_that_cannot_be_used_is_refused_in_one_line(write, text, options, words):
     assert words in refusal(write(text), table=options)
+
+
+@pytest.mark.parametrize(("unit", "begin"), [("us", 2**32 - 150_000), ("ms", 2**32 - 150)])
+def test_a_clock_of_32_bits_is_continued_where_it_begins_again(write, unit, begin):
+    step = {"us": 100_000, "ms": 100}[unit]
+    rows = "".join(f"{(begin + row * step) % 2**32},0,0,1,1,1\n" for row in range(5))
+    log = read_log(write(HEAD + rows), table=TableOptions(ROBOT, time_unit=unit))
+    np.testing.assert_allclose(np.diff(log.time), 0.1, atol=1e-6)
+    assert log.restarts == ()
 
 
 @pytest.mark.parametrize(("bits", "has_sign"), [(16, False), (16, True), (12, False), (32, True)])
@@ -231,7 +240,7 @@ def test_a_robot_that_is_switched_on_again_counts_on(write):
     two = read_log(write(text), table=TICK_OPTIONS)
     np.testing.assert_allclose(two.wheels, one.wheels)
     assert two.restarts == one.restarts
-    (warning,) = log_warnings(two)
+    warning = log_warnings(two)[0]
     assert "begin to count again at 3.0 s" in warning
 
 

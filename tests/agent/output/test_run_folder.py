@@ -1,5 +1,6 @@
 """The folder of a run: one process at a time, nothing lost, nothing half-written, nothing left behind."""
 
+import errno
 import os
 import signal
 import subprocess
@@ -132,6 +133,13 @@ def test_an_error_leaves_the_earlier_results_and_nothing_else(tmp_path):
     with pytest.raises(KeyboardInterrupt):
         stop_halfway(tmp_path / "new" / "run")
     assert names(tmp_path) == ["deep"]
+
+
+def test_a_full_disk_is_told_with_the_name_of_the_folder(tmp_path):
+    with pytest.raises(OSError, match="No space left") as caught, new_folder(tmp_path / "run"):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert caught.value.filename == str(tmp_path / "run")
+    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_kill_at_any_moment_of_force_leaves_the_old_or_the_new_results(tmp_path):

@@ -11,10 +11,10 @@ from limslam_agent import Mapper, preset
 from limslam_agent.cli.main import main
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.output.export import write_map
-from limslam_agent.output.summary import record_summary
+from limslam_agent.output.summary import record_summary, run_summary
 from limslam_agent.places.saved_map import SavedMap, SavedMapError, read_saved_map
 from limslam_agent.runs.episode import run_episode, told_starts
-from limslam_agent.runs.results import write_episode
+from limslam_agent.runs.results import score, write_episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.slam import LineSlam
@@ -116,6 +116,11 @@ def test_another_building_does_not_fit(folder):
     assert (event["event"], bool(event["reason"])) == ("not found in the saved map", True)
     own = transform_points(inverse(episode.true[0, 0]), episode.true[:, 0, :2])
     assert np.hypot(*(episode.estimated[:, 0, :2] - own).T).max() < 0.3
+    scores = score(episode)
+    assert (scores["ate_m"], scores["anees"], scores["ate_smoothed_m"]) == (None, None, None)
+    assert [line for line in run_summary(scores, {}) if " m rms" in line] == [
+        f"error       {scores['ate_aligned_m']:.3f} m rms when aligned"
+    ]
     words = record_summary({"record": {"places": [{**event, "time_s": 30.0}]}})
     assert words[-1].endswith("the results are in the run's own frame")
 

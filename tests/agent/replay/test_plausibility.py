@@ -197,6 +197,22 @@ def test_exchanged_and_reversed_wheels_are_noticed(change, question):
     assert not found if question is None else found[0].endswith(question)
 
 
+@pytest.mark.parametrize(
+    ("reading", "words"), [(0.4, "says 0.4 in"), (np.nan, "says nan in"), (np.inf, "says nothing was seen in")]
+)
+def test_a_beam_that_always_says_the_same_is_named(reading, words):
+    log = wheel_log(np.eye(2))
+    log.ranges[:, 0] = reading
+    (warning,) = [found for found in log_warnings(log) if "sensor connected" in found]
+    assert f"the beam at 90 deg {words} every row" in warning
+    assert "--beams=45,15,-15,-45,-90 leaves it out" in warning
+
+
+def test_wheels_that_are_faster_than_the_robot_are_noticed():
+    (warning,) = log_warnings(wheel_log(4.0 * np.eye(2)))
+    assert "but the robot's max_wheel_speed is 0.3 m/s: are left and right travel, not speeds" in warning
+
+
 def test_a_gap_in_a_wheel_log_is_named_with_its_times():
     log = wheel_log(np.eye(2))
     first, last = 100, 200
