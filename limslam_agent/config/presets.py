@@ -5,13 +5,12 @@ from dataclasses import dataclass, field, replace
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.bounds import Bounded, Positive
 from limslam_agent.config.consistent import ConsistentConfig, WhenToCalibrate
-from limslam_agent.config.exploration import GridConfig, PolicyConfig, TeamConfig
+from limslam_agent.config.exploration import GridConfig, PolicyConfig
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.config.places import PlaceConfig
 from limslam_agent.config.published import FilterConfig, PublishedConfig
 from limslam_agent.config.shared import HoughConfig, OdometryConfig
 from limslam_agent.config.smoother import RenewalConfig, SmootherConfig
-from limslam_agent.config.status import StatusConfig
 from limslam_env.interface import NominalNoise
 from limslam_env.messages import described
 
@@ -27,8 +26,6 @@ __all__ = [
     "OdometryConfig",
     "PolicyConfig",
     "PublishedConfig",
-    "StatusConfig",
-    "TeamConfig",
     "preset",
     "self_calibrating",
     "with_until",
@@ -65,14 +62,13 @@ class AgentConfig(Bounded):
         Least standard deviation of a range that any estimator assumes, m: a sensor quantises its ranges.
     odometry
         Noise and bias of the odometry of a recorded log.
-    team
-        How several robots share their observations.
     grid
         The occupancy grid.
     policy
         Exploration.
-    status
-        When an estimate is unsure or lost.
+    free_space_counts
+        Whether a reading that ends in free space contradicts the map. False while such a reading may show the body of
+        another robot.
     places
         How a lost robot finds its place again. None leaves it lost. Only a single robot with wheels and the consistent
         estimator can go on in a new frame.
@@ -91,10 +87,9 @@ class AgentConfig(Bounded):
     noise: NominalNoise = field(default_factory=NominalNoise)
     min_range_std: Positive = 0.005
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
-    team: TeamConfig = field(default_factory=TeamConfig)
     grid: GridConfig = field(default_factory=GridConfig)
     policy: PolicyConfig = field(default_factory=PolicyConfig)
-    status: StatusConfig = field(default_factory=StatusConfig)
+    free_space_counts: bool = True
     places: PlaceConfig | None = field(default_factory=PlaceConfig)
     smoothing: GraphConfig | None = field(default_factory=GraphConfig)
     line_smoothing: SmootherConfig | None = field(default_factory=SmootherConfig)

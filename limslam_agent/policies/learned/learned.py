@@ -132,7 +132,7 @@ class LearnedPolicy(MapExplorer):
         self._generator, self._temperature = np.random.default_rng(seed), temperature
         large = max(config.min_frontier, self._finish.large_frontier)
         self._config = replace(config, speed=self.robot.max_wheel_speed, min_frontier=large)
-        self._right_of_way = RightOfWay(index, 5.0 * self.robot.radius, config.patience)
+        self._right_of_way = RightOfWay(index, self.robot)
         self._finisher = FrontierPolicy(self.robot, self._config, index)
         super().__init__()
 
