@@ -280,7 +280,7 @@ def _draw(path: Path, episode: Episode) -> None:
     )
     picture = MapPicture(
         title, final.segments, mapped, odometry, episode.world.edges, true,
-        online=None if episode.smoothed is None else estimated,
+        online=[] if episode.smoothed is None else estimated,
     )  # fmt: skip
     draw_map(path, picture)
 
