@@ -48,13 +48,6 @@ def limslam(*arguments):
     return CliRunner().invoke(app, [str(part) for part in arguments])
 
 
-def command(*arguments, **environment):
-    return subprocess.run(
-        [sys.executable, "-m", "limslam_agent.cli.main", *map(str, arguments)],
-        capture_output=True, text=True, check=False, env={**os.environ, **environment},
-    )  # fmt: skip
-
-
 def assert_same(first, second, names=SAME):
     for name in names:
         if name.endswith(".npz"):
