@@ -75,9 +75,9 @@ class AgentConfig(Bounded):
     smoothing
         The graph of local maps that smooths a recorded log of poses after its end. None leaves the log as the filter
         saw it.
-    line_smoothing
-        The line smoother that smooths a run, or a recorded log of wheel travel, after its end. None leaves it as the
-        filter saw it. Only the associations of the consistent estimator can be smoothed.
+    smooths_runs
+        Whether the line smoother smooths a run, or a recorded log of wheel travel, after its end. Only the associations
+        of the consistent estimator can be smoothed.
     renewal
         When the line smoother also renews the online estimate of a single robot with wheel encoders. None for never.
     """
@@ -92,7 +92,7 @@ class AgentConfig(Bounded):
     free_space_counts: bool = True
     places: PlaceConfig | None = field(default_factory=PlaceConfig)
     smoothing: GraphConfig | None = field(default_factory=GraphConfig)
-    line_smoothing: SmootherConfig | None = field(default_factory=SmootherConfig)
+    smooths_runs: bool = True
     renewal: RenewalConfig | None = field(default_factory=RenewalConfig)
 
     @property
@@ -101,9 +101,9 @@ class AgentConfig(Bounded):
 
         The smoother estimates the errors of the odometry where the filter may do so.
         """
-        if self.line_smoothing is None or not isinstance(self.estimator, ConsistentConfig):
+        if not self.smooths_runs or not isinstance(self.estimator, ConsistentConfig):
             return None
-        return replace(self.line_smoothing, calibrate=self.estimator.self_calibration.calibrate)
+        return SmootherConfig(self.estimator.self_calibration.calibrate)
 
     @property
     def recovery(self) -> PlaceConfig | None:
@@ -140,7 +140,7 @@ def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:
         estimator=ESTIMATORS[name],
         noise=noise or NominalNoise(),
         smoothing=GraphConfig() if smooths else None,
-        line_smoothing=SmootherConfig() if smooths else None,
+        smooths_runs=smooths,
         renewal=RenewalConfig() if smooths else None,
     )
 
