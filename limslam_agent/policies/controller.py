@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 
+from limslam_agent.belief import Belief
 from limslam_agent.grid.occupancy import GridView
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
@@ -53,6 +54,18 @@ def point_ahead(path: FloatArray, away: FloatArray) -> tuple[int, FloatArray]:
     is_ahead = away[nearest:] > _LOOKAHEAD
     first = int(is_ahead.argmax())
     return nearest, path[nearest + first] if is_ahead[first] else path[-1]
+
+
+def follow(
+    path: FloatArray, away: FloatArray, belief: Belief, robot: RobotSpec, cruise: float
+) -> tuple[FloatArray, float]:
+    """Wheel speeds (2,) along a path (k, 2), m, at ``cruise`` m/s or less, and the length of path that is left, m.
+
+    ``away`` (k,) has the distances of the points from the robot, m.
+    """
+    nearest, aim = point_ahead(path, away)
+    left = float(away[nearest]) + (len(path) - nearest) * belief.grid.cell
+    return steer(belief.pose, aim, belief.ranges, robot, cruise), left
 
 
 def turn_by(error: float, robot: RobotSpec) -> FloatArray:

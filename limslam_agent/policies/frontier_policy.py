@@ -17,9 +17,8 @@ from limslam_agent.policies.controller import (
     REPLAN_PERIOD,
     TURN_RATE,
     back_off,
+    follow,
     nearest_beam,
-    point_ahead,
-    steer,
     turn_by,
     wheel_speeds,
 )
@@ -244,9 +243,7 @@ class FrontierPolicy(MapExplorer):
         away = np.sqrt(off[:, 0] ** 2 + off[:, 1] ** 2)
         if away[-1] < _ARRIVED or len(self.plan) == 1:
             return self._look(belief, pursuit)
-        nearest, aim = point_ahead(self.plan, away)
-        action = steer(belief.pose, aim, belief.ranges, self.robot, self._config.speed)
-        left = float(away[nearest]) + (len(self.plan) - nearest) * belief.grid.cell
+        action, left = follow(self.plan, away, belief, self.robot, self._config.speed)
         if self._is_stuck(belief.grid, pursuit, left, action):
             self._set_aside(pursuit)
             self._excursion.end()

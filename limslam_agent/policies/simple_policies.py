@@ -89,7 +89,7 @@ class ReactivePolicy:
     """
 
     def __init__(self, robot: RobotSpec | None, config: PolicyConfig | None, patience: float, where: str) -> None:
-        self.robot = self._robot = robot or RobotSpec()
+        self.robot = robot or RobotSpec()
         self._config = config or PolicyConfig()
         self._collision_guard = CollisionGuard(self.robot)
         self._patience, self._where = patience, where
@@ -118,7 +118,7 @@ class ReactivePolicy:
         self._since += 1
         if known > self._known + _NEW_CELLS:
             self._known, self._since = known, 0
-        return self._since > math.ceil(self._patience / self._robot.control_period)
+        return self._since > math.ceil(self._patience / self.robot.control_period)
 
 
 class WallFollower(ReactivePolicy):
@@ -162,7 +162,7 @@ class WallFollower(ReactivePolicy):
     def _wheels(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) along the wall."""
         ranges = belief.ranges
-        robot, config = self._robot, self._config
+        robot, config = self.robot, self._config
         room = free_ahead(ranges, robot) - STOP_DISTANCE
         away = self._clearance(ranges)
         if room < 0.5 * self._distance:
@@ -184,7 +184,7 @@ class WallFollower(ReactivePolicy):
         """Sideways distance (m) between the rim and the wall that the beams of this side see. Infinite if they see no
         wall.
         """
-        robot = self._robot
+        robot = self.robot
         angles = self._toward * robot.beam_angles
         beside = (angles > _SIDE[0]) & (angles < _SIDE[1]) & np.isfinite(ranges) & (ranges < robot.too_far)
         across = self._toward * (robot.beam_origins[:, 1] + ranges * robot.beam_directions[:, 1])[beside]
@@ -219,7 +219,7 @@ class RandomPolicy(ReactivePolicy):
 
     def _wheels(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) of a random walk that bounces off the walls."""
-        robot, config = self._robot, self._config
+        robot, config = self.robot, self._config
         yaw, room = float(belief.pose[2]), free_ahead(belief.ranges, robot) - STOP_DISTANCE
         self._until_turn -= 1
         if self._heading is None:

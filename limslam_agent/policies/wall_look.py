@@ -7,15 +7,7 @@ import numpy as np
 
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
-from limslam_agent.policies.controller import (
-    PATIENCE,
-    TURN_RATE,
-    nearest_beam,
-    point_ahead,
-    steer,
-    turn_by,
-    wheel_speeds,
-)
+from limslam_agent.policies.controller import PATIENCE, TURN_RATE, follow, nearest_beam, turn_by, wheel_speeds
 from limslam_agent.policies.wall_views import View, is_unfinished, path_to
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
@@ -156,9 +148,9 @@ class Look:
         if away[-1] < _ARRIVED or len(self.path) == 1:
             self._sweep, self._idle = sweep_along(self.view, belief.pose, self._robot, self._std), 0
             return np.zeros(2)
-        nearest, aim = point_ahead(self.path, away)
-        self._count_idle(float(away[nearest]) + (len(self.path) - nearest) * belief.grid.cell)
-        return steer(belief.pose, aim, belief.ranges, self._robot, self._config.speed)
+        wheels, left = follow(self.path, away, belief, self._robot, self._config.speed)
+        self._count_idle(left)
+        return wheels
 
     def _count_idle(self, left: float) -> None:
         """Count the steps in which the remaining path, ``left`` (m), became no shorter, and end after too many."""

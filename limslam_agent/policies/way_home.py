@@ -7,7 +7,7 @@ import numpy as np
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.policies.collision_guard import CollisionGuard
-from limslam_agent.policies.controller import BACK_STEPS, PATIENCE, REPLAN_PERIOD, back_off, point_ahead, steer
+from limslam_agent.policies.controller import BACK_STEPS, PATIENCE, REPLAN_PERIOD, back_off, follow
 from limslam_agent.policies.policy import NO_PLAN, Policy
 from limslam_agent.policies.wall_views import path_to
 from limslam_env.geometry import FloatArray
@@ -119,9 +119,9 @@ class WayHome:
         if self.stop_reason is not None:
             return np.zeros(2)
         away = np.hypot(*(self.plan - belief.pose[:2]).T)
-        nearest, aim = point_ahead(self.plan, away)
-        self._count_idle(float(away[nearest]) + (len(self.plan) - nearest) * belief.grid.cell)
-        return steer(belief.pose, aim, belief.ranges, self._robot, self._config.speed)
+        wheels, left = follow(self.plan, away, belief, self._robot, self._config.speed)
+        self._count_idle(left)
+        return wheels
 
     def _plan(self, belief: Belief) -> None:
         self._until_plan = REPLAN_PERIOD
