@@ -14,11 +14,10 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from limslam_agent.cli.terminal import run_command
+
 if TYPE_CHECKING:
     from benchmarks.suite.engines import Engine
-
-STOPPED = 130
-"""Exit code after Ctrl-C, which is also the exit code of typer."""
 
 app = typer.Typer(
     add_completion=False,
@@ -331,26 +330,8 @@ def report(
 def main() -> None:
     """Entry point: 0 well, 1 a job failed, 2 and one line for what the user can mend, 130 stopped."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
-    try:
-        code = app(standalone_mode=False)
-    except typer.TyperException as error:
-        _fail(error.format_message())
-    except (typer.Abort, KeyboardInterrupt):
-        code = STOPPED
-    except ValueError as error:
-        _fail(str(error))
-    except OSError as error:
-        _fail(f"{error.filename or 'output'}: {error.strerror or error}")
-    if code == STOPPED:
-        goes_on = "--seeds chooses the rest" if "made-up-logs" in sys.argv[1:2] else "the same command goes on"
-        typer.echo(f"benchmarks: stopped; what is done is kept, and {goes_on}", err=True)
-    sys.exit(code if isinstance(code, int) else 0)
-
-
-def _fail(message: str) -> None:
-    if message:
-        typer.echo("benchmarks: " + " ".join(message.split()), err=True)
-    sys.exit(2)
+    goes_on = "--seeds chooses the rest" if "made-up-logs" in sys.argv[1:2] else "the same command goes on"
+    run_command(app, "benchmarks", f"stopped; what is done is kept, and {goes_on}")
 
 
 if __name__ == "__main__":

@@ -57,8 +57,10 @@ class FrameMapper:
 
     def reset_monitors(self) -> None:
         """Forget all doubts about the estimates so far."""
-        slam = self.slam
-        self.monitors = [StatusMonitor(slam.mounted, self._config.status, slam.range_sensor) for _ in slam.robots]
+        slam, free_space_counts = self.slam, self._config.free_space_counts
+        self.monitors = [
+            StatusMonitor(slam.mounted, slam.range_sensor, free_space_counts=free_space_counts) for _ in slam.robots
+        ]
 
     def process(self, observations: Sequence[Observation], frame: int, *, may_renew: bool = True) -> bool:
         """Process one observation of each robot.

@@ -27,7 +27,6 @@ NOT_YET_JOINED = Status("unsure", "the second robot's place relative to the firs
 NOT_YET_CONFIRMED = Status("unsure", "the second robot's place relative to the first one is not confirmed yet")
 """The status of the second robot while a part of the building that was not seen yet may look like its place."""
 
-_NEVER = 30_000  # no cell of a grid reaches this value
 
 UNKNOWN = np.diag([100.0, 100.0, np.pi**2])
 """Covariance (3, 3) of an unknown place in a building, m and rad."""
@@ -278,8 +277,7 @@ class JoiningMapper(Mapper):
 
         What ends in space that is known to be free may be the body of the other robot, and contradicts no map.
         """
-        contradictions = replace(self.config.status.contradictions, free=_NEVER)
-        config = replace(self.config, status=replace(self.config.status, contradictions=contradictions))
+        config = replace(self.config, free_space_counts=False)
         mappers = [Mapper(self.robot, config, start) for start in self._own]
         mappers[0].on_restart = self._forget_associations
         return mappers

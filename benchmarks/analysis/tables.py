@@ -208,9 +208,9 @@ _FACTS: dict[str, Callable[[Setting], str]] = {
 _ALWAYS = {"world", "noise", "robots"}
 
 
-def _described(parts: Sequence[Group], leave_out: frozenset[str] = frozenset()) -> dict[str, list[str]]:
+def _described(parts: Sequence[Group]) -> dict[str, list[str]]:
     """The facts that distinguish groups: a column of words for each fact that differs between the groups."""
-    columns = {name: [fact(part.setting) for part in parts] for name, fact in _FACTS.items() if name not in leave_out}
+    columns = {name: [fact(part.setting) for part in parts] for name, fact in _FACTS.items()}
     return {name: cells for name, cells in columns.items() if name in _ALWAYS or len(set(cells)) > 1}
 
 

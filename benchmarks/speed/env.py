@@ -24,11 +24,11 @@ StepLoop = Callable[[int], None]
 PLAIN = "plain pymunk, 40 walls, six rays"
 
 
-def plain_loop(walls: int = 40) -> StepLoop:
+def plain_loop() -> StepLoop:
     """Pymunk alone: a body that moves among walls, and six rays a step."""
     generator = np.random.default_rng(0)
     space = pymunk.Space()
-    for _ in range(walls):
+    for _ in range(40):
         start = generator.uniform(0.0, 7.0, 2)
         wall = pymunk.Segment(
             space.static_body, tuple(start.tolist()), tuple((start + generator.uniform(-1.0, 1.0, 2)).tolist()), 0.0

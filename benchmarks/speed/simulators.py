@@ -19,6 +19,8 @@ from benchmarks.speed.rates import Loop
 REACH = 1.5
 NUM_WALLS = 40
 SIDE = 7.0
+BATCH = 1024
+"""Number of environments of a batch."""
 
 _IRSIM_WORLD = """
 world: {{height: {side}, width: {side}, step_time: 0.1, sample_time: 0.1, collision_mode: stop}}
@@ -45,7 +47,18 @@ def walls() -> np.ndarray[Any, np.dtype[np.float64]]:
     return np.array(found)
 
 
-def vmas_loop(num_envs: int, steps: int = 4) -> Callable[[], int]:
+def repeated(step: Callable[[], object], times: int, robots: int) -> Loop:
+    """A loop that makes some steps of so many robots."""
+
+    def run() -> int:
+        for _ in range(times):
+            step()
+        return times * robots
+
+    return run
+
+
+def vmas_loop() -> Loop:
     """Steps of a batch of vmas with one robot in each environment."""
     import torch
     from vmas import make_env
@@ -78,17 +91,12 @@ def vmas_loop(num_envs: int, steps: int = 4) -> Callable[[], int]:
         def reward(self, agent: Any) -> Any:
             return torch.zeros(agent.state.pos.shape[0])
 
-    envs = make_env(Rays(), num_envs=num_envs, device="cpu", continuous_actions=True, seed=0)
+    envs = make_env(Rays(), num_envs=BATCH, device="cpu", continuous_actions=True, seed=0)
     envs.reset()
     generator = torch.Generator().manual_seed(0)
-    actions = itertools.cycle([[torch.rand(num_envs, 2, generator=generator) * 2.0 - 1.0] for _ in range(8)])
+    actions = itertools.cycle([[torch.rand(BATCH, 2, generator=generator) * 2.0 - 1.0] for _ in range(8)])
 
-    def run() -> int:
-        for _ in range(steps):
-            envs.step(next(actions))
-        return steps * num_envs
-
-    return run
+    return repeated(lambda: envs.step(next(actions)), 4, BATCH)
 
 
 @contextmanager
@@ -100,7 +108,7 @@ def irsim_world(lines: str = "") -> Iterator[str]:
         yield str(path)
 
 
-def irsim_loop(steps: int = 20) -> Callable[[], int]:
+def irsim_loop() -> Loop:
     """Steps of ir-sim with one robot."""
     import irsim
 
@@ -112,36 +120,32 @@ def irsim_loop(steps: int = 20) -> Callable[[], int]:
         env = irsim.make(path, headless=True, disable_all_plot=True)
     actions = itertools.cycle(np.random.default_rng(0).uniform(-0.3, 0.3, (100, 2, 1)))
 
-    def run() -> int:
-        for _ in range(steps):
-            env.step(next(actions))
-            env.get_lidar_scan()
-        return steps
+    def step() -> None:
+        env.step(next(actions))
+        env.get_lidar_scan()
 
-    return run
+    return repeated(step, 20, 1)
 
 
-def irsim_x_loop(num_envs: int, steps: int = 4) -> Callable[[], int]:
+def irsim_x_loop() -> Loop:
     """Steps of a batch of irsim-x with one robot in each environment."""
     import irsim
 
     with irsim_world() as path:
-        envs = irsim.make(path, batch_size=num_envs)
+        envs = irsim.make(path, batch_size=BATCH)
     for x1, y1, x2, y2 in walls().tolist():
         envs.batch_cpp.add_linestring_obstacle([[x1, y1], [x2, y2]])
-    rows = np.random.default_rng(0).uniform(-0.3, 0.3, (8, num_envs, 2)).astype(np.float32)
+    rows = np.random.default_rng(0).uniform(-0.3, 0.3, (8, BATCH, 2)).astype(np.float32)
     actions = itertools.cycle(rows)
 
-    def run() -> int:
-        for _ in range(steps):
-            envs.step(next(actions))
-            envs.get_lidar_scan()
-        return steps * num_envs
+    def step() -> None:
+        envs.step(next(actions))
+        envs.get_lidar_scan()
 
-    return run
+    return repeated(step, 4, BATCH)
 
 
-def kheperax_loop(num_envs: int, steps: int = 4) -> Callable[[], int]:
+def kheperax_loop() -> Loop:
     """Steps of a batch of Kheperax, compiled by JAX, in its unit square."""
     import dataclasses
 
@@ -159,33 +163,28 @@ def kheperax_loop(num_envs: int, steps: int = 4) -> Callable[[], int]:
     config = dataclasses.replace(default, maze=Maze.create(segments_list=segments), robot=robot)
     env = KheperaxTask.create_default_task(config, jax.random.PRNGKey(0))[0]
     step = jax.jit(jax.vmap(env.step))
-    state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.PRNGKey(0), num_envs))
-    actions = itertools.cycle(jax.random.uniform(jax.random.PRNGKey(1), (8, num_envs, 2), minval=-1.0))
+    state = jax.jit(jax.vmap(env.reset))(jax.random.split(jax.random.PRNGKey(0), BATCH))
+    actions = itertools.cycle(jax.random.uniform(jax.random.PRNGKey(1), (8, BATCH, 2), minval=-1.0))
 
     def run() -> int:
         nonlocal state
-        for _ in range(steps):
+        for _ in range(4):
             state = step(state, next(actions))
         jax.block_until_ready(state.obs)
-        return steps * num_envs
+        return 4 * BATCH
 
     return run
 
 
-def minigrid_loop(num_envs: int, steps: int = 4) -> Callable[[], int]:
+def minigrid_loop() -> Loop:
     """Steps of a batch of envpool's MiniGrid, with autoreset."""
     import envpool
 
-    envs = envpool.make_gymnasium("MiniGrid-FourRooms-v0", num_envs=num_envs, seed=0)
+    envs = envpool.make_gymnasium("MiniGrid-FourRooms-v0", num_envs=BATCH, seed=0)
     envs.reset()
-    actions = itertools.cycle(np.random.default_rng(0).integers(0, 3, (8, num_envs)).astype(np.int32))
+    actions = itertools.cycle(np.random.default_rng(0).integers(0, 3, (8, BATCH)).astype(np.int32))
 
-    def run() -> int:
-        for _ in range(steps):
-            envs.step(next(actions))
-        return steps * num_envs
-
-    return run
+    return repeated(lambda: envs.step(next(actions)), 4, BATCH)
 
 
 class Simulator(NamedTuple):
@@ -208,22 +207,22 @@ class Simulator(NamedTuple):
 
 SIMULATORS = {
     "vmas, 1024": Simulator(
-        "vmas", lambda: vmas_loop(1024),
+        "vmas", vmas_loop,
         "one robot, forces and collisions with 40 walls, six rays; float32 in PyTorch; no noise, no coverage",
     ),
     "ir-sim, one environment": Simulator(
         "ir-sim", irsim_loop, "one robot, collisions with 40 walls, six rays by Shapely; no noise, no coverage",
     ),
     "irsim-x, 1024": Simulator(
-        "irsim-x", lambda: irsim_x_loop(1024),
+        "irsim-x", irsim_x_loop,
         "one robot, collisions with 40 walls, six rays; float32 in C++; no noise, no coverage, no reset",
     ),
     "Kheperax, 1024": Simulator(
-        "kheperax", lambda: kheperax_loop(1024),
+        "kheperax", kheperax_loop,
         "one robot, collisions with 44 walls, three rays, two bumpers; float32 in JAX; no noise, no coverage, no reset",
     ),
     "MiniGrid of envpool, 1024": Simulator(
-        "envpool", lambda: minigrid_loop(1024), "a move between cells and a view of 7 x 7 cells; no geometry; C++",
+        "envpool", minigrid_loop, "a move between cells and a view of 7 x 7 cells; no geometry; C++",
     ),
 }  # fmt: skip
 """The simulators of the table. ir-sim and irsim-x install the same package, so that only one of them can be there."""

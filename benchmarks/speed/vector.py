@@ -159,9 +159,9 @@ def busy_process() -> Iterator[None]:
         process.wait()
 
 
-def median_rate(loop: Loop, seconds: float = 3.0) -> float:
-    """Environment-steps a second over a longer period: the median over parts of the period."""
-    rates, end = [], time.perf_counter() + seconds
+def median_rate(loop: Loop) -> float:
+    """Environment-steps a second over three seconds: the median over parts of that time."""
+    rates, end = [], time.perf_counter() + 3.0
     while time.perf_counter() < end:
         start = time.perf_counter()
         done = sum(loop() for _ in range(4))

@@ -14,7 +14,7 @@ from multiprocessing.context import SpawnProcess
 from typing import Protocol, TypeAlias
 
 from benchmarks.suite.jobs import Failure, Job, Outcome
-from limslam_agent.output.worker import end_with_parent
+from limslam_agent.arena.processes import end_with_parent
 
 Result: TypeAlias = Outcome | Failure
 Work: TypeAlias = Callable[[Job], Outcome]

@@ -25,21 +25,19 @@ class DirectionExtractor(nn.Module):
         Shape of the view.
     readings
         Number of entries that follow the view in an observation.
-    width
-        Number of channels.
     """
 
-    def __init__(self, view: ViewConfig, readings: int, width: int = WIDTH) -> None:
+    def __init__(self, view: ViewConfig, readings: int) -> None:
         super().__init__()
         self.view, self.latent_dim_pi, self.latent_dim_vf = view, view.directions, 64
         inputs = view.rows
         self._size = inputs * view.directions
-        self.first = nn.Conv1d(inputs + COMPASS, width, 5)
-        self.state = nn.Linear(readings, width)
-        self.second = nn.Conv1d(width, width, 3, dilation=SPREAD["second"])
-        self.third = nn.Conv1d(width, width, 3, dilation=SPREAD["third"])
-        self.score = nn.Conv1d(width + inputs + COMPASS, 1, 1)
-        self.value = nn.Sequential(nn.Linear(2 * width + readings, 64), nn.ReLU())
+        self.first = nn.Conv1d(inputs + COMPASS, WIDTH, 5)
+        self.state = nn.Linear(readings, WIDTH)
+        self.second = nn.Conv1d(WIDTH, WIDTH, 3, dilation=SPREAD["second"])
+        self.third = nn.Conv1d(WIDTH, WIDTH, 3, dilation=SPREAD["third"])
+        self.score = nn.Conv1d(WIDTH + inputs + COMPASS, 1, 1)
+        self.value = nn.Sequential(nn.Linear(2 * WIDTH + readings, 64), nn.ReLU())
         angles = 2.0 * np.pi * np.arange(view.directions) / view.directions
         compass = torch.as_tensor(np.stack((np.cos(angles), np.sin(angles))), dtype=torch.float32)
         self.register_buffer("compass", compass)

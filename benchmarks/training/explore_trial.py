@@ -12,6 +12,8 @@ from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
 
+_LONGEST = 240.0  # s: duration of each episode
+
 
 class Trial:
     """Repeated evaluation on the same plans.
@@ -24,11 +26,9 @@ class Trial:
         Standard deviation of the ranges, m.
     config
         Settings of observation and motion.
-    longest
-        Duration of each episode, s.
     """
 
-    def __init__(self, seeds: Sequence[int], noise: float, config: ExploreConfig, longest: float = 240.0) -> None:
+    def __init__(self, seeds: Sequence[int], noise: float, config: ExploreConfig) -> None:
         radius = RobotSpec().radius
         worlds = [floor_plan(FloorPlanConfig(), np.random.default_rng(seed), radius) for seed in seeds]
         batch = gym.make_vec(
@@ -37,7 +37,7 @@ class Trial:
         )  # fmt: skip
         self._env = ExploreVectorEnv(batch, config)
         self.period = config.drive.hold * self._env.robot.control_period
-        self._decisions = round(longest / self.period)
+        self._decisions = round(_LONGEST / self.period)
 
     def explore(self, network: DirectionNetwork, temperature: float, seed: int = 0) -> tuple[FloatArray, FloatArray]:
         """The coverage (plans, decisions + 1) after each decision, and the number of touches (plans,).

@@ -1,10 +1,11 @@
-"""What the processes of entries have in common: their environment, their end, and the messages of their failures."""
+"""What processes of workers and entries have in common: environment, end, and the messages of their failures."""
 
+import multiprocessing
 import os
 import re
 import signal
 import sys
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import IO
 
@@ -34,6 +35,18 @@ def kill_group(number: int) -> None:
         os.kill(number, signal.SIGTERM)
     else:
         os.killpg(number, signal.SIGKILL)
+
+
+def end_with_parent(end: Callable[[int], object] = os._exit) -> None:
+    """Wait until the parent of this process has died, and end this process. To be called in a thread of its own.
+
+    ``end`` ends the process with an exit code. A job may take minutes. A run that was killed and is started again
+    should have those processors to itself.
+    """
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        end(1)
 
 
 def last_line(errors: IO[bytes]) -> str:

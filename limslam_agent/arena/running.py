@@ -18,13 +18,12 @@ from typing import Any
 from limslam_agent.arena.entry import Entry
 from limslam_agent.arena.exploration import Keep, explore
 from limslam_agent.arena.mapping import map_drive
-from limslam_agent.arena.processes import begin_group, kill_group, without_folders
+from limslam_agent.arena.processes import begin_group, end_with_parent, kill_group, without_folders
 from limslam_agent.arena.results import RUNS, Row, digest_of, open_store, stamp_of
 from limslam_agent.arena.scoring import lost_scores
 from limslam_agent.arena.tracks import MAPPING, Plan
 from limslam_agent.output.export import plain
 from limslam_agent.output.provenance import commit
-from limslam_agent.output.worker import end_with_parent
 from limslam_agent.runs.results import versions
 from limslam_env.messages import one_line
 

@@ -19,11 +19,9 @@ from limslam_agent.cli.replay import replay
 from limslam_agent.cli.run import run
 from limslam_agent.cli.score import score
 from limslam_agent.cli.show import compare, show
+from limslam_agent.cli.terminal import run_command
 from limslam_agent.cli.warmup import warmup
 from limslam_agent.cli.worlds import worlds
-
-INTERRUPTED = 130
-"""Exit code of a command that Ctrl-C ended."""
 
 THREAD_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 """Numbers of threads of linear algebra. Each is read once, when numpy or scipy is loaded."""
@@ -85,22 +83,7 @@ def main() -> None:
     collect_rarely()
     # A termination runs the clean-up code as any other end does, so that no half-written folder is left.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
-    try:
-        code = app(standalone_mode=False)
-    except typer.TyperException as error:
-        _fail(error.format_message())
-    except (typer.Abort, KeyboardInterrupt):
-        code = INTERRUPTED
-    except ValueError as error:
-        # All errors that the project raises itself are ValueErrors: worlds, logs, outputs, settings.
-        _fail(str(error))
-    except OSError as error:
-        _fail(f"{error.filename or 'output'}: {error.strerror or error}")
-    except (ArithmeticError, MemoryError) as error:
-        _fail(f"a number is too large or too small to compute with: {error}")
-    if code == INTERRUPTED:  # which typer itself returns after Ctrl-C
-        typer.echo("limslam: stopped", err=True)
-    sys.exit(code if isinstance(code, int) else 0)
+    run_command(app, "limslam")
 
 
 def _use_one_thread() -> None:
@@ -119,14 +102,6 @@ def collect_rarely() -> None:
     freed when nothing refers to them any more.
     """
     gc.set_threshold(50_000)
-
-
-def _fail(message: str) -> None:
-    if message:
-        from limslam_env.messages import one_line
-
-        typer.echo("limslam: " + one_line(message), err=True)
-    sys.exit(2)
 
 
 if __name__ == "__main__":

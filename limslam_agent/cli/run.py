@@ -82,7 +82,7 @@ def carry_out(given: Given, options: RunOptions) -> None:
         progress_bar(task, total) as advance,
     ):
         episode = _filmed_run(config, advance, options)
-        if config.agent.line_smoothing is not None:
+        if config.agent.run_smoothing is not None:
             advance(options.max_time if options.laps else 1.0, "smoothing, and writing the map")
         wait_for_smoother()
         result = write_episode(folder.beside, episode)

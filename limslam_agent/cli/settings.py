@@ -34,7 +34,7 @@ _OUTPUT = {"out", "force", "video", "film_speed", "watch"}
 # The true noise of wheels, which the kind of range sensors does not change.
 _WHEELS = {"wheel_variance", "encoder_resolution", "wheel_mismatch", "axle_mismatch", "slip_rate", "slip_share"}
 # The tables of an agent that belong to its preset.
-_OF_PRESET = ("estimator", "smoothing", "line_smoothing", "renewal")
+_OF_PRESET = ("estimator", "smoothing", "smooths_runs", "renewal")
 
 
 @dataclass(frozen=True)

@@ -1,9 +1,14 @@
-"""What commands show on a terminal: warnings, tables, and a progress bar."""
+"""What commands show on a terminal: warnings, tables, a progress bar, and errors."""
 
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
+from typing import NoReturn
 
 import typer
+
+INTERRUPTED = 130
+"""Exit code of a command that Ctrl-C ended."""
 
 Advance = Callable[[float, str], None]
 """Told how much is done, and the state in words."""
@@ -40,3 +45,35 @@ def print_table(rows: list[tuple[str, ...]]) -> None:
     for row in rows:
         line = "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))
         typer.echo(printable(line.rstrip()))
+
+
+def run_command(app: typer.Typer, name: str, interrupted: str = "stopped") -> NoReturn:
+    """Run the command line of a program, and exit.
+
+    An error that the user can correct gives exit code 2 and one line, which begins with the program's name, not a
+    traceback. ``interrupted`` is what is said after Ctrl-C.
+    """
+    try:
+        code = app(standalone_mode=False)
+    except typer.TyperException as error:
+        _fail(name, error.format_message())
+    except (typer.Abort, KeyboardInterrupt):
+        code = INTERRUPTED
+    except ValueError as error:
+        # All errors that the project raises itself are ValueErrors: worlds, logs, outputs, settings.
+        _fail(name, str(error))
+    except OSError as error:
+        _fail(name, f"{error.filename or 'output'}: {error.strerror or error}")
+    except (ArithmeticError, MemoryError) as error:
+        _fail(name, f"a number is too large or too small to compute with: {error}")
+    if code == INTERRUPTED:  # which typer itself returns after Ctrl-C
+        typer.echo(f"{name}: {interrupted}", err=True)
+    sys.exit(code if isinstance(code, int) else 0)
+
+
+def _fail(name: str, message: str) -> NoReturn:
+    if message:
+        from limslam_env.messages import one_line
+
+        typer.echo(f"{name}: {one_line(message)}", err=True)
+    sys.exit(2)

@@ -5,13 +5,12 @@ from dataclasses import dataclass, field, replace
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.bounds import Bounded, Positive
 from limslam_agent.config.consistent import ConsistentConfig, WhenToCalibrate
-from limslam_agent.config.exploration import GridConfig, PolicyConfig, TeamConfig
+from limslam_agent.config.exploration import GridConfig, PolicyConfig
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.config.places import PlaceConfig
 from limslam_agent.config.published import FilterConfig, PublishedConfig
 from limslam_agent.config.shared import HoughConfig, OdometryConfig
 from limslam_agent.config.smoother import RenewalConfig, SmootherConfig
-from limslam_agent.config.status import StatusConfig
 from limslam_env.interface import NominalNoise
 from limslam_env.messages import described
 
@@ -27,8 +26,6 @@ __all__ = [
     "OdometryConfig",
     "PolicyConfig",
     "PublishedConfig",
-    "StatusConfig",
-    "TeamConfig",
     "preset",
     "self_calibrating",
     "with_until",
@@ -65,23 +62,22 @@ class AgentConfig(Bounded):
         Least standard deviation of a range that any estimator assumes, m: a sensor quantises its ranges.
     odometry
         Noise and bias of the odometry of a recorded log.
-    team
-        How several robots share their observations.
     grid
         The occupancy grid.
     policy
         Exploration.
-    status
-        When an estimate is unsure or lost.
+    free_space_counts
+        Whether a reading that ends in free space contradicts the map. False while such a reading may show the body of
+        another robot.
     places
         How a lost robot finds its place again. None leaves it lost. Only a single robot with wheels and the consistent
         estimator can go on in a new frame.
     smoothing
         The graph of local maps that smooths a recorded log of poses after its end. None leaves the log as the filter
         saw it.
-    line_smoothing
-        The line smoother that smooths a run, or a recorded log of wheel travel, after its end. None leaves it as the
-        filter saw it. Only the associations of the consistent estimator can be smoothed.
+    smooths_runs
+        Whether the line smoother smooths a run, or a recorded log of wheel travel, after its end. Only the associations
+        of the consistent estimator can be smoothed.
     renewal
         When the line smoother also renews the online estimate of a single robot with wheel encoders. None for never.
     """
@@ -91,13 +87,12 @@ class AgentConfig(Bounded):
     noise: NominalNoise = field(default_factory=NominalNoise)
     min_range_std: Positive = 0.005
     odometry: OdometryConfig = field(default_factory=OdometryConfig)
-    team: TeamConfig = field(default_factory=TeamConfig)
     grid: GridConfig = field(default_factory=GridConfig)
     policy: PolicyConfig = field(default_factory=PolicyConfig)
-    status: StatusConfig = field(default_factory=StatusConfig)
+    free_space_counts: bool = True
     places: PlaceConfig | None = field(default_factory=PlaceConfig)
     smoothing: GraphConfig | None = field(default_factory=GraphConfig)
-    line_smoothing: SmootherConfig | None = field(default_factory=SmootherConfig)
+    smooths_runs: bool = True
     renewal: RenewalConfig | None = field(default_factory=RenewalConfig)
 
     @property
@@ -106,9 +101,9 @@ class AgentConfig(Bounded):
 
         The smoother estimates the errors of the odometry where the filter may do so.
         """
-        if self.line_smoothing is None or not isinstance(self.estimator, ConsistentConfig):
+        if not self.smooths_runs or not isinstance(self.estimator, ConsistentConfig):
             return None
-        return replace(self.line_smoothing, calibrate=self.estimator.self_calibration.calibrate)
+        return SmootherConfig(self.estimator.self_calibration.calibrate)
 
     @property
     def recovery(self) -> PlaceConfig | None:
@@ -145,7 +140,7 @@ def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:
         estimator=ESTIMATORS[name],
         noise=noise or NominalNoise(),
         smoothing=GraphConfig() if smooths else None,
-        line_smoothing=SmootherConfig() if smooths else None,
+        smooths_runs=smooths,
         renewal=RenewalConfig() if smooths else None,
     )
 

@@ -8,8 +8,7 @@ from scipy import ndimage
 
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.grid.planner import routes
-from limslam_agent.policies.targets import LAST_FRONTIER, coast_of, open_frontier
+from limslam_agent.policies.targets import LAST_FRONTIER, open_frontier, ways_from
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 
@@ -42,8 +41,7 @@ def frontiers_of(grid: GridView, poses: Sequence[FloatArray], robot: RobotSpec, 
     labels, count = ndimage.label(cells, structure=np.ones((3, 3), dtype=int))
     if not count:
         return []
-    radius, coast = robot.radius + config.margin, coast_of(grid, robot, config)
-    costs = [routes(grid, pose[:2], radius, config.clearance, coast=coast).cost for pose in poses]
+    costs = [ways_from(pose[:2], grid, robot, config).cost for pose in poses]
     groups = sorted((np.argwhere(labels == label) for label in range(1, count + 1)), key=len, reverse=True)
     return [
         Frontier(grid.centres(group), [_finite(float(each[tuple(group.T)].min())) for each in costs])

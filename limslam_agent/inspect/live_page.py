@@ -120,8 +120,8 @@ class Follower:
 
 
 @contextmanager
-def live_page(title: str, edges: FloatArray | None = None, port: int = 0) -> Iterator[LivePage]:
-    """A page that is served while the context lasts.
+def live_page(title: str, edges: FloatArray | None = None) -> Iterator[LivePage]:
+    """A page that is served on a free port while the context lasts.
 
     Parameters
     ----------
@@ -129,15 +129,8 @@ def live_page(title: str, edges: FloatArray | None = None, port: int = 0) -> Ite
         What the page shows, in one line.
     edges
         True walls (k, 4), m, where they are known.
-    port
-        Port on this computer; 0 for any that is free.
-
-    Raises
-    ------
-    OSError
-        If the port is taken.
     """
-    with ThreadingHTTPServer((HOST, port), _Handler) as server:
+    with ThreadingHTTPServer((HOST, 0), _Handler) as server:
         server.daemon_threads = True
         server.page = page = LivePage(title, f"http://{HOST}:{server.server_port}/", edges)  # type: ignore[attr-defined]
         thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.1}, daemon=True)

@@ -97,7 +97,7 @@ def draw_comparison(figure: Figure, runs: Sequence[FinishedRun], edges: Sequence
 def _map_of(run: FinishedRun, edges: FloatArray | None) -> MapPicture:
     online, true, smoothed = ([poses[:, :2] for poses in kind] for kind in (run.estimated, run.true, run.smoothed))
     return MapPicture(
-        run.title, run.segments, smoothed or online, [], edges, true or None, online=online if smoothed else None
+        run.title, run.segments, smoothed or online, true_edges=edges, true=true, online=online if smoothed else ()
     )
 
 

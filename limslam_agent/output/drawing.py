@@ -40,17 +40,16 @@ class MapPicture:
     segments
         Walls of the map (N, 4).
     estimated
-        Estimated positions (n, 2) that go with the map. For several robots a list of arrays.
+        Estimated positions (n, 2) of each robot that go with the map.
     odometry
-        Positions by odometry alone from the same start, in the form of ``estimated``. An empty list if they are
-        unknown.
-    true_edges, true_path
-        True walls (k, 4), and true positions in the form of ``estimated``. None if they are unknown.
+        Positions (n, 2) of each robot by odometry alone from the same start. Empty if they are unknown.
+    true_edges, true
+        True walls (k, 4), and true positions (n, 2) of each robot. None, and empty, if they are unknown.
     grid
         Occupancy grid, which is drawn behind everything. None draws no grid.
     online
-        Positions as they were estimated while the robot drove, in the form of ``estimated``, if the map is from the
-        smoothed path. None if ``estimated`` is that path.
+        Positions (n, 2) of each robot as they were estimated while it drove, if the map is from the smoothed paths.
+        Empty if ``estimated`` are those positions.
     remark
         A sentence below the title, such as why the map may be wrong. Empty if there is none.
 
@@ -62,42 +61,21 @@ class MapPicture:
 
     title: str
     segments: FloatArray
-    estimated: FloatArray | Sequence[FloatArray]
-    odometry: FloatArray | Sequence[FloatArray]
+    estimated: Sequence[FloatArray]
+    odometry: Sequence[FloatArray] = ()
     true_edges: FloatArray | None = None
-    true_path: FloatArray | Sequence[FloatArray] | None = None
+    true: Sequence[FloatArray] = ()
     grid: GridView | None = None
-    online: FloatArray | Sequence[FloatArray] | None = None
+    online: Sequence[FloatArray] = ()
     remark: str = ""
 
     def __post_init__(self) -> None:
-        if not self.estimates:
+        if not self.estimated:
             raise ValueError("a picture of a map needs the path of a robot")
-        for name, paths in (
-            ("odometry", self.odometries), ("true", self.true_paths), ("online", self.online_paths),
-        ):  # fmt: skip
-            if paths and len(paths) != len(self.estimates):
-                raise ValueError(f"{len(self.estimates)} estimated paths do not go with {len(paths)} {name} paths")
-
-    @property
-    def estimates(self) -> list[FloatArray]:
-        """Estimated positions (n, 2) of each robot."""
-        return _listed(self.estimated)
-
-    @property
-    def odometries(self) -> list[FloatArray]:
-        """Positions (n, 2) of each robot by odometry alone."""
-        return _listed(self.odometry)
-
-    @property
-    def true_paths(self) -> list[FloatArray]:
-        """True positions (n, 2) of each robot."""
-        return [] if self.true_path is None else _listed(self.true_path)
-
-    @property
-    def online_paths(self) -> list[FloatArray]:
-        """Positions (n, 2) of each robot as they were estimated while it drove."""
-        return [] if self.online is None else _listed(self.online)
+        for name in ("odometry", "true", "online"):
+            paths = getattr(self, name)
+            if paths and len(paths) != len(self.estimated):
+                raise ValueError(f"{len(self.estimated)} estimated paths do not go with {len(paths)} {name} paths")
 
 
 def draw_map(path: Path, picture: MapPicture) -> None:
@@ -163,7 +141,7 @@ def path_colours(robots: int) -> list[tuple[str, str]]:
 
 def legend(picture: MapPicture) -> list[Line2D]:
     """The entries of the legend."""
-    robots = len(picture.estimates)
+    robots = len(picture.estimated)
     several, (estimated, odometry) = robots > 1, path_colours(robots)[0]
     handles = [
         Line2D([], [], color=WALLS, marker="o", markersize=3, label="walls of the map, end points"),
@@ -172,7 +150,7 @@ def legend(picture: MapPicture) -> list[Line2D]:
         colours = path_colours(robots)
         handles += [Line2D([], [], color=colours[number][0], label=f"robot {number + 1}") for number in range(robots)]
         estimated = odometry = "0.45"
-    is_smoothed = bool(picture.online_paths)
+    is_smoothed = bool(picture.online)
     handles.append(Line2D([], [], color=estimated, label="smoothed path" if is_smoothed else "estimated path"))
     if is_smoothed:
         online = Line2D(
@@ -183,10 +161,10 @@ def legend(picture: MapPicture) -> list[Line2D]:
         Line2D([], [], color=estimated, linestyle="", marker=_START, label="start"),
         Line2D([], [], color=estimated, linestyle="", marker=_END, label="end"),
     ]
-    if picture.odometries:
+    if picture.odometry:
         away = ", runs out of the picture" if is_cut(picture) else ""
         handles.append(Line2D([], [], color=odometry, linestyle=_DASHES, label=f"path by odometry alone{away}"))
-    if picture.true_paths:
+    if picture.true:
         handles.append(Line2D([], [], color=TRUE_PATH, label="true path"))
     if picture.true_edges is not None:
         handles.append(Line2D([], [], color=TRUTH, linewidth=5.0, label="true walls"))
@@ -198,14 +176,14 @@ def legend(picture: MapPicture) -> list[Line2D]:
 
 
 def _draw_paths(axes: Axes, picture: MapPicture) -> None:
-    colours = path_colours(len(picture.estimates))
-    for (_, colour), path in zip(colours, picture.odometries, strict=False):
+    colours = path_colours(len(picture.estimated))
+    for (_, colour), path in zip(colours, picture.odometry, strict=False):
         axes.plot(*path.T, color=colour, linewidth=0.9, linestyle=_DASHES, zorder=2)
-    for path in picture.true_paths:
+    for path in picture.true:
         axes.plot(*path.T, color=TRUE_PATH, linewidth=1.2, zorder=3)
-    for (colour, _), path in zip(colours, picture.online_paths, strict=False):
+    for (colour, _), path in zip(colours, picture.online, strict=False):
         axes.plot(*path.T, color=colour, linewidth=_ONLINE_WIDTH, linestyle=_DOTS, zorder=3)
-    for (colour, _), path in zip(colours, picture.estimates, strict=True):
+    for (colour, _), path in zip(colours, picture.estimated, strict=True):
         axes.plot(*path.T, color=colour, linewidth=1.2, zorder=4)
         axes.plot(*path[0], marker=_START, color=colour, markersize=6, zorder=8)
         axes.plot(*path[-1], marker=_END, color=colour, markersize=6, markeredgecolor="white", zorder=8)
@@ -244,23 +222,17 @@ def _draw_scale(axes: Axes, low: FloatArray, high: FloatArray) -> None:
 def is_cut(picture: MapPicture) -> bool:
     """Whether odometry leaves the map so far that the picture does not follow it."""
     low, high = _extent(picture)
-    return any(bool(((path < low) | (path > high)).any()) for path in picture.odometries)
+    return any(bool(((path < low) | (path > high)).any()) for path in picture.odometry)
 
 
 def _extent(picture: MapPicture) -> tuple[FloatArray, FloatArray]:
     """Corners of the region that is shown. Odometry that runs away does not make the map small."""
     edges = [] if picture.true_edges is None else [picture.true_edges.reshape(-1, 2)]
-    points = np.vstack([picture.segments.reshape(-1, 2), *picture.estimates, *picture.true_paths, *edges])
+    points = np.vstack([picture.segments.reshape(-1, 2), *picture.estimated, *picture.true, *edges])
     low, high = points.min(axis=0), points.max(axis=0)
     around = _AROUND * float((high - low).max()) + 0.25
-    odometry = np.vstack([points, *picture.odometries])
+    odometry = np.vstack([points, *picture.odometry])
     low, high = np.maximum(odometry.min(axis=0), low - around), np.minimum(odometry.max(axis=0), high + around)
     margin = 0.04 * float((high - low).max()) + 0.05
     # The strip below the map is for the scale bar.
     return low - np.array([margin, 2.2 * margin]), high + margin
-
-
-def _listed(paths: FloatArray | Sequence[FloatArray]) -> list[FloatArray]:
-    if isinstance(paths, np.ndarray) and paths.ndim == 2:
-        return [paths]
-    return list(paths)

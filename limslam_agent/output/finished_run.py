@@ -96,22 +96,27 @@ class FinishedRun:
     def title(self) -> str:
         """The settings of the run in a few words."""
         config = self.config
-        agent = part_of(config, "agent")
-        preset = config.get("preset") or agent.get("preset", "")
+        preset = config.get("preset") or part_of(config, "agent").get("preset", "")
         if self.is_replay:
             return ", ".join(filter(None, (str(config["log"]), str(preset))))
-        noise = config.get("noise")
-        parts = (
-            str(config.get("world", self.folder.name)),
-            f"{len(self.estimated)} robots" if len(self.estimated) > 1 else "",
-            # A damaged file may hold a whole number that no float can hold.
-            f"range noise {100.0 * noise:g} cm" if isinstance(noise, int | float) and abs(noise) < 1e6 else "",
-            " ".join(filter(None, (str(preset), config.get("ablation")))),
-            policy_words(str(config["policy"])) if config.get("policy", "frontier") != "frontier" else "",
-            counted(config["laps"], "lap") if config.get("laps") else "",
-            f"seed {self.result['seed']}" if self.result.get("seed") is not None else "",
-        )
-        return ", ".join(filter(None, parts))
+        told = {"world": self.folder.name, **config, "preset": preset}
+        return run_title(told, len(self.estimated), self.result.get("seed"))
+
+
+def run_title(config: Mapping[str, Any], robots: int, seed: object) -> str:
+    """A run in a few words, from the ``config`` of its ``result.json``. Missing values are left out."""
+    noise = config.get("noise")
+    parts = (
+        str(config["world"]),
+        f"{robots} robots" if robots > 1 else "",
+        # A damaged file may hold a whole number that no float can hold.
+        f"range noise {100.0 * noise:g} cm" if isinstance(noise, int | float) and abs(noise) < 1e6 else "",
+        " ".join(filter(None, (str(config["preset"]), config.get("ablation")))),
+        policy_words(str(config["policy"])) if config.get("policy", "frontier") != "frontier" else "",
+        counted(config["laps"], "lap") if config.get("laps") else "",
+        f"seed {seed}" if seed is not None else "",
+    )
+    return ", ".join(filter(None, parts))
 
 
 def policy_words(policy: str) -> str:

@@ -53,7 +53,7 @@ def save_map(
     target.mkdir(parents=True, exist_ok=True)
     write_map(target, snapshot)
     positions = [each[:, :2] for each in paths]
-    draw_map(target / "map.png", MapPicture(title, snapshot.segments, positions, [], grid=snapshot.grid))
+    draw_map(target / "map.png", MapPicture(title, snapshot.segments, positions, grid=snapshot.grid))
 
 
 def _listed(path: FloatArray | Sequence[FloatArray]) -> list[FloatArray]:

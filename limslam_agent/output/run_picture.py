@@ -45,7 +45,7 @@ def draw_run(figure: Figure, run: FinishedRun, lines: Sequence[str], true_edges:
         [poses[:, :2] for poses in kind] for kind in (run.estimated, run.odometry, run.true, run.smoothed)
     )
     picture = MapPicture(
-        run.title, run.segments, smoothed or online, odometry, true_edges, true, online=online if smoothed else None
+        run.title, run.segments, smoothed or online, odometry, true_edges, true, online=online if smoothed else ()
     )
     axes = figure.add_subplot(grid[:, 0])
     paint_map(axes, picture)

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from limslam_agent.config.presets import PolicyConfig
+from limslam_agent.belief import Belief
 from limslam_agent.grid.occupancy import GridView
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
@@ -14,6 +14,15 @@ _FRONT = math.radians(60.0)
 _BODY_MARGIN = 0.03
 _TURN_IN_PLACE = math.radians(40.0)
 _TURN_GAIN = 2.5
+TURN_RATE = 2.0
+"""Fastest turn, rad/s."""
+STOP_DISTANCE = 0.06
+"""Free distance ahead of the rim below which the robot only turns, m."""
+PATIENCE = 30
+"""Number of steps for which the robot waits in front of an obstacle before it tries another way.
+
+Three times as many steps without progress end the approach of a goal.
+"""
 _LOOKAHEAD = 0.25  # m
 REPLAN_PERIOD = 5
 """Number of steps between two plans."""
@@ -21,9 +30,7 @@ BACK_STEPS = 8
 """Number of steps for which a robot drives backwards that could not go on."""
 
 
-def steer(
-    pose: FloatArray, target: FloatArray, ranges: FloatArray, robot: RobotSpec, config: PolicyConfig, cruise: float
-) -> FloatArray:
+def steer(pose: FloatArray, target: FloatArray, ranges: FloatArray, robot: RobotSpec, cruise: float) -> FloatArray:
     """Wheel speeds (2,), fractions of the maximum, that drive towards a point (2,), m, at ``cruise`` m/s or less.
 
     If the heading is off by more than 40 degrees, the robot turns on the spot. Otherwise it drives, and slows down when
@@ -31,10 +38,10 @@ def steer(
     """
     error = bearing_of(pose, target)
     if abs(error) > _TURN_IN_PLACE:
-        return turn_by(error, robot, config)
-    room = free_ahead(ranges, robot) - config.stop_distance
+        return turn_by(error, robot)
+    room = free_ahead(ranges, robot) - STOP_DISTANCE
     speed = cruise * math.cos(error) * min(max(room / 0.2, 0.0), 1.0)
-    return wheel_speeds(speed, _turn_rate(error, config), robot)
+    return wheel_speeds(speed, _turn_rate(error), robot)
 
 
 def point_ahead(path: FloatArray, away: FloatArray) -> tuple[int, FloatArray]:
@@ -49,9 +56,21 @@ def point_ahead(path: FloatArray, away: FloatArray) -> tuple[int, FloatArray]:
     return nearest, path[nearest + first] if is_ahead[first] else path[-1]
 
 
-def turn_by(error: float, robot: RobotSpec, config: PolicyConfig) -> FloatArray:
+def follow(
+    path: FloatArray, away: FloatArray, belief: Belief, robot: RobotSpec, cruise: float
+) -> tuple[FloatArray, float]:
+    """Wheel speeds (2,) along a path (k, 2), m, at ``cruise`` m/s or less, and the length of path that is left, m.
+
+    ``away`` (k,) has the distances of the points from the robot, m.
+    """
+    nearest, aim = point_ahead(path, away)
+    left = float(away[nearest]) + (len(path) - nearest) * belief.grid.cell
+    return steer(belief.pose, aim, belief.ranges, robot, cruise), left
+
+
+def turn_by(error: float, robot: RobotSpec) -> FloatArray:
     """Wheel speeds (2,) that turn the robot on the spot by ``error`` (rad), positive counter-clockwise."""
-    return wheel_speeds(0.0, _turn_rate(error, config), robot)
+    return wheel_speeds(0.0, _turn_rate(error), robot)
 
 
 def bearing_of(pose: FloatArray, place: FloatArray) -> float:
@@ -60,8 +79,8 @@ def bearing_of(pose: FloatArray, place: FloatArray) -> float:
     return float(wrap_angle(math.atan2(goal_y - y, goal_x - x) - heading))
 
 
-def _turn_rate(error: float, config: PolicyConfig) -> float:
-    return min(max(_TURN_GAIN * error, -config.turn_rate), config.turn_rate)
+def _turn_rate(error: float) -> float:
+    return min(max(_TURN_GAIN * error, -TURN_RATE), TURN_RATE)
 
 
 def free_ahead(ranges: FloatArray, robot: RobotSpec) -> float:
@@ -93,8 +112,11 @@ def nearest_beam(pose: FloatArray, place: FloatArray, robot: RobotSpec) -> tuple
     return beam, float(errors[beam])
 
 
-def back_off(pose: FloatArray, grid: GridView, robot: RobotSpec, config: PolicyConfig) -> FloatArray:
-    """Wheel speeds (2,) that drive straight back, or zero where the map does not show free ground behind."""
+def back_off(pose: FloatArray, grid: GridView, robot: RobotSpec, cruise: float) -> FloatArray:
+    """Wheel speeds (2,) that drive straight back at half of ``cruise``, m/s.
+
+    They are zero where the map does not show free ground behind.
+    """
     heading = np.array([math.cos(pose[2]), math.sin(pose[2])])
     behind = robot.radius + np.arange(1, 4)[:, None] * 0.05
     places = np.vstack(
@@ -103,4 +125,4 @@ def back_off(pose: FloatArray, grid: GridView, robot: RobotSpec, config: PolicyC
     cells = grid.cells(places)
     inside = ((cells >= 0) & (cells < grid.values.shape)).all(axis=1)
     is_free = bool(inside.all()) and bool((grid.values[cells[:, 0], cells[:, 1]] > 0).all())
-    return wheel_speeds(-0.5 * config.speed if is_free else 0.0, 0.0, robot)
+    return wheel_speeds(-0.5 * cruise if is_free else 0.0, 0.0, robot)

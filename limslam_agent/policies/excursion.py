@@ -12,8 +12,8 @@ import numpy as np
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.grid.planner import routes, wall_distance
-from limslam_agent.policies.targets import Target, coast_of, sight_of
+from limslam_agent.grid.planner import wall_distance
+from limslam_agent.policies.targets import MARGIN, Target, sight_of, ways_from
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 
@@ -98,12 +98,12 @@ class Excursion:
 
     def _shore(self, belief: Belief) -> Target | None:
         """The nearest place beside a wall of the map, as a target; None if there is none that can be reached."""
-        grid, radius = belief.grid, self._robot.radius + self._config.margin
-        wanted = _beside(grid, belief.segments) & grid.free & (wall_distance(grid) > radius)
+        grid, robot = belief.grid, self._robot
+        has_room = wall_distance(grid) > robot.radius + MARGIN
+        wanted = _beside(grid, belief.segments) & grid.free & has_room
         if not wanted.any():
             return None
-        coast = coast_of(grid, self._robot, self._config)
-        ways = routes(grid, belief.pose[:2], radius, self._config.clearance, targets=wanted, coast=coast)
+        ways = ways_from(belief.pose[:2], grid, robot, self._config, targets=wanted)
         cost = np.where(wanted, ways.cost, math.inf)
         best = int(np.argmin(cost))
         if not np.isfinite(cost.flat[best]):

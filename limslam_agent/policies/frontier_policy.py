@@ -13,11 +13,12 @@ from limslam_agent.grid.planner import wall_distance
 from limslam_agent.policies.collision_guard import CollisionGuard
 from limslam_agent.policies.controller import (
     BACK_STEPS,
+    PATIENCE,
     REPLAN_PERIOD,
+    TURN_RATE,
     back_off,
+    follow,
     nearest_beam,
-    point_ahead,
-    steer,
     turn_by,
     wheel_speeds,
 )
@@ -40,7 +41,9 @@ from limslam_env.interface import RobotSpec
 from limslam_env.messages import counted
 
 _ARRIVED = 0.08
-_FAR_VIEW = 1.0  # m, from which a small frontier counts as reached
+# A frontier counts as reached from the first distance (m), and from the second one if it has at most so many cells and
+# nothing stands between the robot and the frontier.
+_VIEW, _FAR_VIEW, _SMALL = 0.35, 1.0, 6
 _ASIDE_STEPS = 300  # for which a goal that could not be reached is ignored
 _POINTED = math.radians(4.0)
 # The robot counts as standing when its wheel speeds sum to less than this.
@@ -106,7 +109,7 @@ class FrontierPolicy(MapExplorer):
         robot = robot or RobotSpec()
         config = config or PolicyConfig()
         self.robot, self._config = robot, config
-        self._right_of_way = RightOfWay(index, 5.0 * robot.radius, config.patience)
+        self._right_of_way = RightOfWay(index, robot)
         self._step = 0
         self._wall_follower: WallFollower | None = None
         super().__init__()
@@ -170,13 +173,13 @@ class FrontierPolicy(MapExplorer):
         """Wheel speeds (2,) of the plan, before the collision guard limits them."""
         if self._backing > 0:
             self._backing -= 1
-            return back_off(belief.pose, belief.grid, self.robot, self._config)
+            return back_off(belief.pose, belief.grid, self.robot, self._config.speed)
         if self._turning == 0 and (self._until_plan <= 0 or self._pursuit is None):
             self._replan(belief)
         self._until_plan -= 1
         if self._turning > 0:
             self._turning -= 1
-            return wheel_speeds(0.0, self._config.turn_rate, self.robot)
+            return wheel_speeds(0.0, TURN_RATE, self.robot)
         if self._pursuit is None or self._right_of_way.waits(belief.pose, belief.other_poses):
             return np.zeros(2)
         return self._follow(belief, self._pursuit)
@@ -189,7 +192,7 @@ class FrontierPolicy(MapExplorer):
         is_lost = target is None or not target.is_reachable
         if is_lost and self._rounds < _MOST_ROUNDS and self._sees_no_way(belief):
             self._rounds += 1
-            self._turning = math.ceil(2.0 * math.pi / (self._config.turn_rate * self.robot.control_period))
+            self._turning = math.ceil(2.0 * math.pi / (TURN_RATE * self.robot.control_period))
             self._drop()
         elif target is None:
             self._drop()
@@ -209,7 +212,7 @@ class FrontierPolicy(MapExplorer):
     def _take_up(self, grid: GridView, target: Target) -> None:
         """Keep to the old target's frontier, or begin with another one."""
         old = self._pursuit
-        if old is not None and np.hypot(*(old.target.goal - target.goal)) < self._config.view_distance:
+        if old is not None and np.hypot(*(old.target.goal - target.goal)) < _VIEW:
             old.target = target
         else:
             is_new = self._memory.tries_at(target.goal) == 0
@@ -230,20 +233,17 @@ class FrontierPolicy(MapExplorer):
         """Distance (m) from the end of the path at which the robot may look. A small frontier must not be hidden from
         there.
         """
-        near, far = self._config.view_distance, _FAR_VIEW
-        if len(target.group) > self._config.small_frontier or far <= near:
-            return near
-        seen_from = sight_begins(grid, target.path, far)
-        return max(near, float(np.hypot(*np.diff(target.path[seen_from:], axis=0).T).sum()))
+        if len(target.group) > _SMALL:
+            return _VIEW
+        seen_from = sight_begins(grid, target.path, _FAR_VIEW)
+        return max(_VIEW, float(np.hypot(*np.diff(target.path[seen_from:], axis=0).T).sum()))
 
     def _follow(self, belief: Belief, pursuit: _Pursuit) -> FloatArray:
         off = self.plan - belief.pose[:2]
         away = np.sqrt(off[:, 0] ** 2 + off[:, 1] ** 2)
         if away[-1] < _ARRIVED or len(self.plan) == 1:
             return self._look(belief, pursuit)
-        nearest, aim = point_ahead(self.plan, away)
-        action = steer(belief.pose, aim, belief.ranges, self.robot, self._config, self._config.speed)
-        left = float(away[nearest]) + (len(self.plan) - nearest) * belief.grid.cell
+        action, left = follow(self.plan, away, belief, self.robot, self._config.speed)
         if self._is_stuck(belief.grid, pursuit, left, action):
             self._set_aside(pursuit)
             self._excursion.end()
@@ -260,7 +260,7 @@ class FrontierPolicy(MapExplorer):
         if is_nearer or not math.isfinite(pursuit.left):
             pursuit.left = left
         pursuit.standing = pursuit.standing + 1 if abs(float(action[0] + action[1])) < _CREEP else 0
-        return pursuit.standing > self._config.patience or self._idle > 3 * self._config.patience
+        return pursuit.standing > PATIENCE or self._idle > 3 * PATIENCE
 
     def _look(self, belief: Belief, pursuit: _Pursuit) -> FloatArray:
         """Point a beam at the target and decide from the reading what the target is."""
@@ -271,8 +271,8 @@ class FrontierPolicy(MapExplorer):
         aim = pursuit.target.aim
         beam, error = nearest_beam(belief.pose, aim, self.robot)
         self._idle += 1
-        if abs(error) > _POINTED and self._idle <= 3 * self._config.patience:
-            return turn_by(error, self.robot, self._config)
+        if abs(error) > _POINTED and self._idle <= 3 * PATIENCE:
+            return turn_by(error, self.robot)
         distance = float(np.hypot(*(aim - belief.pose[:2]))) - float(np.hypot(*self.robot.beam_origins[beam]))
         reading = float(belief.ranges[beam])
         is_wall = reading < self.robot.too_far[beam] and abs(reading - distance) < 1.5 * belief.grid.cell
@@ -280,7 +280,7 @@ class FrontierPolicy(MapExplorer):
             self._set_aside(pursuit)
         elif is_wall or pursuit.boldness == _ALL_THE_WAY:
             # From a distance the beam may have hit a wall beside the opening.
-            self._memory.settle(pursuit.target.goal, is_near=distance < 1.5 * self._config.view_distance)
+            self._memory.settle(pursuit.target.goal, is_near=distance < 1.5 * _VIEW)
             self._drop()
         elif pursuit.boldness == _FROM_AFAR:
             pursuit.boldness, pursuit.left, self._idle = _FROM_NEAR, math.inf, 0

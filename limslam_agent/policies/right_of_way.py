@@ -5,12 +5,15 @@ import math
 import numpy as np
 
 from limslam_agent.grid.occupancy import GridView
+from limslam_agent.policies.controller import PATIENCE
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.interface import RobotSpec
 
 _PART_WITHIN = 2.5
 _PART_WEIGHT = 2.0
 _IN_THE_WAY = math.radians(70.0)
+_BLOCKS = 5.0  # radii: another robot whose centre is nearer blocks the way
 
 
 def separation_cost(
@@ -69,18 +72,18 @@ def _away(grid: GridView, rows: IntArray, columns: IntArray, place: FloatArray) 
 class RightOfWay:
     """Decides whether to wait for another robot. Of two robots, the one with the higher index waits for a limited time.
 
+    After that it drives for as long before it waits again.
+
     Parameters
     ----------
     index
         This robot's place in its team.
-    distance
-        Distance between centres, m, below which another robot blocks the way.
-    patience
-        Largest number of steps to wait, and number of steps to drive before waiting again.
+    robot
+        Body of each robot.
     """
 
-    def __init__(self, index: int, distance: float, patience: int) -> None:
-        self._index, self._distance, self._patience = index, distance, patience
+    def __init__(self, index: int, robot: RobotSpec) -> None:
+        self._index, self._distance = index, _BLOCKS * robot.radius
         self._count = 0
 
     def waits(self, pose: FloatArray, other_poses: FloatArray) -> bool:
@@ -98,7 +101,7 @@ class RightOfWay:
             self._count = 0
             return False
         self._count += 1
-        if self._count > self._patience:
-            self._count = -self._patience
+        if self._count > PATIENCE:
+            self._count = -PATIENCE
             return False
         return True

@@ -9,7 +9,7 @@ from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.policies.collision_guard import CollisionGuard
-from limslam_agent.policies.controller import free_ahead, steer, turn_by, wheel_speeds
+from limslam_agent.policies.controller import STOP_DISTANCE, TURN_RATE, free_ahead, steer, turn_by, wheel_speeds
 from limslam_agent.policies.policy import NO_PLAN
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
@@ -39,17 +39,16 @@ class Laps:
 
     Parameters
     ----------
-    robot, config
-        Body and settings.
+    robot
+        Body and beams.
     corners
         Corners of the loop (k, 2), m, in driving order.
     laps
         Number of laps.
     """
 
-    def __init__(self, robot: RobotSpec, config: PolicyConfig, corners: FloatArray, laps: int) -> None:
-        self._robot, self._config = robot, config
-        self._corners = corners
+    def __init__(self, robot: RobotSpec, corners: FloatArray, laps: int) -> None:
+        self._robot, self._corners = robot, corners
         self._remaining = laps * len(corners)
         self._next: int | None = None
         self._standing = 0
@@ -68,7 +67,7 @@ class Laps:
             self.stop_reason = "all laps driven"
         if self.stop_reason is not None:
             return np.zeros(2)
-        action = steer(belief.pose, self._corners[self._next], belief.ranges, self._robot, self._config, LAP_SPEED)
+        action = steer(belief.pose, self._corners[self._next], belief.ranges, self._robot, LAP_SPEED)
         self._standing = self._standing + 1 if abs(float(action.sum())) < _CREEP else 0
         if self._standing > _PATIENCE:
             self.stop_reason = f"stopped: something is in the way to corner {self._next + 1} of the loop"
@@ -90,7 +89,7 @@ class ReactivePolicy:
     """
 
     def __init__(self, robot: RobotSpec | None, config: PolicyConfig | None, patience: float, where: str) -> None:
-        self.robot = self._robot = robot or RobotSpec()
+        self.robot = robot or RobotSpec()
         self._config = config or PolicyConfig()
         self._collision_guard = CollisionGuard(self.robot)
         self._patience, self._where = patience, where
@@ -119,7 +118,7 @@ class ReactivePolicy:
         self._since += 1
         if known > self._known + _NEW_CELLS:
             self._known, self._since = known, 0
-        return self._since > math.ceil(self._patience / self._robot.control_period)
+        return self._since > math.ceil(self._patience / self.robot.control_period)
 
 
 class WallFollower(ReactivePolicy):
@@ -163,12 +162,12 @@ class WallFollower(ReactivePolicy):
     def _wheels(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) along the wall."""
         ranges = belief.ranges
-        robot, config = self._robot, self._config
-        room = free_ahead(ranges, robot) - config.stop_distance
+        robot, config = self.robot, self._config
+        room = free_ahead(ranges, robot) - STOP_DISTANCE
         away = self._clearance(ranges)
         if room < 0.5 * self._distance:
             self._turned = 0.0
-            return wheel_speeds(0.0, -self._toward * config.turn_rate, robot)
+            return wheel_speeds(0.0, -self._toward * TURN_RATE, robot)
         speed = config.speed * min(room / 0.2, 1.0)
         if math.isfinite(away):
             self._turned = 0.0
@@ -185,7 +184,7 @@ class WallFollower(ReactivePolicy):
         """Sideways distance (m) between the rim and the wall that the beams of this side see. Infinite if they see no
         wall.
         """
-        robot = self._robot
+        robot = self.robot
         angles = self._toward * robot.beam_angles
         beside = (angles > _SIDE[0]) & (angles < _SIDE[1]) & np.isfinite(ranges) & (ranges < robot.too_far)
         across = self._toward * (robot.beam_origins[:, 1] + ranges * robot.beam_directions[:, 1])[beside]
@@ -220,8 +219,8 @@ class RandomPolicy(ReactivePolicy):
 
     def _wheels(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) of a random walk that bounces off the walls."""
-        robot, config = self._robot, self._config
-        yaw, room = float(belief.pose[2]), free_ahead(belief.ranges, robot) - config.stop_distance
+        robot, config = self.robot, self._config
+        yaw, room = float(belief.pose[2]), free_ahead(belief.ranges, robot) - STOP_DISTANCE
         self._until_turn -= 1
         if self._heading is None:
             if room > _LITTLE_ROOM and self._until_turn > 0:
@@ -233,4 +232,4 @@ class RandomPolicy(ReactivePolicy):
         error = float(wrap_angle(self._heading - yaw))
         if abs(error) < _FACING:
             self._heading = None
-        return turn_by(error, robot, config)
+        return turn_by(error, robot)

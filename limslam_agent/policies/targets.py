@@ -19,6 +19,10 @@ from limslam_env.interface import RobotSpec
 LAST_FRONTIER = 2
 """Least number of cells of a frontier when no larger frontiers are left: in a corridor twice as wide as the robot."""
 
+MARGIN = 0.05
+"""Distance that the planner keeps between the robot's rim and occupied cells unless there is no other path, m."""
+# Distance (m) that it keeps where there is enough space.
+_CLEARANCE = 0.15
 # Up to this share of the beams' reach, a wall beside the robot is in sight of more than one beam.
 _SIGHT_SHARE = 0.7
 # Unknown regions of fewer cells cannot hide an obstacle.
@@ -67,6 +71,20 @@ class Target:
 def coast_of(grid: GridView, robot: RobotSpec, config: PolicyConfig) -> float:
     """Distance (m) from walls beyond which paths cost more. It is infinite while the map is small."""
     return sight_of(robot) if max(grid.values.shape) * grid.cell > config.large_map else math.inf
+
+
+def ways_from(
+    place: FloatArray, grid: GridView, robot: RobotSpec, config: PolicyConfig, *, targets: BoolArray | None = None,
+    extra: FloatArray | None = None, closed: BoolArray | None = None,
+) -> Routes:  # fmt: skip
+    """Paths of a robot from a place (2,), m, that keep away from walls, and in large maps within sight of them.
+
+    ``targets``, ``extra`` and ``closed`` are those of :func:`~limslam_agent.grid.planner.routes`.
+    """
+    return routes(
+        grid, place, robot.radius + MARGIN, _CLEARANCE, targets=targets, extra=extra, closed=closed,
+        coast=coast_of(grid, robot, config),
+    )  # fmt: skip
 
 
 def sight_of(robot: RobotSpec) -> float:
@@ -143,8 +161,11 @@ def next_target(
                 continue
             extra = separation_cost(grid, belief.pose, belief.other_poses, belief.other_goals, cells)
             extra += search_cost(belief, cells)
+            costs = extra if extra.any() else None
             for number, closed in enumerate(searches):
-                ways = whole[number] or _ways(belief, wanted, extra, closed, robot, config)
+                ways = whole[number] or ways_from(
+                    belief.pose[:2], grid, robot, config, targets=wanted, extra=costs, closed=closed
+                )
                 found = _least(ways.cost + extra, wanted, cells)
                 if found is not None:
                     return _reachable(grid, cells, found, ways)
@@ -161,18 +182,6 @@ def _searches(belief: Belief, robot: RobotSpec) -> list[BoolArray | None]:
     if not len(belief.other_poses):
         return [None]
     return [cells_near_robots(belief.grid, belief.other_poses, 2.0 * robot.radius + _SPACING), None]
-
-
-def _ways(
-    belief: Belief, wanted: BoolArray, extra: FloatArray, closed: BoolArray | None, robot: RobotSpec,
-    config: PolicyConfig,
-) -> Routes:  # fmt: skip
-    """Paths to the cheapest of some cells, with what the cells cost besides."""
-    grid = belief.grid
-    return routes(
-        grid, belief.pose[:2], robot.radius + config.margin, config.clearance, targets=wanted,
-        extra=extra if extra.any() else None, closed=closed, coast=coast_of(grid, robot, config),
-    )  # fmt: skip
 
 
 def _least(cost: FloatArray, wanted: BoolArray, cells: BoolArray) -> IntArray | None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
-from limslam_agent.policies.controller import nearest_beam, point_ahead, steer, turn_by, wheel_speeds
+from limslam_agent.policies.controller import PATIENCE, TURN_RATE, follow, nearest_beam, turn_by, wheel_speeds
 from limslam_agent.policies.wall_views import View, is_unfinished, path_to
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
@@ -148,15 +148,15 @@ class Look:
         if away[-1] < _ARRIVED or len(self.path) == 1:
             self._sweep, self._idle = sweep_along(self.view, belief.pose, self._robot, self._std), 0
             return np.zeros(2)
-        nearest, aim = point_ahead(self.path, away)
-        self._count_idle(float(away[nearest]) + (len(self.path) - nearest) * belief.grid.cell)
-        return steer(belief.pose, aim, belief.ranges, self._robot, self._config, self._config.speed)
+        wheels, left = follow(self.path, away, belief, self._robot, self._config.speed)
+        self._count_idle(left)
+        return wheels
 
     def _count_idle(self, left: float) -> None:
         """Count the steps in which the remaining path, ``left`` (m), became no shorter, and end after too many."""
         self._idle = 0 if left < self._left - _AHEAD else self._idle + 1
         self._left = left if self._idle == 0 else self._left
-        self.is_over = self.is_stuck = self._idle > self._config.patience
+        self.is_over = self.is_stuck = self._idle > PATIENCE
 
     def _check(self, belief: Belief) -> None:
         """Plan the path anew, and end if the stretch has got its wall or there is no path any more."""
@@ -170,16 +170,16 @@ class Look:
         """Wheel speeds (2,) to the first heading of the sweep."""
         self._idle += 1
         error = wrap_angle(sweep.start - float(pose[2]))
-        if abs(error) > _POINTED and self._idle <= 3 * self._config.patience:
-            return turn_by(error, self._robot, self._config)
+        if abs(error) > _POINTED and self._idle <= 3 * PATIENCE:
+            return turn_by(error, self._robot)
         self._is_pointing, self._idle = False, 0
         return np.zeros(2)
 
     def _turn(self, pose: FloatArray, sweep: Sweep) -> FloatArray:
         """Wheel speeds (2,) to the last heading of the sweep."""
         self._idle += 1
-        if sweep.left(float(pose[2])) < _POINTED or self._idle > 3.0 * sweep.steps + self._config.patience:
+        if sweep.left(float(pose[2])) < _POINTED or self._idle > 3.0 * sweep.steps + PATIENCE:
             self.is_over = True
             return np.zeros(2)
-        rate = min(sweep.step / self._robot.control_period, self._config.turn_rate)
+        rate = min(sweep.step / self._robot.control_period, TURN_RATE)
         return wheel_speeds(0.0, sweep.direction * rate, self._robot)

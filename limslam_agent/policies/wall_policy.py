@@ -61,7 +61,7 @@ class WallPolicy(MapExplorer):
 
     def __init__(self, robot: RobotSpec, config: PolicyConfig, index: int = 0, range_std: float = 0.02) -> None:
         self._robot, self._config, self._std = robot, config, range_std
-        self._right_of_way = RightOfWay(index, 5.0 * robot.radius, config.patience)
+        self._right_of_way = RightOfWay(index, robot)
         self._frontiers = FrontierPolicy(robot, config, index)
         super().__init__()
 
@@ -137,7 +137,7 @@ class WallPolicy(MapExplorer):
         self._looking += 1
         if self._backing > 0:
             self._backing -= 1
-            return back_off(belief.pose, belief.grid, self._robot, self._config)
+            return back_off(belief.pose, belief.grid, self._robot, self._config.speed)
         if self._look is None or self._right_of_way.waits(belief.pose, belief.other_poses):
             return np.zeros(2)
         wheels = self._look.act(belief)

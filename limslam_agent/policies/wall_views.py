@@ -11,7 +11,7 @@ from scipy.spatial import cKDTree
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.grid.planner import Routes, routes, wall_distance
+from limslam_agent.grid.planner import Routes, wall_distance
 from limslam_agent.grid.unfinished import (
     Faces,
     border_faces,
@@ -20,7 +20,7 @@ from limslam_agent.grid.unfinished import (
     unfinished_faces,
 )
 from limslam_agent.policies.right_of_way import cells_near_robots, separation_cost
-from limslam_agent.policies.targets import coast_of
+from limslam_agent.policies.targets import ways_from
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
@@ -42,6 +42,8 @@ _FAR_SHARE = 0.7
 _BATCH, _SIGHT_POINTS = 256, 16
 # Number of views of one face that are computed before the face is left alone.
 _MOST_VIEWS = 3
+# Largest number of looks at one stretch, and least length (m) of a stretch that is looked at more than once.
+_LOOKS, _SHORTEST_AGAIN = 2, 0.35
 # A second look is taken from a place at least this far (m) from that of the first look.
 _ELSEWHERE = 0.2
 
@@ -132,10 +134,10 @@ def next_view(belief: Belief, memory: LookMemory, robot: RobotSpec, config: Poli
     if not len(border):
         return None
     ways = _ways(belief, robot, config)
-    for number in range(config.looks):
+    for number in range(_LOOKS):
         open_border = border.select(tries <= number)
         # A second look at a short stretch shows no more than the first one.
-        least = _SHORTEST if number == 0 else config.min_stretch_again
+        least = _SHORTEST if number == 0 else _SHORTEST_AGAIN
         open_border = open_border.select(in_long_stretches(open_border, least, belief.grid.cell))
         found = _cheapest(belief, ways, open_border, memory, robot, least) if len(open_border) else None
         if found is not None:
@@ -157,10 +159,7 @@ def path_to(belief: Belief, stand: FloatArray, robot: RobotSpec, config: PolicyC
 
 def _ways(belief: Belief, robot: RobotSpec, config: PolicyConfig, wanted: BoolArray | None = None) -> Routes:
     taken = cells_near_robots(belief.grid, belief.other_poses, 2.0 * robot.radius) if len(belief.other_poses) else None
-    return routes(
-        belief.grid, belief.pose[:2], robot.radius + config.margin, config.clearance, targets=wanted, closed=taken,
-        coast=coast_of(belief.grid, robot, config),
-    )  # fmt: skip
+    return ways_from(belief.pose[:2], belief.grid, robot, config, targets=wanted, closed=taken)
 
 
 def _cheapest(

@@ -7,7 +7,7 @@ import numpy as np
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.policies.collision_guard import CollisionGuard
-from limslam_agent.policies.controller import BACK_STEPS, REPLAN_PERIOD, back_off, point_ahead, steer
+from limslam_agent.policies.controller import BACK_STEPS, PATIENCE, REPLAN_PERIOD, back_off, follow
 from limslam_agent.policies.policy import NO_PLAN, Policy
 from limslam_agent.policies.wall_views import path_to
 from limslam_env.geometry import FloatArray
@@ -110,7 +110,7 @@ class WayHome:
         """Wheel speeds (2,) along the path home."""
         if self._backing > 0:
             self._backing -= 1
-            return back_off(belief.pose, belief.grid, self._robot, self._config)
+            return back_off(belief.pose, belief.grid, self._robot, self._config.speed)
         self._until_plan -= 1
         if self._until_plan < 0:
             self._plan(belief)
@@ -119,9 +119,9 @@ class WayHome:
         if self.stop_reason is not None:
             return np.zeros(2)
         away = np.hypot(*(self.plan - belief.pose[:2]).T)
-        nearest, aim = point_ahead(self.plan, away)
-        self._count_idle(float(away[nearest]) + (len(self.plan) - nearest) * belief.grid.cell)
-        return steer(belief.pose, aim, belief.ranges, self._robot, self._config, self._config.speed)
+        wheels, left = follow(self.plan, away, belief, self._robot, self._config.speed)
+        self._count_idle(left)
+        return wheels
 
     def _plan(self, belief: Belief) -> None:
         self._until_plan = REPLAN_PERIOD
@@ -134,7 +134,7 @@ class WayHome:
         """Count the steps in which the remaining path, ``left`` (m), became no shorter; back off, or give up."""
         self._idle = 0 if left < self._left - _AHEAD else self._idle + 1
         self._left = left if self._idle == 0 else self._left
-        if self._idle <= self._config.patience:
+        if self._idle <= PATIENCE:
             return
         self._idle, self._left, self._tries = 0, math.inf, self._tries + 1
         self._backing, self._until_plan = BACK_STEPS, 0

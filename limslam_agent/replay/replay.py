@@ -333,8 +333,8 @@ def _draw_picture(folder: Path, replay: Replay, title: str, status: Status) -> N
     true, smoothed = replay.log.true_pose, replay.smoothed
     path = replay.estimated if smoothed is None else smoothed.poses
     picture = MapPicture(
-        title, replay.segments, path[:, :2], replay.odometry[:, :2], true_path=None if true is None else true[:, :2],
-        grid=replay.grid, online=None if smoothed is None else replay.estimated[:, :2], remark=status.remark,
+        title, replay.segments, [path[:, :2]], [replay.odometry[:, :2]], true=[] if true is None else [true[:, :2]],
+        grid=replay.grid, online=[] if smoothed is None else [replay.estimated[:, :2]], remark=status.remark,
     )  # fmt: skip
     draw_map(folder / "map.png", picture)
 

@@ -174,7 +174,7 @@ def _draw(path: Path, joint: JointReplay, sources: tuple[Source, Source]) -> Non
     )
     picture = MapPicture(
         f"{names}, {beams} beams, {joint.replays[0].config.preset}", joint.segments, smoothed, odometry,
-        true_path=true_paths if len(true_paths) == count else None,
+        true=true_paths if len(true_paths) == count else [],
         grid=joint.grid, online=online, remark=joint.status.remark,
     )  # fmt: skip
     draw_map(path, picture)

@@ -6,7 +6,6 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from limslam_agent.agent import LimSlamAgent
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.runs.actor_checks import first_argument, is_policy
@@ -79,7 +78,10 @@ def driver_of(
         parts = {name: driver_of(part, is_team=False, robot=robot, noise=noise) for name, part in actor.items()}
         return _ActorPerRobot(parts)
     if isinstance(actor, str):
-        return _NamedDriver(actor, robot or RobotSpec(), preset(preset_name or DEFAULT_PRESET, noise))
+        body, config = robot or RobotSpec(), preset(preset_name or DEFAULT_PRESET, noise)
+        return _AgentDriver(
+            body, config, lambda robots, seed: policies_by_belief(actor, body, config, robots=robots, seed=seed)
+        )
     if isinstance(actor, type):
         raise ValueError(f"{actor.__name__} is a class and cannot act: pass an instance")  # noqa: TRY004 (a value)
     if is_policy(actor):
@@ -88,7 +90,8 @@ def driver_of(
                 f"{type(actor).__name__} is a policy for one robot: "
                 "pass LimSlamTeam(robot, config, num_robots, policies=[...]) with one policy for each robot"
             )
-        return _PolicyDriver(actor, robot or RobotSpec(), preset(preset_name or DEFAULT_PRESET, noise))
+        config = preset(preset_name or DEFAULT_PRESET, noise)
+        return _AgentDriver(robot or RobotSpec(), config, lambda _robots, _seed: [_copied(actor)])
     if callable(getattr(actor, "act", None)):
         return _SingleActor(actor, actor.act, is_team=is_team)
     if callable(getattr(actor, "predict", None)):
@@ -110,63 +113,50 @@ def _function_driver(actor: Any, *, is_team: bool) -> Driver:
 
 
 class _AgentDriver:
-    """Base of the drivers whose agent or team says when it is done."""
+    """Drives robots by an agent, which gets new policies in each episode.
+
+    Parameters
+    ----------
+    robot, config
+        Body of each robot, and settings of the agent.
+    policies
+        Makes a policy for each robot, from the number of robots and a seed. None for the agent's own policies.
+    """
 
     can_stop = True
-    snapshot_source: Any
 
-    @property
-    def done(self) -> bool:
-        return bool(self.snapshot_source.done)
+    def __init__(self, robot: RobotSpec, config: AgentConfig, policies: Callable[[int, int], list[Any] | None]) -> None:
+        self._robot, self._config, self._policies = robot, config, policies
+        self.snapshot_source = self._team(1, 0)
 
-    @property
-    def stop_reason(self) -> str | None:
-        reason: str | None = self.snapshot_source.stop_reason
-        return reason
-
-
-class _PolicyDriver(_AgentDriver):
-    """A policy for one robot, which drives an agent. Each episode begins with a new copy of the policy."""
-
-    def __init__(self, policy: Any, robot: RobotSpec, config: AgentConfig) -> None:
-        self._policy, self._robot, self._config = policy, robot, config
-        self.snapshot_source = LimSlamAgent(robot, self._config, policy)
+    def _team(self, robots: int, seed: int) -> LimSlamTeam:
+        return LimSlamTeam(self._robot, self._config, robots, self._policies(robots, seed))
 
     def reset(self, start_poses: Mapping[str, FloatArray], seed: int) -> None:
-        self.snapshot_source = LimSlamAgent(self._robot, self._config, self._copied_policy())
-        self.snapshot_source.reset(next(iter(start_poses.values())), seed)
-
-    def _copied_policy(self) -> Any:
-        try:
-            return copy.deepcopy(self._policy)
-        except Exception as error:  # a class may raise anything when it is copied
-            raise ValueError(
-                f"{type(self._policy).__name__} cannot be copied for each episode ({error}): "
-                "pass LimSlamAgent(robot, config, policy=...) and one seed"
-            ) from error
-
-    def act(self, observations: Observations) -> Actions:
-        return {name: self.snapshot_source.act(observation) for name, observation in observations.items()}
-
-
-class _NamedDriver(_AgentDriver):
-    """The robots of ``limslam run --policy NAME``, with new policies in each episode."""
-
-    def __init__(self, name: str, robot: RobotSpec, config: AgentConfig) -> None:
-        self._name, self._robot, self._config = name, robot, config
-        self.snapshot_source = self._team(robots=1, seed=0)
-
-    def reset(self, start_poses: Mapping[str, FloatArray], seed: int) -> None:
-        self.snapshot_source = self._team(robots=len(start_poses), seed=seed)
+        self.snapshot_source = self._team(len(start_poses), seed)
         self.snapshot_source.reset(np.array(list(start_poses.values())), seed)
-
-    def _team(self, *, robots: int, seed: int) -> LimSlamTeam:
-        policies = policies_by_belief(self._name, self._robot, self._config, robots=robots, seed=seed)
-        return LimSlamTeam(self._robot, self._config, robots, policies)
 
     def act(self, observations: Observations) -> Actions:
         self.snapshot_source.observe(list(observations.values()))
         return dict(zip(observations, self.snapshot_source.decide(), strict=True))
+
+    @property
+    def done(self) -> bool:
+        return self.snapshot_source.done
+
+    @property
+    def stop_reason(self) -> str | None:
+        return self.snapshot_source.stop_reason
+
+
+def _copied(policy: Any) -> Any:
+    try:
+        return copy.deepcopy(policy)
+    except Exception as error:  # a class may raise anything when it is copied
+        raise ValueError(
+            f"{type(policy).__name__} cannot be copied for each episode ({error}): "
+            "pass LimSlamAgent(robot, config, policy=...) and one seed"
+        ) from error
 
 
 class _SingleActor:

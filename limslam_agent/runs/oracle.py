@@ -11,10 +11,10 @@ from dataclasses import replace
 import numpy as np
 
 from limslam_agent.belief import Belief
-from limslam_agent.config.presets import AgentConfig, PolicyConfig
+from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.drawing import ReadingDrawer
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.policies.controller import bearing_of, wheel_speeds
+from limslam_agent.policies.controller import TURN_RATE, bearing_of, wheel_speeds
 from limslam_agent.policies.learned.learned import LearnedPolicy
 from limslam_agent.policies.policy import NO_PLAN, Policy
 from limslam_agent.policies.simple_policies import LAP_SPEED, Laps, RandomPolicy, WallFollower
@@ -169,7 +169,7 @@ def policies_for(
 ) -> list[Policy] | None:
     """A policy for each robot. None for the frontier policies, which a team makes itself."""
     if policy == "frontier":
-        return [Laps(robot, config.policy, world.loop, laps)] if laps else None
+        return [Laps(robot, world.loop, laps)] if laps else None
     if policy in _PRIVILEGED:
         return [_privileged_policy(policy, robot, config, world, laps=laps, seed=seed)]
     return policies_by_belief(policy, robot, config, robots=robots, seed=seed)
@@ -228,7 +228,7 @@ def _privileged_policy(
     if policy == "oracle":
         return Oracle(robot, top_speeds(robot), _coverage_planner(world, robot), _MOST_TOURS, GOAL)
     # The speeds do not depend on the preset, so that all estimators listen to the same drive.
-    speeds = Speeds(LAP_SPEED, PolicyConfig().turn_rate)
+    speeds = Speeds(LAP_SPEED, TURN_RATE)
     return Oracle(robot, speeds, lambda pose, _: closed_tour(world, robot, pose, laps or 1))
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from limslam_agent.output.cost import run_cost
 from limslam_agent.output.export import WallsAndGrid, finite, map_content, write_covariances, write_json, write_map
-from limslam_agent.output.finished_run import COVARIANCES, UNPLACED, WORLD, policy_words
+from limslam_agent.output.finished_run import COVARIANCES, UNPLACED, WORLD, run_title
 from limslam_agent.output.summary import calibration_record, place_records, record_of, turn_records
 from limslam_agent.output.tum import write_tum
 from limslam_agent.policies.policy import NOT_EXPLORED
@@ -26,7 +26,6 @@ from limslam_agent.status.status import status_scores, worst
 from limslam_env.bounds.offline_optimum import UnreadWallsError, solve_optimum
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
-from limslam_env.messages import counted
 from limslam_env.metrics import metrics
 from limslam_env.metrics.association import (
     AssociationEvent,
@@ -265,13 +264,11 @@ def _write_log(path: Path, episode: Episode) -> None:
 
 def title_of(config: RunConfig) -> str:
     """The settings of a run in one line."""
-    team = f"{config.robots} robots, " if config.robots > 1 else ""
-    ablation = f" {config.ablation}" if config.ablation else ""
-    name = config.driver or short_name(config.policy)
-    policy = f", {policy_words(name)}" if name != "frontier" else ""
-    driver = policy + (f", {counted(config.laps, 'lap')}" if config.laps else "")
-    noise = f"range noise {100 * config.noise:g} cm"
-    return f"{load_world(config.world).name}, {team}{noise}, {config.preset}{ablation}{driver}, seed {config.seed}"
+    told = {
+        "world": load_world(config.world).name, "noise": config.noise, "preset": config.preset,
+        "ablation": config.ablation, "policy": config.driver or short_name(config.policy), "laps": config.laps,
+    }  # fmt: skip
+    return run_title(told, config.robots, config.seed)
 
 
 def _draw(path: Path, episode: Episode) -> None:
@@ -284,7 +281,7 @@ def _draw(path: Path, episode: Episode) -> None:
     )
     picture = MapPicture(
         title, final.segments, mapped, odometry, episode.world.edges, true,
-        online=None if episode.smoothed is None else estimated,
+        online=[] if episode.smoothed is None else estimated,
     )  # fmt: skip
     draw_map(path, picture)
 

@@ -355,7 +355,7 @@ class LineSlam:
             ranges = np.where(front.measured, front.ranges, self.robot.max_ranges)
             front.drop(
                 may_hit_others(
-                    number, ranges, poses, covariance, self.robot, self.range_sensor, self.config.team
+                    number, ranges, poses, covariance, self.robot, self.range_sensor
                 )
             )  # fmt: skip
 

@@ -9,11 +9,22 @@ from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.config.status import ContradictionConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
+
+# A beam should end at a wall if it meets the wall at least so far (m) inside the wall's ends, and if the cosine of its
+# angle to the wall's normal is at least so large.
+INSET, LEAST_COSINE = 0.10, 0.35
+# A beam has passed through a wall if its reading exceeds the expected range by more than this number of standard
+# deviations plus a length, m.
+SIGMAS, _SLACK = 3.0, 0.10
+# A beam has ended in free space if all cells around its end, up to the second number of cells to each side, have at
+# least the first value, and no wall of the map is near its end. A wall is near if its distance is less than SIGMAS
+# standard deviations of a range plus _SLACK. Walls are corrected when a loop is closed, and the grid is not.
+FREE, FREE_CELLS = 4, 2
+_NEVER = 1 << 15  # no cell has this value
 
 
 class Sight(NamedTuple):
@@ -114,7 +125,6 @@ def expected_ranges(
     covariance: FloatArray,
     segments: FloatArray,
     sensor: RangeSensor,
-    config: ContradictionConfig,
 ) -> ExpectedRanges:
     """The range that the walls of a map predict for each beam.
 
@@ -129,10 +139,12 @@ def expected_ranges(
     """
     from limslam_agent.kernels.crossings import WALL_COLUMNS, predict_ranges
 
-    rules, shape = (float(config.inset), float(config.least_cosine)), (len(poses), len(robot.beams))
+    shape = len(poses), len(robot.beams)
     walls, ranges, stds = np.empty((len(segments), WALL_COLUMNS)), np.empty(shape), np.empty(shape)
     first = np.empty(shape, dtype=np.int64)
-    predict_ranges(poses, covariance, segments, robot.beam_table, sensor.numbers, *rules, walls, ranges, stds, first)
+    predict_ranges(
+        poses, covariance, segments, robot.beam_table, sensor.numbers, INSET, LEAST_COSINE, walls, ranges, stds, first
+    )
     return ExpectedRanges(ranges, stds, first)
 
 
@@ -145,7 +157,8 @@ def compare(
     predicted: FloatArray,
     stds: FloatArray,
     sensor: RangeSensor,
-    config: ContradictionConfig,
+    *,
+    free_space_counts: bool = True,
 ) -> Comparison:
     """Compare the readings of one step with a map.
 
@@ -162,15 +175,17 @@ def compare(
         :class:`ExpectedRanges`.
     sensor
         How ranges are measured.
+    free_space_counts
+        Whether a reading that ends in free space contradicts the map.
     """
     from limslam_agent.kernels.crossings import compare_readings
 
     grid, found = known.grid, np.empty((5, len(ranges)), dtype=bool)
     # One kind of array, or the kernel would be compiled for each kind.
     compare_readings(
-        pose, ranges, measured, predicted, stds, robot.beam_table, sensor.numbers, float(config.sigmas),
-        float(config.slack), known.segments, np.array(grid.values), grid.low, float(grid.cell), config.free_cells,
-        config.free, found,
+        pose, ranges, measured, predicted, stds, robot.beam_table, sensor.numbers, SIGMAS, _SLACK,
+        known.segments, np.array(grid.values), grid.low, float(grid.cell), FREE_CELLS,
+        FREE if free_space_counts else _NEVER, found,
     )  # fmt: skip
     return Comparison(*found)
 
@@ -182,11 +197,13 @@ def compared(
     known: KnownMap,
     covariance: FloatArray,
     sensor: RangeSensor,
-    config: ContradictionConfig,
+    *,
+    free_space_counts: bool,
 ) -> tuple[Comparison, ExpectedRanges]:
     """The readings of one step that count (n_beams,) beside a map, and the ranges that the map predicts for it."""
-    expected = expected_ranges(robot, sight.pose[None], covariance, known.segments, sensor, config)
+    expected = expected_ranges(robot, sight.pose[None], covariance, known.segments, sensor)
     outcome = compare(
-        robot, sight.pose, sight.ranges, usable, known, expected.ranges[0], expected.stds[0], sensor, config
-    )
+        robot, sight.pose, sight.ranges, usable, known, expected.ranges[0], expected.stds[0], sensor,
+        free_space_counts=free_space_counts,
+    )  # fmt: skip
     return outcome, expected

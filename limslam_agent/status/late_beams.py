@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from limslam_agent.config.status import ContradictionConfig
 from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.status.contradictions import INSET, LEAST_COSINE, SIGMAS
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 
@@ -21,7 +21,9 @@ if TYPE_CHECKING:
 
 _WINDOW = 12.0  # s of which the readings are tested
 _LONGEST_DELAY = 2.0  # s
-_SIGMAS = 2.0  # the largest residual that counts, in standard deviations: it limits the effect of a single reading
+# A reading fits within so many standard deviations. No squared residual counts more than the second number, in
+# variances: it limits the effect of a single reading.
+_LIMITS = SIGMAS, 4.0
 # A beam is late if the ranges that the map predicts for the poses of a while ago fit its readings better than those for
 # the present poses, by at least this sum of squared residuals in variances.
 _EVIDENCE = 40.0
@@ -88,11 +90,6 @@ class _Steps(NamedTuple):
 class LateBeams:
     """Watches all beams of a robot.
 
-    Parameters
-    ----------
-    contradictions
-        Which walls a beam should end at.
-
     Attributes
     ----------
     robot
@@ -102,8 +99,8 @@ class LateBeams:
         not late.
     """
 
-    def __init__(self, robot: RobotSpec, contradictions: ContradictionConfig) -> None:
-        self.robot, self._walls = robot, contradictions
+    def __init__(self, robot: RobotSpec) -> None:
+        self.robot = robot
         longest = max(round(_LONGEST_DELAY / robot.control_period), 1)
         self._delays = np.unique(np.linspace(min(2, longest), longest, 10).round().astype(int))
         self._most = max(round(_WINDOW / robot.control_period), longest + 2)
@@ -148,7 +145,7 @@ class LateBeams:
             return
         if self.found is not None:
             seen = self._compared(segments, sensor, np.array([self.found.beam]))
-            gained = sum_gains(seen, 0, self._lag, max(self._since, 1), *self._limits)
+            gained = sum_gains(seen, 0, self._lag, max(self._since, 1), *_LIMITS)
             if gained < -_COUNTER_EVIDENCE * _EVIDENCE:
                 self.found = None
             return
@@ -158,7 +155,7 @@ class LateBeams:
         seen = self._compared(segments, sensor, beams)
         delays = self._delays[self._delays < len(self._steps.poses) - 2]
         evidence = np.empty((len(delays), len(beams)))
-        evidence_of_delays(seen, delays, *self._limits, _BOTH_SIGNS, evidence)
+        evidence_of_delays(seen, delays, *_LIMITS, _BOTH_SIGNS, evidence)
         if evidence.size and evidence.max() > _EVIDENCE:
             row, column = np.unravel_index(evidence.argmax(), evidence.shape)
             self._lag, self._since = int(delays[row]), 0
@@ -171,18 +168,13 @@ class LateBeams:
         from limslam_agent.kernels.crossings import WALL_COLUMNS, Predicted, compare_steps
 
         poses, ranges, usable, variances = self._steps
-        walls, table = self._walls, np.array(self.robot.beam_table[beams])
+        table = np.array(self.robot.beam_table[beams])
         ranges, usable = np.take(ranges, beams, axis=1), np.take(usable, beams, axis=1)
-        rules = np.array([walls.inset, walls.least_cosine, *self._limits, _BEYOND_END])
+        rules = np.array([INSET, LEAST_COSINE, *_LIMITS, _BEYOND_END])
         seen = Predicted.of(ranges, usable)
         scratch = np.empty((len(segments), WALL_COLUMNS))
         compare_steps(poses, variances, segments, table, sensor.numbers, rules, scratch, seen)
         return seen
-
-    @property
-    def _limits(self) -> tuple[float, float]:
-        """Number of standard deviations within which a reading fits, and the largest squared residual that counts."""
-        return float(self._walls.sigmas), _SIGMAS**2
 
     def _delay(self, seen: "Predicted", column: int, lag: int) -> tuple[float, float]:
         """The delay of a beam and its standard deviation, s: by the derivative of the predicted range with time."""

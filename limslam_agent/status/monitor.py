@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_agent.config.status import StatusConfig
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.contradictions import KnownMap, Sight, compared
 from limslam_agent.status.late_beams import LateBeams
@@ -37,6 +36,7 @@ RECOVERY_WINDOW, _FEWEST_EXPECTED, _FITTING = 10.0, 150, 0.95
 POSITION_GROWTH, POSITION_LIMIT, _HEADING_GROWTH = 2.0, 10.0, 1.0
 _MOST_SIGHTS = 100
 _FEWEST_BEAMS = 2
+_MAX_JUMP = 1.0  # m: the estimate is lost if the odometry reports a longer motion in one step
 _RATES = 0.02, 0.12  # shares of readings that contradict the map at the right pose, and at a wrong one
 
 
@@ -80,10 +80,10 @@ class StatusMonitor:
     ----------
     robot
         Body, and beams as they are taken to be mounted.
-    config
-        When an estimate is unsure or lost.
     sensor
         How ranges are measured.
+    free_space_counts
+        Whether a reading that ends in free space contradicts the map.
 
     Attributes
     ----------
@@ -95,18 +95,18 @@ class StatusMonitor:
         The same by the readings alone, however uncertain the heading is.
     """
 
-    def __init__(self, robot: RobotSpec, config: StatusConfig, sensor: RangeSensor) -> None:
-        self._robot, self._config, self.sensor = robot, config, sensor
+    def __init__(self, robot: RobotSpec, sensor: RangeSensor, *, free_space_counts: bool = True) -> None:
+        self._robot, self.sensor, self._free_space_counts = robot, sensor, free_space_counts
         self._step, self._place, self._checked = -1, 0.0, -math.inf
         # The latest steps that no comparison has used.
         self._sights: deque[tuple[int, Sight]] = deque(maxlen=_MOST_SIGHTS)
         self._checks: deque[_Check] = deque()
         self._count = 0
-        self._late_beams = LateBeams(robot, config.contradictions)
+        self._late_beams = LateBeams(robot)
         self._reference: KnownMap | None = None
         self._jump, self._driven, self._since = 0.0, 0.0, 0.0
         self._doubted, self._contradicted = 0, 0
-        self._sudden_changes = SuddenChanges(robot, config.contradictions)
+        self._sudden_changes = SuddenChanges(robot, free_space_counts=free_space_counts)
         self.status = self.by_readings = Status()
 
     def mount(self, robot: RobotSpec, sensor: RangeSensor) -> None:
@@ -133,7 +133,7 @@ class StatusMonitor:
         self._step += 1
         x, y, turn = sight.increment.tolist()
         distance = math.hypot(x, y)
-        is_jump = distance > self._config.max_jump
+        is_jump = distance > _MAX_JUMP
         if is_jump:
             self._jump, distance = self._jump + distance, 0.0
         self._place += distance + TURN_LENGTH * abs(turn)
@@ -241,8 +241,9 @@ class StatusMonitor:
         Readings of neighbouring steps show nearly the same, so that only the latest ones count.
         """
         robot, last = self._robot, self._sights[-1][1]
-        walls = self._config.contradictions
-        outcome, expected = compared(robot, last, usable, known, covariance, self.sensor, walls)
+        outcome, expected = compared(
+            robot, last, usable, known, covariance, self.sensor, free_space_counts=self._free_space_counts
+        )
         beams = np.flatnonzero(outcome.through | outcome.in_free)
         reached = np.where(outcome.through, np.minimum(expected.ranges[0], robot.max_ranges), last.ranges)[beams]
         points = transform_points(

@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.config.status import ContradictionConfig
 from limslam_agent.kernels.tables import NOTHING
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.contradictions import Comparison, ExpectedRanges, KnownMap, Sight, compared
@@ -121,8 +120,8 @@ class SuddenChanges:
 
     Parameters
     ----------
-    contradictions
-        Which walls a beam should end at.
+    free_space_counts
+        Whether a reading that ends in free space contradicts the map.
 
     Attributes
     ----------
@@ -136,8 +135,8 @@ class SuddenChanges:
         Number of the latest step in which a sudden change would have been noticed; -1 before the first one.
     """
 
-    def __init__(self, robot: RobotSpec, contradictions: ContradictionConfig) -> None:
-        self.robot, self._walls = robot, contradictions
+    def __init__(self, robot: RobotSpec, *, free_space_counts: bool = True) -> None:
+        self.robot, self._free_space_counts = robot, free_space_counts
         self._sights: list[tuple[int, Sight]] = []
         self.weighed, self._was_found = -1, False
         # The map at the latest calls. A wrong pose soon changes it.
@@ -222,8 +221,8 @@ class SuddenChanges:
     def _suspect(self, step: int, sight: Sight, usable: BoolArray, evidence: FloatArray, moment: Moment) -> None:
         """Begin a suspicion, unless the map explains how the readings changed."""
         earlier = [known for number, known in self._known if number <= step]
-        known, robot = earlier[-1] if earlier else self._known[0][1], self.robot
-        outcome, expected = compared(robot, sight, usable, known, moment.covariance, moment.sensor, self._walls)
+        known = earlier[-1] if earlier else self._known[0][1]
+        outcome, expected = self._compared(sight, usable, known, moment)
         change = float(np.minimum(evidence, self._unexplained(sight, outcome, expected)).sum())
         if change <= _BEGIN:
             return
@@ -245,9 +244,17 @@ class SuddenChanges:
 
     def _weigh(self, suspicion: Suspicion, sight: Sight, moment: Moment) -> None:
         """Compare readings with the map of a suspicion."""
-        known, cov, sensor = suspicion.known, moment.covariance, moment.sensor
-        outcome, expected = compared(self.robot, sight, moment.usable, known, cov, sensor, self._walls)
+        outcome, expected = self._compared(sight, moment.usable, suspicion.known, moment)
         self._count(suspicion, sight, outcome, expected)
+
+    def _compared(
+        self, sight: Sight, usable: BoolArray, known: KnownMap, moment: Moment
+    ) -> tuple[Comparison, ExpectedRanges]:
+        """The readings of a step that count (n_beams,) beside a map."""
+        return compared(
+            self.robot, sight, usable, known, moment.covariance, moment.sensor,
+            free_space_counts=self._free_space_counts,
+        )  # fmt: skip
 
     def _count(self, suspicion: Suspicion, sight: Sight, outcome: Comparison, expected: ExpectedRanges) -> None:
         """Count what readings say about the map: once for each wall that they fit, and each place that contradicts."""

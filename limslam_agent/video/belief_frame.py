@@ -225,7 +225,6 @@ def hough_view(
     side: Literal["left", "right"],
     robot: int = 0,
     r_step: float = 0.02,
-    theta_bins: int = 90,
     threshold: int = 0,
 ) -> HoughView:
     """The view of an extraction of lines.
@@ -242,12 +241,10 @@ def hough_view(
         As in :class:`HoughView`.
     r_step
         Width of a bin of r, m. The width that the estimator uses shows the votes that the estimator saw.
-    theta_bins
-        Number of bins of theta from 0 to pi.
     """
     # The estimator counts votes about the mean of the points, where r and theta are nearly independent.
     centre = points.mean(axis=0) if len(points) else np.zeros(2)
-    votes, reach = hough_image(points - centre, r_step, theta_bins)
+    votes, reach = hough_image(points - centre, r_step)
     shifted = lines - np.column_stack((normal(lines) @ centre, np.zeros(len(lines))))
     segments = transform_points(pose, ends.reshape(-1, 2)).reshape(-1, 4)
     return HoughView(

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from limslam_agent.config.presets import AgentConfig, TeamConfig, preset
+from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.slam.core.ekf import LineEKF
 from limslam_agent.slam.core.range_sensor import RangeSensor
@@ -106,14 +106,14 @@ def test_covariance_stays_symmetric_and_positive_with_eight_robots():
     assert ekf.poses.shape == (8, 3)
 
 
-def suspicious(other: tuple[float, float], ranges: dict[int, float], covariance: np.ndarray | None = None, **config):
+def suspicious(other: tuple[float, float], ranges: dict[int, float], covariance: np.ndarray | None = None):
     """Which beams of a robot at the origin, looking along x, may hit one at ``other``."""
     readings = ROBOT.max_ranges.copy()
     for beam, reading in ranges.items():
         readings[beam] = reading
     poses = np.array([[0.0, 0.0, 0.0], [*other, 0.0]])
     joint = np.zeros((6, 6)) if covariance is None else covariance
-    return may_hit_others(0, readings, poses, joint, ROBOT, RangeSensor(0.01), TeamConfig(**config)).tolist()
+    return may_hit_others(0, readings, poses, joint, ROBOT, RangeSensor(0.01)).tolist()
 
 
 def test_a_beam_that_ends_on_a_teammate_is_suspicious_and_others_are_not():

@@ -1,11 +1,11 @@
 """A hall in which no two places look alike, drives in it, and the map of a drive."""
 
 from itertools import pairwise
+from unittest.mock import patch
 
 import numpy as np
 
 from limslam_agent.config.exploration import GridConfig
-from limslam_agent.config.status import ContradictionConfig
 from limslam_agent.grid.occupancy import drawn_grid
 from limslam_agent.places.history import LoggedStep
 from limslam_agent.places.localisation import KnownPlaces
@@ -38,7 +38,9 @@ def poses_along(corners, spacing=0.03):
 
 
 def readings(poses, segments, sensor=SENSOR):
-    found = expected_ranges(ROBOT, poses, np.zeros((3, 3)), segments, sensor, ContradictionConfig(inset=0.0)).ranges
+    """What a robot reads (n, n_beams), m: its beams end at walls up to their very ends."""
+    with patch("limslam_agent.status.contradictions.INSET", 0.0):
+        found = expected_ranges(ROBOT, poses, np.zeros((3, 3)), segments, sensor).ranges
     return np.minimum(found, ROBOT.max_ranges)
 
 

@@ -9,6 +9,7 @@ from typing import IO, TYPE_CHECKING, Annotated
 
 import typer
 
+from limslam_agent.cli.terminal import run_command
 from limslam_agent.live.protocol import BadLineError, Speeds, Stop, Telemetry, decode
 
 if TYPE_CHECKING:
@@ -142,23 +143,7 @@ def _port(udp: int | None, host: str) -> "Port":
 
 def main() -> None:
     """Entry point. An error that the user can correct gives exit code 2 and one line."""
-    try:
-        app(standalone_mode=False)
-    except typer.TyperException as error:
-        _fail(error.format_message())
-    except (typer.Abort, KeyboardInterrupt):
-        sys.exit(130)
-    except ValueError as error:
-        _fail(str(error))
-    except OSError as error:
-        _fail(f"{error.filename or 'port'}: {error.strerror or error}")
-
-
-def _fail(message: str) -> None:
-    from limslam_env.messages import one_line
-
-    sys.stderr.write(f"emulator: {one_line(message)}\n")
-    sys.exit(2)
+    run_command(app, "emulator")
 
 
 if __name__ == "__main__":

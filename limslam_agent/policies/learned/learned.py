@@ -125,14 +125,14 @@ class LearnedPolicy(MapExplorer):
         finish: FinishConfig | None = None,
         index: int = 0,
     ) -> None:
-        self.robot = self._robot = robot or RobotSpec()
+        self.robot = robot or RobotSpec()
         config = config or PolicyConfig()
         self._network = network or load_network(WEIGHTS / SHIPPED)
         self._drive, self._finish = drive or DriveConfig(), finish or FinishConfig()
         self._generator, self._temperature = np.random.default_rng(seed), temperature
         large = max(config.min_frontier, self._finish.large_frontier)
         self._config = replace(config, speed=self.robot.max_wheel_speed, min_frontier=large)
-        self._right_of_way = RightOfWay(index, 5.0 * self.robot.radius, config.patience)
+        self._right_of_way = RightOfWay(index, self.robot)
         self._finisher = FrontierPolicy(self.robot, self._config, index)
         super().__init__()
 
@@ -183,7 +183,7 @@ class LearnedPolicy(MapExplorer):
         """Wheel speeds (2,) towards the chosen direction."""
         if self._right_of_way.waits(belief.pose, belief.other_poses):
             return np.zeros(2)
-        drive, robot = self._drive, self._robot
+        drive, robot = self._drive, self.robot
         error = float(wrap_angle(self._heading - belief.pose[2]))
         turn = float(np.clip(drive.gain * error, -drive.turn_rate, drive.turn_rate))
         return wheel_speeds(robot.max_wheel_speed * max(float(np.cos(error)), 0.0), turn, robot)
@@ -191,8 +191,8 @@ class LearnedPolicy(MapExplorer):
     def _choose(self, belief: Belief) -> None:
         """Choose who drives, and the direction if it is the network."""
         view = self._network.view
-        grid = own_part(belief, self._robot) if len(belief.other_poses) else belief.grid
-        observation = observe(grid, belief.pose, belief.ranges, self._robot, view)
+        grid = own_part(belief, self.robot) if len(belief.other_poses) else belief.grid
+        observation = observe(grid, belief.pose, belief.ranges, self.robot, view)
         # The last two numbers of the observation are the distance to a frontier and whether there is a way to it.
         is_near = bool(observation[-1]) and FAR * float(observation[-2]) <= self._finish.farthest
         growth = (1 + len(belief.other_poses)) * self._finish.growth

@@ -2,11 +2,14 @@
 
 import numpy as np
 
-from limslam_agent.config.exploration import TeamConfig
 from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
+
+# A beam is dropped if it may have hit a teammate whose pose errs by so many standard deviations. The length (m) is
+# added to that distance, because the covariance of the published filter is too small.
+_SIGMAS, _SLACK = 3.0, 0.05
 
 
 def may_hit_others(
@@ -16,7 +19,6 @@ def may_hit_others(
     covariance: FloatArray,
     robot: RobotSpec,
     sensor: RangeSensor,
-    config: TeamConfig,
 ) -> BoolArray:
     """Which beams (n_beams,) of one robot may end on another robot's body.
 
@@ -35,12 +37,10 @@ def may_hit_others(
         Body and beams of each robot.
     sensor
         How ranges are measured.
-    config
-        Size of the margin.
     """
     from limslam_agent.kernels.nearness import beams_on_robot
 
-    margins, suspicious = (float(robot.radius), float(config.sigmas), float(config.slack)), np.zeros(len(ranges), bool)
+    margins, suspicious = (float(robot.radius), _SIGMAS, _SLACK), np.zeros(len(ranges), bool)
     for other in range(len(poses)):
         if other != index:
             beams_on_robot(

@@ -48,13 +48,6 @@ def limslam(*arguments):
     return CliRunner().invoke(app, [str(part) for part in arguments])
 
 
-def command(*arguments, **environment):
-    return subprocess.run(
-        [sys.executable, "-m", "limslam_agent.cli.main", *map(str, arguments)],
-        capture_output=True, text=True, check=False, env={**os.environ, **environment},
-    )  # fmt: skip
-
-
 def assert_same(first, second, names=SAME):
     for name in names:
         if name.endswith(".npz"):
@@ -248,7 +241,7 @@ def test_settings_of_an_earlier_version_are_left_out_of_a_table_of_all_settings(
     assert config_of(asked).agent == config_of(given(tmp_path)).agent
     (warning,) = asked.warnings("graph")
     assert warning.endswith("old.toml: left out, since this version has no such settings: grid.older, oldest")
-    del old["team"]
+    del old["odometry"]
     write_toml(tmp_path / "old.toml", {"agent": old}, "")
     with pytest.raises(SettingsError, match=r"agent\.(grid\.older|oldest): there is no such setting"):
         config_of(Given.read(tmp_path / "old.toml", {}))

@@ -34,16 +34,18 @@ def place(row: int, column: int) -> FloatArray:
     return LOW + CELL * np.array([column + 0.5, row + 0.5])
 
 
+OPEN = grid_of(
+    "#######",
+    "#....??",
+    "#..#...",
+    "?..#..?",
+    "#######",
+)
+
+
 def test_frontiers_are_free_cells_beside_unknown_ones() -> None:
-    grid = grid_of(
-        "#######",
-        "#....??",
-        "#..#...",
-        "?..#..?",
-        "#######",
-    )
     # Above, below, left and right count; (2, 4) meets the unknown at a corner only.
-    assert drawn(frontier_cells(grid, 1)) == [
+    assert drawn(frontier_cells(OPEN, 1)) == [
         "-------",
         "----x--",
         "-----xx",
@@ -53,18 +55,11 @@ def test_frontiers_are_free_cells_beside_unknown_ones() -> None:
 
 
 def test_a_group_touches_at_corners_and_small_groups_are_left_out() -> None:
-    grid = grid_of(
-        "#######",
-        "#....??",
-        "#..#...",
-        "?..#..?",
-        "#######",
-    )
     # (1, 4), (2, 5), (2, 6), (3, 5) hang together by corners; (3, 1) is alone.
     alone = ["-------", "----x--", "-----xx", "-----x-", "-------"]
-    assert drawn(frontier_cells(grid, 2)) == alone
-    assert drawn(frontier_cells(grid, 4)) == alone
-    assert not frontier_cells(grid, 5).any()
+    assert drawn(frontier_cells(OPEN, 2)) == alone
+    assert drawn(frontier_cells(OPEN, 4)) == alone
+    assert not frontier_cells(OPEN, 5).any()
 
 
 def test_a_closed_room_has_no_frontier() -> None:

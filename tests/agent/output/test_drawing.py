@@ -33,23 +33,13 @@ def labels(picture):
     return [handle.get_label() for handle in legend(picture)]
 
 
-def test_one_robots_paths_may_be_arrays_or_lists_of_one():
-    single = MapPicture("hall", WALLS, path(1.0), path(1.0, drift=0.1), WALLS, path(1.1))
-    listed = MapPicture("hall", WALLS, [path(1.0)], [path(1.0, drift=0.1)], WALLS, [path(1.1)])
-    for picture in (single, listed):
-        assert [len(paths) for paths in (picture.estimates, picture.odometries, picture.true_paths)] == [1, 1, 1]
-    assert labels(single) == labels(listed)
-    lines = [[line.get_xydata().tolist() for line in painted(picture).lines] for picture in (single, listed)]
-    assert lines[0] == lines[1]
-
-
 def test_several_robots_have_a_colour_each():
     picture = MapPicture(
         "two", WALLS, [path(1.0), path(2.0)], [path(1.0, drift=0.1), path(2.0, drift=0.1)], WALLS,
         [path(1.1), path(2.1)],
     )  # fmt: skip
     axes = painted(picture)
-    for estimated, (colour, _) in zip(picture.estimates, path_colours(2), strict=True):
+    for estimated, (colour, _) in zip(picture.estimated, path_colours(2), strict=True):
         (line,) = [line for line in axes.lines if np.array_equal(line.get_xydata(), estimated)]
         assert line.get_color() == colour
     assert len({colour for colour, _ in path_colours(6)}) == 6
@@ -58,9 +48,9 @@ def test_several_robots_have_a_colour_each():
 
 
 def test_the_legend_names_what_is_there_and_nothing_else():
-    bare = MapPicture("bare", WALLS, path(1.0), [])
+    bare = MapPicture("bare", WALLS, [path(1.0)], [])
     assert labels(bare) == ["walls of the map, end points", "estimated path", "start", "end"]
-    full = MapPicture("full", WALLS, path(1.0), path(1.2), WALLS, path(1.1))
+    full = MapPicture("full", WALLS, [path(1.0)], [path(1.2)], WALLS, [path(1.1)])
     assert labels(full)[1:] == ["estimated path", "start", "end", "path by odometry alone", "true path", "true walls"]
 
 
@@ -72,19 +62,19 @@ def test_all_that_is_drawn_lies_within_the_picture():
 
 
 def test_odometry_that_runs_away_is_cut_off_and_the_legend_says_so():
-    picture = MapPicture("log", WALLS, path(1.0), path(1.0, drift=30.0))
+    picture = MapPicture("log", WALLS, [path(1.0)], [path(1.0, drift=30.0)])
     axes = painted(picture)
     assert axes.get_xlim()[0] > -2.0
     assert axes.get_ylim()[1] < 5.0
     assert "path by odometry alone, runs out of the picture" in labels(picture)
-    assert "path by odometry alone" in labels(MapPicture("log", WALLS, path(1.0), path(1.0, drift=0.1)))
+    assert "path by odometry alone" in labels(MapPicture("log", WALLS, [path(1.0)], [path(1.0, drift=0.1)]))
 
 
 def test_the_legend_of_a_narrow_map_is_not_cut_off(tmp_path):
     narrow = np.column_stack((0.1 * np.sin(np.arange(40)), np.linspace(0.0, 9.0, 40)))
     away = narrow * (1.0, 30.0)
     grid = GridView(low=np.zeros(2), cell=0.1, values=np.full((90, 4), -2.0))
-    draw_map(tmp_path / "map.png", MapPicture("log", NOTHING, narrow, away, grid=grid, online=narrow + 0.1))
+    draw_map(tmp_path / "map.png", MapPicture("log", NOTHING, [narrow], [away], grid=grid, online=[narrow + 0.1]))
     with Pictures.open(tmp_path / "map.png") as image:
         legend_rows = np.array(image.convert("L"))[-100:]
     assert (legend_rows < 250).any()
@@ -96,7 +86,7 @@ def test_the_grid_lies_behind_everything_and_start_and_end_are_marked():
     values = np.zeros((30, 40))
     values[5:20, 5:30], values[0] = 3.0, -2.0
     grid = GridView(low=np.zeros(2), cell=0.1, values=values)
-    picture = MapPicture("log", WALLS, path(1.0), [], grid=grid)
+    picture = MapPicture("log", WALLS, [path(1.0)], [], grid=grid)
     axes = painted(picture)
     (image,) = axes.images
     assert image.get_extent() == pytest.approx((0.0, 4.0, 0.0, 3.0))
@@ -107,7 +97,7 @@ def test_the_grid_lies_behind_everything_and_start_and_end_are_marked():
 
 
 def test_end_points_lie_under_the_walls():
-    axes = painted(MapPicture("short", np.array([[0.0, 0.0, 0.05, 0.0]]), path(1.0), []))
+    axes = painted(MapPicture("short", np.array([[0.0, 0.0, 0.05, 0.0]]), [path(1.0)], []))
     (ends,) = [line for line in axes.lines if line.get_linestyle() == "None" and len(line.get_xydata()) == 2]
     assert ends.get_zorder() < axes.collections[-1].get_zorder()
     assert ends.get_markersize() < 3.0
@@ -125,15 +115,15 @@ def test_a_map_is_a_png_that_can_be_looked_at(tmp_path, robots):
 
 @pytest.mark.parametrize("place", [np.zeros((1, 2)), np.full((3, 2), 50.0)])
 def test_a_map_without_walls_of_a_robot_that_stood_still(tmp_path, place):
-    draw_map(tmp_path / "map.png", MapPicture("still", NOTHING, place, place))
+    draw_map(tmp_path / "map.png", MapPicture("still", NOTHING, [place], [place]))
     assert min(size_of(tmp_path / "map.png")) > 100
 
 
 def test_paths_that_do_not_go_together_are_refused():
     with pytest.raises(ValueError, match="2 estimated paths do not go with 1 odometry"):
-        MapPicture("two", WALLS, [path(1.0), path(2.0)], path(1.0))
+        MapPicture("two", WALLS, [path(1.0), path(2.0)], [path(1.0)])
     with pytest.raises(ValueError, match="true"):
-        MapPicture("two", WALLS, path(1.0), path(1.0), WALLS, [path(1.0), path(2.0)])
+        MapPicture("two", WALLS, [path(1.0)], [path(1.0)], WALLS, [path(1.0), path(2.0)])
     with pytest.raises(ValueError, match="path of a robot"):
         MapPicture("none", WALLS, [], [])
 
@@ -160,7 +150,7 @@ def test_title_and_remark_lie_within_the_picture(tmp_path, height):
     remark = "lost: since 37 s the readings contradict the map, and no place explains them. " * 4
     for words in ("", remark):
         file = tmp_path / f"map{len(words)}.png"
-        draw_map(file, MapPicture("a log", walls, path(1.0), [], remark=words))
+        draw_map(file, MapPicture("a log", walls, [path(1.0)], [], remark=words))
         with Pictures.open(file) as picture:
             assert np.asarray(picture.convert("L"))[:4].min() == 255
     more = size_of(tmp_path / f"map{len(remark)}.png")[1] - size_of(tmp_path / "map0.png")[1]

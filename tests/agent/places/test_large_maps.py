@@ -4,10 +4,10 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from support.halls import readings
 
 from limslam_agent import preset
 from limslam_agent.config.places import PlaceConfig
-from limslam_agent.config.status import ContradictionConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.kernels.rays import scan_poses
 from limslam_agent.places.absence import Absence
@@ -15,7 +15,6 @@ from limslam_agent.places.localisation import KnownPlaces
 from limslam_agent.places.rays import rays_of
 from limslam_agent.places.recovery import Recovery
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.contradictions import expected_ranges
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec
 
@@ -32,10 +31,7 @@ def floor(width, *heights):
 def rays_along(place, low, high, y):
     """The rays of a drive from one place to another along the walls."""
     poses = np.array([[x, y, 0.0] for x in np.arange(low, high, 0.03)])
-    ranges = expected_ranges(
-        ROBOT, poses, np.zeros((3, 3)), place.segments, SENSOR, ContradictionConfig(inset=0.0)
-    ).ranges
-    ranges = np.minimum(ranges, ROBOT.max_ranges)
+    ranges = readings(poses, place.segments)
     return rays_of([SimpleNamespace(pose=pose, ranges=row) for pose, row in zip(poses, ranges, strict=True)], ROBOT)
 
 

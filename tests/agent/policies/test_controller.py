@@ -49,8 +49,8 @@ def test_the_robot_turns_to_the_side_of_its_target_by_the_shorter_way(
     pose = np.array([x, y, yaw])
     target = ahead_of(pose, bearing)
     for action in (
-        steer(pose, target, CLEAR, ROBOT, CONFIG, CONFIG.speed),
-        turn_by(bearing_of(pose, target), ROBOT, CONFIG),
+        steer(pose, target, CLEAR, ROBOT, CONFIG.speed),
+        turn_by(bearing_of(pose, target), ROBOT),
     ):
         if 1e-3 < abs(bearing) < math.pi - 1e-3:
             assert np.sign(action[1] - action[0]) == np.sign(bearing)
@@ -60,14 +60,14 @@ def test_the_robot_turns_to_the_side_of_its_target_by_the_shorter_way(
 @pytest.mark.parametrize("bearing_deg", [41.0, 90.0, 179.0, -41.0, -120.0])
 def test_far_off_its_heading_it_turns_where_it_stands(bearing_deg: float) -> None:
     pose = np.array([1.0, 2.0, 3.0])
-    action = steer(pose, ahead_of(pose, math.radians(bearing_deg)), CLEAR, ROBOT, CONFIG, CONFIG.speed)
+    action = steer(pose, ahead_of(pose, math.radians(bearing_deg)), CLEAR, ROBOT, CONFIG.speed)
     assert action.sum() == pytest.approx(0.0, abs=1e-12)
     assert np.abs(action).max() > 0.3
 
 
 def test_straight_ahead_it_cruises() -> None:
     pose = np.array([-1.0, 0.5, -2.0])
-    action = steer(pose, ahead_of(pose, 0.0), CLEAR, ROBOT, CONFIG, CONFIG.speed)
+    action = steer(pose, ahead_of(pose, 0.0), CLEAR, ROBOT, CONFIG.speed)
     np.testing.assert_allclose(action, CONFIG.speed / ROBOT.max_wheel_speed, atol=1e-9)
 
 
@@ -79,7 +79,7 @@ def test_it_arrives(yaw: float, bearing: float, distance: float) -> None:
     for _ in range(400):
         if np.hypot(*(target - pose[:2])) < 0.05:
             break
-        pose = drive(pose, steer(pose, target, CLEAR, ROBOT, CONFIG, CONFIG.speed))
+        pose = drive(pose, steer(pose, target, CLEAR, ROBOT, CONFIG.speed))
     assert np.hypot(*(target - pose[:2])) < 0.05
 
 
@@ -89,7 +89,7 @@ def test_turning_on_the_spot_ends_facing_the_point(yaw: float, bearing: float) -
     pose = np.array([0.3, -0.7, yaw])
     target = ahead_of(pose, bearing)
     for _ in range(60):
-        pose = drive(pose, turn_by(bearing_of(pose, target), ROBOT, CONFIG))
+        pose = drive(pose, turn_by(bearing_of(pose, target), ROBOT))
     np.testing.assert_allclose(pose[:2], [0.3, -0.7], atol=1e-9)
     assert abs(wrap_angle(yaw + bearing - float(pose[2]))) < 0.02
 
@@ -100,7 +100,7 @@ def test_it_stops_in_front_of_a_wall_that_its_front_beams_see(slant_deg: float) 
     pose = np.array([0.0, 0.0, 0.0])
     actions = []
     for _ in range(150):
-        action = steer(pose, np.array([5.0, 0.0]), wall_ranges(pose, line), ROBOT, CONFIG, CONFIG.speed)
+        action = steer(pose, np.array([5.0, 0.0]), wall_ranges(pose, line), ROBOT, CONFIG.speed)
         actions.append(action)
         pose = drive(pose, action)
         clearance = line[0] - pose[0] * math.cos(line[1]) - pose[1] * math.sin(line[1]) - ROBOT.radius
@@ -115,21 +115,21 @@ def test_the_less_room_the_slower() -> None:
     pose, speeds = np.zeros(3), []
     for distance in (0.9, 0.30, 0.25, 0.20, 0.15, 0.12):
         readings = wall_ranges(pose, np.array([distance, 0.0]))
-        speeds.append(steer(pose, np.array([5.0, 0.0]), readings, ROBOT, CONFIG, CONFIG.speed).sum())
+        speeds.append(steer(pose, np.array([5.0, 0.0]), readings, ROBOT, CONFIG.speed).sum())
     assert speeds[0] > speeds[1] > speeds[2] > speeds[3] > speeds[4] >= speeds[5] == 0.0
 
 
 def test_in_front_of_a_wall_it_still_turns_away() -> None:
     pose = np.zeros(3)
     readings = wall_ranges(pose, np.array([0.13, 0.0]))
-    action = steer(pose, ahead_of(pose, math.radians(30.0)), readings, ROBOT, CONFIG, CONFIG.speed)
+    action = steer(pose, ahead_of(pose, math.radians(30.0)), readings, ROBOT, CONFIG.speed)
     assert action.sum() == pytest.approx(0.0, abs=1e-12)
     assert action[1] > action[0]
 
 
 def test_walls_beside_the_robot_do_not_stop_it() -> None:
     readings = np.array([0.06, 1.5, 1.5, 1.5, 1.5, 0.06])
-    action = steer(np.zeros(3), np.array([1.0, 0.0]), readings, ROBOT, CONFIG, CONFIG.speed)
+    action = steer(np.zeros(3), np.array([1.0, 0.0]), readings, ROBOT, CONFIG.speed)
     np.testing.assert_allclose(action, CONFIG.speed / ROBOT.max_wheel_speed, atol=1e-9)
 
 
@@ -158,7 +158,7 @@ def test_a_front_beam_that_reads_nonsense_is_left_out(reading: float) -> None:
     readings = CLEAR.copy()
     readings[3] = reading
     assert free_ahead(readings, ROBOT) == math.inf
-    action = steer(np.zeros(3), np.array([1.0, 0.0]), readings, ROBOT, CONFIG, CONFIG.speed)
+    action = steer(np.zeros(3), np.array([1.0, 0.0]), readings, ROBOT, CONFIG.speed)
     np.testing.assert_allclose(action, CONFIG.speed / ROBOT.max_wheel_speed, atol=1e-9)
     # What the others see still counts, as if that one saw nothing.
     readings[2] = 0.1
@@ -173,10 +173,10 @@ def test_when_no_front_beam_gives_a_number_there_is_no_room(reading: float) -> N
     readings = CLEAR.copy()
     readings[1:5] = reading
     assert free_ahead(readings, ROBOT) == 0.0
-    action = steer(np.zeros(3), np.array([1.0, 0.0]), readings, ROBOT, CONFIG, CONFIG.speed)
+    action = steer(np.zeros(3), np.array([1.0, 0.0]), readings, ROBOT, CONFIG.speed)
     np.testing.assert_allclose(action, 0.0, atol=1e-12)
     # It may still turn, and one beam that gives a number is enough.
-    turning = steer(np.zeros(3), np.array([0.0, 1.0]), readings, ROBOT, CONFIG, CONFIG.speed)
+    turning = steer(np.zeros(3), np.array([0.0, 1.0]), readings, ROBOT, CONFIG.speed)
     assert turning[1] > 0.3
     readings[1] = 1.5
     assert free_ahead(readings, ROBOT) == math.inf
@@ -240,14 +240,14 @@ def ground(*occupied: tuple[int, int]) -> GridView:
 @pytest.mark.parametrize("yaw", [0.0, 0.5 * math.pi, math.pi, -0.5 * math.pi])
 def test_it_backs_off_over_ground_that_is_known_to_be_free(yaw: float) -> None:
     pose = np.array([0.05, 0.05, yaw])
-    left, right = back_off(pose, ground(), ROBOT, CONFIG)
+    left, right = back_off(pose, ground(), ROBOT, CONFIG.speed)
     assert left == right < 0.0
     # What stands right behind it forbids it; the same ahead does not.
     behind = np.floor((pose[:2] - 0.2 * np.array([math.cos(yaw), math.sin(yaw)]) + 1.0) / 0.1).astype(int)
     ahead = np.floor((pose[:2] + 0.2 * np.array([math.cos(yaw), math.sin(yaw)]) + 1.0) / 0.1).astype(int)
-    np.testing.assert_array_equal(back_off(pose, ground((behind[1], behind[0])), ROBOT, CONFIG), [0.0, 0.0])
-    assert (back_off(pose, ground((ahead[1], ahead[0])), ROBOT, CONFIG) < 0.0).all()
+    np.testing.assert_array_equal(back_off(pose, ground((behind[1], behind[0])), ROBOT, CONFIG.speed), [0.0, 0.0])
+    assert (back_off(pose, ground((ahead[1], ahead[0])), ROBOT, CONFIG.speed) < 0.0).all()
 
 
 def test_it_does_not_back_out_of_the_map() -> None:
-    np.testing.assert_array_equal(back_off(np.array([-0.85, 0.0, 0.0]), ground(), ROBOT, CONFIG), [0.0, 0.0])
+    np.testing.assert_array_equal(back_off(np.array([-0.85, 0.0, 0.0]), ground(), ROBOT, CONFIG.speed), [0.0, 0.0])

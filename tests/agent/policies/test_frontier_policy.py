@@ -24,7 +24,7 @@ from support.beliefs import (
 
 from limslam_agent.belief import Belief
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.policies.controller import BACK_STEPS, REPLAN_PERIOD
+from limslam_agent.policies.controller import BACK_STEPS, PATIENCE, REPLAN_PERIOD, TURN_RATE
 from limslam_agent.policies.frontier_policy import FrontierPolicy, least_reach
 from limslam_agent.policies.wall_policy import WallPolicy
 from limslam_agent.runs.episode import run_episode
@@ -109,7 +109,7 @@ def test_a_robot_that_seems_walled_in_looks_round_before_it_believes_it() -> Non
     policy = FrontierPolicy(ROBOT, CONFIG)
     actions = actions_until_stopped(policy, belief_of(place(3, 2), cut_off))
     spin = (actions[:96, 1] - actions[:96, 0]) * ROBOT.max_wheel_speed / ROBOT.axle
-    np.testing.assert_allclose(spin, CONFIG.turn_rate)
+    np.testing.assert_allclose(spin, TURN_RATE)
     assert 3 * 2.0 * math.pi < spin.sum() * ROBOT.control_period < 3 * 2.0 * math.pi + 1.0
     assert policy.stop_reason == "explored: 1 frontier is left that cannot be reached, near (3.0, 0.4)"
     # What it sees meanwhile opens the way.
@@ -155,15 +155,15 @@ def test_a_wall_that_was_none_opens_the_way() -> None:
     assert policy.goal[0] == pytest.approx(place(0, 17)[0])
 
 
-@pytest.mark.parametrize("view_distance", [0.35, 0.6, 1.0])
-def test_the_plan_ends_where_the_frontier_can_be_seen(view_distance: float) -> None:
-    policy = FrontierPolicy(ROBOT, replace(CONFIG, view_distance=view_distance, small_frontier=0))
+def test_the_plan_ends_where_the_frontier_can_be_seen(monkeypatch) -> None:
+    monkeypatch.setattr("limslam_agent.policies.frontier_policy._SMALL", 0)
+    policy = FrontierPolicy(ROBOT, CONFIG)
     action = policy.act(belief_of(place(3, 3), CORRIDOR))
     assert action.sum() > 0.5
     np.testing.assert_allclose(policy.plan[0], place(3, 3)[:2])
     # The frontier is the last column; straight on, the way ends as much before it, up to a cell.
     left = place(3, 29)[0] - policy.plan[-1, 0]
-    assert view_distance - 1e-9 <= left <= view_distance + CELL + 1e-9
+    assert 0.35 - 1e-9 <= left <= 0.35 + CELL + 1e-9
 
 
 def test_a_small_frontier_is_looked_at_from_farther_off_but_not_through_walls() -> None:
@@ -221,7 +221,7 @@ def test_a_frontier_in_whose_way_something_stands_is_tried_three_times_and_then_
     # Patience, and a little way back, three times.
     backwards = actions.sum(axis=1) < -0.1
     assert np.count_nonzero(backwards) == 3 * BACK_STEPS
-    assert 3 * CONFIG.patience < len(actions) < 4 * (CONFIG.patience + BACK_STEPS)
+    assert 3 * PATIENCE < len(actions) < 4 * (PATIENCE + BACK_STEPS)
 
 
 def test_what_was_set_aside_waits_until_there_is_nothing_else() -> None:
@@ -229,7 +229,7 @@ def test_what_was_set_aside_waits_until_there_is_nothing_else() -> None:
     grid = grid_of("#" * 40, *["." * 40] * 5, "#" * 40)
     policy = FrontierPolicy(ROBOT, CONFIG)
     goals = []
-    for _ in range(CONFIG.patience + 20):
+    for _ in range(PATIENCE + 20):
         policy.act(belief_of(place(3, 12, math.pi), grid, BLOCKED))
         goals.append(math.nan if policy.goal is None else float(policy.goal[0]))
     assert goals[0] < 0.2

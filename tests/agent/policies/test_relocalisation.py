@@ -17,7 +17,6 @@ ENDS = open_frontier(HALL, 3, np.zeros(HALL.values.shape, dtype=bool), ROBOT)
 # An earlier map that knows the ground beyond one end of the hall, or beyond both; its cell 0, 0 is 2 m to the left.
 LEFT = grid_of(*["." * 40 + "?" * 41] * 9)
 BOTH = grid_of(*["." * 81] * 9)
-BLOCKED = grid_of(*["." * 20 + "#" * 61] * 9)
 FRAME = np.array([2.0, 0.0, 0.0])
 
 

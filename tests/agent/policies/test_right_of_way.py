@@ -8,6 +8,7 @@ from support.beliefs import CELL, CLEAR, CONFIG, CORRIDOR, HALL, ROBOT, place
 
 from limslam_agent.belief import Belief
 from limslam_agent.grid.occupancy import GridView
+from limslam_agent.policies.controller import PATIENCE
 from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_env.geometry import FloatArray
 
@@ -53,9 +54,9 @@ def test_of_two_that_meet_the_second_waits_but_not_for_ever(index: int, waits: b
     policy = FrontierPolicy(ROBOT, CONFIG, index)
     other = np.array([[*place(3, 15)[:2], math.pi]])
     belief = Belief(place(3, 11), np.zeros((3, 3)), CLEAR, np.zeros((0, 4)), CORRIDOR, other)
-    moves = [abs(policy.act(belief)).max() > 0.01 for _ in range(CONFIG.patience + 2)]
+    moves = [abs(policy.act(belief)).max() > 0.01 for _ in range(PATIENCE + 2)]
     assert moves[0] != waits
-    assert moves[CONFIG.patience - 1] != waits
+    assert moves[PATIENCE - 1] != waits
     assert moves[-1]
 
 

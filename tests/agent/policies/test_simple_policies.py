@@ -18,7 +18,7 @@ SQUARE = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]])
 def test_laps_that_are_blocked_stop_and_name_the_corner(corner: int) -> None:
     before, ahead = SQUARE[corner - 1], SQUARE[corner]
     heading = math.atan2(*(ahead - before)[::-1])
-    policy = Laps(ROBOT, CONFIG, SQUARE, 3)
+    policy = Laps(ROBOT, SQUARE, 3)
     actions = actions_until_stopped(policy, belief_of(np.array([*before, heading]), CLOSED, BLOCKED))
     assert policy.stop_reason == f"stopped: something is in the way to corner {corner + 1} of the loop"
     assert 40 <= len(actions) <= 41
@@ -26,7 +26,7 @@ def test_laps_that_are_blocked_stop_and_name_the_corner(corner: int) -> None:
 
 
 def test_laps_wait_for_what_goes_out_of_the_way() -> None:
-    policy = Laps(ROBOT, CONFIG, SQUARE, 3)
+    policy = Laps(ROBOT, SQUARE, 3)
     for _ in range(5):
         for _ in range(38):
             policy.act(belief_of(np.zeros(3), CLOSED, BLOCKED))
@@ -35,7 +35,7 @@ def test_laps_wait_for_what_goes_out_of_the_way() -> None:
 
 
 def test_laps_end_after_their_last_corner() -> None:
-    policy = Laps(ROBOT, CONFIG, SQUARE, 2)
+    policy = Laps(ROBOT, SQUARE, 2)
     for number in range(9):
         assert policy.stop_reason is None
         action = policy.act(belief_of(np.array([*SQUARE[number % 4], 0.0]), CLOSED))

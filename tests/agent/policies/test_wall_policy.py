@@ -14,6 +14,7 @@ from limslam_agent.config.exploration import PolicyConfig
 from limslam_agent.config.presets import preset, with_until
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.grid.unfinished import Faces
+from limslam_agent.policies.controller import PATIENCE
 from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.policies.wall_look import Look, Sweep, readings_for, sweep_along
 from limslam_agent.policies.wall_policy import WallPolicy, explorer
@@ -102,16 +103,16 @@ def test_the_nearest_of_two_stretches_comes_first_and_one_not_looked_at_before_o
     assert again is not None
     assert again.middle[0] == pytest.approx(0.0)
     assert np.hypot(*(again.stand - first.stand)) >= 0.2
-    assert next_view(belief, memory, ROBOT, replace(CONFIG, looks=1)) is None
 
 
-def test_a_short_stretch_is_looked_at_once() -> None:
+def test_a_short_stretch_is_looked_at_once(monkeypatch) -> None:
     belief, memory = belief_at([1.5, 1.2, 0.0], with_gap(0, 1.3, 0.35)), LookMemory()
     view = next_view(belief, memory, ROBOT, CONFIG)
     assert view is not None
     memory.add(view.faces, view.stand)
     assert next_view(belief, memory, ROBOT, CONFIG) is None
-    assert next_view(belief, memory, ROBOT, replace(CONFIG, min_stretch_again=0.1)) is not None
+    monkeypatch.setattr("limslam_agent.policies.wall_views._SHORTEST_AGAIN", 0.1)
+    assert next_view(belief, memory, ROBOT, CONFIG) is not None
 
 
 def test_a_stretch_behind_a_wall_is_not_looked_at() -> None:
@@ -210,15 +211,17 @@ def test_a_robot_that_cannot_move_gives_every_look_up_and_ends() -> None:
         policy.act(belief)
         steps += 1
     assert policy.stop_reason == "explored: no frontier is left, and all walls were looked at"
-    assert 2 * CONFIG.patience < steps < 1000
+    assert 2 * PATIENCE < steps < 1000
     np.testing.assert_array_equal(policy.act(belief), [0.0, 0.0])
     assert policy.goal is None
     assert len(policy.plan) == 0
 
 
-def test_the_time_for_looking_at_walls_is_limited() -> None:
+def test_the_time_for_looking_at_walls_is_limited(monkeypatch) -> None:
     # No wall is ever found, and there is always another place to try.
-    policy = WallPolicy(ROBOT, replace(CONFIG, looks=1000, min_stretch_again=0.0))
+    monkeypatch.setattr("limslam_agent.policies.wall_views._LOOKS", 1000)
+    monkeypatch.setattr("limslam_agent.policies.wall_views._SHORTEST_AGAIN", 0.0)
+    policy = WallPolicy(ROBOT, CONFIG)
     pose, steps = np.array([1.5, 1.2, 0.0]), 0
     while policy.stop_reason is None and steps < 3000:
         pose, steps = drive(pose, policy.act(belief_at(pose, np.zeros((0, 4))))), steps + 1

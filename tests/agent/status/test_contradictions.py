@@ -4,28 +4,27 @@ import numpy as np
 import pytest
 from support.drives import ROBOT, ranges_at, room
 
-from limslam_agent.config.status import ContradictionConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.contradictions import KnownMap, compare, expected_ranges
+from limslam_agent.status.contradictions import FREE as LEAST_FREE
+from limslam_agent.status.contradictions import FREE_CELLS, KnownMap, compare, expected_ranges
 from limslam_env.geometry.se2 import transform_points
 
-CONFIG = ContradictionConfig()
 WALLS = room(0.0, 0.0, 2.0, 2.0)
 POSE = np.array([1.0, 0.8, 0.3])
 SURE = np.diag([1e-6, 1e-6, 1e-6])
 EVERY = np.ones(len(ROBOT.beams), dtype=bool)
 UNKNOWN = GridView(np.zeros(2), 0.1, np.zeros((0, 0), dtype=np.int16))
-FREE = GridView(np.full(2, -1.0), 0.1, np.full((40, 40), CONFIG.free, dtype=np.int16))
+FREE = GridView(np.full(2, -1.0), 0.1, np.full((40, 40), LEAST_FREE, dtype=np.int16))
 NOISE = 0.02
 STATED = RangeSensor(NOISE)
 
 
 def compared(segments, ranges=None, covariance=SURE, measured=EVERY, grid=UNKNOWN, sensor=STATED):
     ranges = ranges_at(POSE, WALLS) if ranges is None else ranges
-    predicted = expected_ranges(ROBOT, POSE[None], covariance, segments, sensor, CONFIG)
+    predicted = expected_ranges(ROBOT, POSE[None], covariance, segments, sensor)
     known, expected = KnownMap(segments, grid), (predicted.ranges[0], predicted.stds[0])
-    return compare(ROBOT, POSE, ranges, measured, known, *expected, sensor, CONFIG)
+    return compare(ROBOT, POSE, ranges, measured, known, *expected, sensor)
 
 
 def test_a_right_map_is_not_contradicted():
@@ -38,7 +37,7 @@ def test_a_right_map_is_not_contradicted():
 
 def test_expected_ranges_are_those_of_the_walls():
     poses = np.array([POSE, [0.6, 1.2, -2.0]])
-    predicted = expected_ranges(ROBOT, poses, SURE, WALLS, RangeSensor(NOISE), CONFIG)
+    predicted = expected_ranges(ROBOT, poses, SURE, WALLS, RangeSensor(NOISE))
     for pose, ranges, stds in zip(poses, predicted.ranges, predicted.stds, strict=True):
         is_known = np.isfinite(ranges)
         assert is_known.sum() >= 3
@@ -81,9 +80,9 @@ def test_one_cell_that_is_not_free_makes_its_surroundings_count_for_nothing():
         [[np.cos(0.3), np.sin(0.3)], [-np.sin(0.3), np.cos(0.3)]]
     )
     row, column = FREE.cells(end[None])[0]
-    for away, expected in ((CONFIG.free_cells, False), (CONFIG.free_cells + 1, True)):
+    for away, expected in ((FREE_CELLS, False), (FREE_CELLS + 1, True)):
         values = FREE.values.copy()
-        values[row, column + away] = CONFIG.free - 1
+        values[row, column + away] = LEAST_FREE - 1
         grid = GridView(FREE.low, FREE.cell, values)
         assert compared(np.zeros((0, 4)), np.full(6, 0.5), grid=grid).in_free[0] == expected
 
@@ -111,7 +110,7 @@ def test_readings_fit_the_map_by_the_sensor_that_is_known_now(sensor, ranges):
 
 def test_a_wide_beam_should_read_the_nearest_point_inside_of_it():
     wall, cone = np.array([[-9.0, 1.6, 9.0, 1.6]]), 0.26
-    predicted = expected_ranges(ROBOT, POSE[None], SURE, wall, STATED._replace(cone=cone), CONFIG).ranges[0]
+    predicted = expected_ranges(ROBOT, POSE[None], SURE, wall, STATED._replace(cone=cone)).ranges[0]
     beams = np.flatnonzero(np.isfinite(predicted))
     origins = transform_points(POSE, ROBOT.beam_origins)[beams]
     rays = (POSE[2] + ROBOT.beam_angles[beams])[:, None] + np.linspace(-cone, cone, 2001)

@@ -76,11 +76,11 @@ def test_the_wrapper_puts_the_status_into_the_info():
     assert info["status"] == "ok"
 
 
-def test_results_of_runs_and_replays_have_the_status(tmp_path):
+def test_results_of_runs_and_replays_have_the_status(tmp_path, monkeypatch):
     settings = preset("paper", NominalNoise(NOISE))
     # Every motion of the wheels counts as a jump.
-    nervous = replace(settings, status=replace(settings.status, max_jump=0.005))
-    episode = run_episode(RunConfig("env2", NOISE, "paper", max_time=10.0, settings=nervous))
+    monkeypatch.setattr("limslam_agent.status.monitor._MAX_JUMP", 0.005)
+    episode = run_episode(RunConfig("env2", NOISE, "paper", max_time=10.0, settings=settings))
     scores = score(episode)
     assert scores["status"] == episode.snapshot.status == "lost"
     assert scores["status_reason"].startswith("the odometry reports a motion")
@@ -93,7 +93,7 @@ def test_results_of_runs_and_replays_have_the_status(tmp_path):
     }  # fmt: skip
     known = {"start_pose": episode.true[0, 0], "robot": np.array(episode.config.robot.to_json()), "time": episode.time}
     np.savez(tmp_path / "log.npz", **known, **{name: rows[:, 0] for name, rows in arrays.items()})
-    replay = replay_log(read_log(tmp_path / "log.npz"), nervous)
+    replay = replay_log(read_log(tmp_path / "log.npz"), settings)
     np.testing.assert_array_equal(replay.levels, episode.levels[:, 0])
     assert replay.status == episode.snapshot.statuses[0]
     np.testing.assert_allclose(replay.covariances, episode.covariances[:, 0])

@@ -2,13 +2,11 @@
 
 import math
 import re
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.drives import ROBOT, ranges_at, room
 
-from limslam_agent.config.status import StatusConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.contradictions import KnownMap, Sight
@@ -35,7 +33,6 @@ from limslam_agent.status.sudden_changes import (
 )
 from limslam_env.geometry.se2 import between
 
-CONFIG = StatusConfig()
 WALLS = room(0.0, 0.0, 2.0, 2.0)
 OBLONG = room(0.0, 0.0, 2.0, 2.6)
 SURE = np.diag([1e-6, 1e-6, 1e-6])
@@ -50,7 +47,7 @@ def blind(distance, turn=0.0):
 
 
 def monitor():
-    return StatusMonitor(ROBOT, CONFIG, RangeSensor(0.02))
+    return StatusMonitor(ROBOT, RangeSensor(0.02))
 
 
 def place(number):
@@ -221,7 +218,7 @@ def test_few_readings_that_change_at_once_suffice_if_the_map_is_contradicted_too
 
 def test_of_several_suspicions_the_largest_change_counts():
     nowhere = KnownMap(np.zeros((0, 4)), UNKNOWN)
-    changes = SuddenChanges(ROBOT, CONFIG.contradictions)
+    changes = SuddenChanges(ROBOT)
     weak, strong = (
         Suspicion(step, nowhere, evidence, change, 3, 0.0, set())
         for step, evidence, change in ((5, LOST + 1.0, 2.0), (9, UNSURE, CLEAR))
@@ -354,8 +351,3 @@ def test_the_scores_say_how_long_each_level_lasted():
         "status": "unsure", "status_reason": "a doubt", "unsure_s": 2.0, "lost_s": 2.0, "first_lost_s": 3.0,
     }  # fmt: skip
     assert status_scores(time, np.zeros((6, 1), dtype=int), Status())["first_lost_s"] is None
-
-
-def test_settings_out_of_bounds_are_refused():
-    with pytest.raises(ValueError, match="max_jump must be a number from"):
-        replace(CONFIG, max_jump=0.0)

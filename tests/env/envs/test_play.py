@@ -215,17 +215,6 @@ def test_importing_it_loads_no_pygame():
 # With the real environment and a window that nobody sees.
 
 
-@pytest.fixture
-def pygame(monkeypatch):
-    pytest.importorskip("pygame")
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    import pygame
-
-    pygame.display.quit()
-    yield pygame
-    pygame.display.quit()
-
-
 def test_a_drive_in_a_real_window_is_in_real_time_and_sees_something(pygame, monkeypatch):
     times = []
     real = play_module.LimSlamEnv.step

@@ -18,16 +18,6 @@ PICTURE[:, 100:] = (10, 120, 250)
 
 
 @pytest.fixture
-def pygame(monkeypatch):
-    monkeypatch.setenv("SDL_VIDEODRIVER", "dummy")
-    import pygame
-
-    pygame.display.quit()
-    yield pygame
-    pygame.display.quit()
-
-
-@pytest.fixture
 def window(pygame):
     del pygame
     opened = Window("test", 1000.0)

@@ -2,7 +2,6 @@
 
 import math
 import re
-from importlib import resources
 
 import numpy as np
 import pytest
@@ -26,7 +25,6 @@ doors = [[1.0, 0.0, 1.5, 0.0]]
 starts = [[1.0, 1.0, 0.5]]
 loop = [[1.0, 1.0], [3.5, 1.0], [3.5, 3.5]]
 """
-ENV1 = resources.files("limslam_env.worlds").joinpath("env1.toml").read_text(encoding="utf-8")
 
 
 def with_key(key: str, value: str) -> str:

@@ -46,7 +46,6 @@ ROOM = """
     #........#
     ##########
 """
-TOML = 'name = "n"\nsize = [4, 3]\nwalls = [[0, 0, 4, 0], [4, 0, 4, 3]]\nstarts = [[1, 1, 0.5]]\n'
 
 
 def levels(picture: str, largest: int = 255) -> np.ndarray:
