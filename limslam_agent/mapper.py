@@ -231,10 +231,10 @@ class Mapper:
         recovery = self._recovery
         if recovery is None:
             return PlaceHistory()
-        breaks, records, losses = (list(each) for each in (recovery.breaks, recovery.records, recovery.losses))
+        breaks, records = list(recovery.breaks), list(recovery.records)
         if self._lookup is not None:
             records = [*self._lookup.records, *records]
-        return PlaceHistory(list(self._revisions), breaks, self._unplaced, records, losses)
+        return PlaceHistory(list(self._revisions), breaks, self._unplaced, records, list(recovery.losses))
 
     @property
     def covariances(self) -> FloatArray:
