@@ -228,12 +228,13 @@ class Mapper:
     @property
     def places(self) -> PlaceHistory:
         """What happened when the robot was lost. Its unplaced map is known after :meth:`finish`."""
-        if self._recovery is None:
+        recovery = self._recovery
+        if recovery is None:
             return PlaceHistory()
-        breaks, records = list(self._recovery.breaks), list(self._recovery.records)
+        breaks, records = list(recovery.breaks), list(recovery.records)
         if self._lookup is not None:
             records = [*self._lookup.records, *records]
-        return PlaceHistory(list(self._revisions), breaks, self._unplaced, records)
+        return PlaceHistory(list(self._revisions), breaks, self._unplaced, records, list(recovery.losses))
 
     @property
     def covariances(self) -> FloatArray:
@@ -439,9 +440,7 @@ class Mapper:
         """Take back the map that the robot was lost from. The robot's place in it remains unknown."""
         absence = recovery.absence
         assert absence is not None and absence.known is not None  # noqa: PT018, S101 (the robot was lost from a frame)
-        self._unplaced = Unplaced(
-            absence.known.step, self.slam.segments, self.slam.landmarks, self.grid, absence.odometry_jumped
-        )
+        self._unplaced = Unplaced(absence.known.step, self.slam.segments, self.slam.landmarks, self.grid)
         pose, covariance = self.slam.pose, self.slam.covariance
         slam, grid = absence.known.copied()
         slam.on_association = self._heard_until(slam.associated)

@@ -80,8 +80,6 @@ class Absence:
         Whether the readings have said in which step the robot was carried away, and that it was.
     has_fitted
         Whether the readings since then have clearly fitted at any time: the robot may have drifted instead.
-    odometry_jumped
-        Whether the odometry has reported a motion that no robot makes in one step.
     place
         The map of the known frame; None if the place was found in the map of an earlier run.
     decisions
@@ -113,7 +111,6 @@ class Absence:
     is_dated: bool = False
     is_carried: bool = False
     has_fitted: bool = False
-    odometry_jumped: bool = False
     decisions: list[Localisation] = field(default_factory=list)
     placed: float | None = None
     rays: FloatArray | None = None

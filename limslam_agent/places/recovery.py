@@ -83,6 +83,8 @@ class Recovery:
         What is known about a robot that is lost, or that is not yet sure of its place; None otherwise.
     breaks
         Steps before which the robot was carried away, in the frame that it has found again.
+    losses
+        Steps before which the robot was lost, since the odometry has jumped the last time.
     records
         What happened, for ``result.json``.
     """
@@ -94,6 +96,7 @@ class Recovery:
         self._local_copies: list[KnownFrame] = []
         self.absence: Absence | None = None
         self.breaks: list[int] = []
+        self.losses: list[int] = []
         self.records: list[dict[str, Any]] = []
         self._arrival: Absence | None = None
         self._rechecked, self._kidnapping = 0.0, Kidnapping(robot, places)
@@ -197,6 +200,7 @@ class Recovery:
                 known, first, status.reason, jump, known.places, slam.covariance, slam.pose,
                 has_fitted=has_fitted and jump == 0.0,
             )  # fmt: skip
+            self.losses.append(known.step)
             self.log.forget_before(known.step)
             self.absence.believed = self.log[max(first - 1, self.log.begin)].pose
             if is_carried:
@@ -215,7 +219,8 @@ class Recovery:
             self.absence = replace(
                 before, first=first, placed=None, rays=None, gone=[], has_drifted=False, renewed=None, decisions=[]
             )
-        self.absence.odometry_jumped |= own.jump > 0.0
+        if own.jump > 0.0:
+            self.losses.clear()
         self.absence.first = max(self.absence.first, self.log.begin + 1)
         self.absence.is_dated, self.absence.is_carried = is_dated, is_carried or self.absence.is_astray
         self.absence.sought = self.absence.moved + self._config.lost_first - self._config.lost_spacing

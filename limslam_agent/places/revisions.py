@@ -46,15 +46,12 @@ class Unplaced:
         Walls (k, 4), m, and the lines that they lie on.
     grid
         Occupancy grid.
-    odometry_jumped
-        Whether the odometry has jumped since then, so that it does not say how the robot moved.
     """
 
     begin: int
     segments: FloatArray
     landmarks: list[Landmark]
     grid: GridView
-    odometry_jumped: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,22 +68,21 @@ class PlaceHistory:
         The local map of a robot that is still lost at the end; None otherwise.
     records
         When the robot was lost and found, and the matches that decided it.
+    losses
+        The steps before which the robot was lost, in order. Those before the last jump of the odometry are left out:
+        it does not say how the robot moved.
     """
 
     revisions: list[Revision] = field(default_factory=list)
     breaks: list[int] = field(default_factory=list)
     unplaced: Unplaced | None = None
     records: list[dict[str, Any]] = field(default_factory=list)
+    losses: list[int] = field(default_factory=list)
 
     @property
     def placed(self) -> slice:
         """The steps in which the robot's place is known at the end."""
         return slice(None if self.unplaced is None else self.unplaced.begin)
-
-    @property
-    def may_be_continued(self) -> bool:
-        """Whether the odometry says how a robot that is still lost at the end has moved since it was lost."""
-        return self.unplaced is not None and not self.unplaced.odometry_jumped
 
     @property
     def doubt(self) -> Status:

@@ -256,7 +256,7 @@ def smoothed_by_lines(
         breaks=tuple((0, step) for step in places.breaks),
         sensor=sensor,
     )
-    found = smooth_run(run, config, placed, may_be_continued=places.may_be_continued)
+    found = smooth_run(run, config, placed, places.losses)
     if found is None:
         return replay
     found, drawn = completed(found, poses, covariances), found.poses[:, 0]
@@ -266,7 +266,7 @@ def smoothed_by_lines(
         (run.poses, run.covariances),
         (found.poses, found.covariances),
         while_driving=LEVELS[int(replay.levels.max())],
-        lost_since=lost_since(log.time, placed),
+        lost_since=lost_since(log.time, found.continued_from or placed),
         is_continued=found.is_continued,
     )
     if status.level == "ok":

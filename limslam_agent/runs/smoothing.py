@@ -75,7 +75,7 @@ def smooth_episode(episode: "Episode") -> "SmoothedRun | None":
         breaks=(*((0, step) for step in places.breaks), *unknown_start),
         sensor=episode.sensor,
     )
-    found = smooth_run(run, settings, places.placed.stop, may_be_continued=places.may_be_continued)
+    found = smooth_run(run, settings, places.placed.stop, places.losses)
     if found is not None and unknown_start:
         # What the second robot's pose was before its first step follows from the one after it.
         motion = compose(inverse(poses[1, 1]), poses[0, 1])
@@ -115,7 +115,7 @@ def final_status(episode: "Episode") -> dict[str, str]:
         revised(episode.estimated, episode.covariances, places.revisions),
         (smoothed.poses, smoothed.covariances),
         while_driving=LEVELS[int(episode.levels.max())],
-        lost_since=lost_since(episode.time, places.placed.stop),
+        lost_since=lost_since(episode.time, smoothed.continued_from or places.placed.stop),
         is_continued=smoothed.is_continued,
     )
     if status.level == "ok" and NOT_YET_CONFIRMED in online_statuses:

@@ -1,7 +1,7 @@
 """Smoothing of a finished run: all poses and the map, from the observations and the filter's estimates."""
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 
@@ -84,9 +84,17 @@ class FilteredRun:
     sensor: RangeSensor | None = None
 
     def until(self, step: int | None) -> "FilteredRun":
-        """The run before a step of its own."""
-        rows = ("wheels", "ranges", "usable", "poses", "covariances")
-        return self if step is None else replace(self, **{name: getattr(self, name)[:step] for name in rows})
+        """The run before a step of its own, with what the filter had found out by then."""
+        if step is None:
+            return self
+        rows, end = ("wheels", "ranges", "usable", "poses", "covariances"), self.first_step + step
+        return replace(
+            self,
+            **{name: getattr(self, name)[:step] for name in rows},
+            associations=[each for each in self.associations if each.readings[:, 0].max() < end],
+            closures=[each for each in self.closures if each.step < end],
+            breaks=tuple(each for each in self.breaks if each[1] < step),
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,6 +120,8 @@ class SmoothedRun:
     robot, turns
         The robot with its beams as they are mounted, and by what each beam is turned to the left against the specified
         robot, with its standard deviation (n_beams, 2), rad; None where the beams are taken to be as specified.
+    continued_from
+        Step from which on the smoother has found the poses by itself, without the filter; None without one.
     """
 
     poses: FloatArray
@@ -125,11 +135,12 @@ class SmoothedRun:
     beam_width: float
     robot: RobotSpec
     turns: FloatArray | None = None
+    continued_from: int | None = None
 
     @property
     def is_continued(self) -> bool:
-        """Whether the poses since the filter lost its place were found by the smoother alone."""
-        return _CONTINUED in self.moves
+        """Whether the smoother has found later poses by itself."""
+        return self.continued_from is not None
 
 
 def completed(found: SmoothedRun, poses: FloatArray, covariances: FloatArray) -> SmoothedRun:
@@ -144,11 +155,12 @@ def completed(found: SmoothedRun, poses: FloatArray, covariances: FloatArray) ->
 
 @dataclass(frozen=True, eq=False)
 class Settled:
-    """A solution, its problem, and the moves that corrected its associations."""
+    """A solution, its problem, the moves that corrected its associations, and where it has gone on by itself."""
 
     problem: Problem
     association: Association
     moves: tuple[str, ...]
+    continued_from: int | None = None
 
     @property
     def worth(self) -> float:
@@ -161,8 +173,7 @@ def smooth_run(
     run: FilteredRun,
     config: SmootherConfig | None = None,
     unplaced: int | None = None,
-    *,
-    may_be_continued: bool = True,
+    losses: Sequence[int] = (),
 ) -> SmoothedRun | None:
     """Estimate all poses and lines of a run from all its measurements.
 
@@ -171,13 +182,29 @@ def smooth_run(
     the robots did not move or no wall was seen often enough: there is nothing to smooth then.
 
     ``unplaced`` is the step from which on the filter did not know the place of the only robot. The result ends there,
-    unless it ``may_be_continued`` and its own walls say where the robot went.
+    unless its own walls say where the robot went. ``losses`` are the steps before which that robot was lost, as far as
+    its odometry says how it moved since then.
     """
     config = config or SmootherConfig()
     best = settle(run.until(unplaced), config)
-    if best is not None and unplaced is not None and may_be_continued:
+    if best is not None and unplaced in losses:
         best = _continued(best, run) or best
+    elif best is not None and unplaced is None and is_contradicted(best.problem, best.association):
+        best = _without_filter(best, run, config, losses)
     return None if best is None else _smoothed(best)
+
+
+def _without_filter(best: Settled, run: FilteredRun, config: SmootherConfig, losses: Sequence[int]) -> Settled:
+    """The solution of a run whose filter may have placed a lost robot wrongly, or a better one without the filter.
+
+    It goes on from the latest loss before which no beams contradict the map.
+    """
+    for step in reversed(losses):
+        begin = settle(run.until(step), config)
+        if begin is not None and not is_contradicted(begin.problem, begin.association):
+            found = _continued(begin, run)
+            return best if found is None else max(best, found, key=lambda each: each.worth)
+    return best
 
 
 def _continued(best: Settled, run: FilteredRun) -> Settled | None:
@@ -185,14 +212,14 @@ def _continued(best: Settled, run: FilteredRun) -> Settled | None:
     drive = make_problem(run.robot, run.noise, run.poses[0], run.wheels, run.ranges, run.usable, None, run.first_step)
     if drive.steps <= best.problem.steps:
         return None
-    drive = with_breaks(drive, run)
+    drive = with_breaks(drive, replace(run, breaks=run.until(best.problem.steps).breaks))
     # The beginning has shown how the sensor measures, and whether the wheels are as specified.
     whole = replace(
         best.problem, wheels=drive.wheels, stds=drive.stds, jumps=drive.jumps, loose=drive.loose,
         readings=drive.readings, looks=drive.looks,
     )  # fmt: skip
     found = continued(whole, best.association.state, best.association.labels)
-    return None if found is None else Settled(whole, found, (*best.moves, _CONTINUED))
+    return None if found is None else Settled(whole, found, (*best.moves, _CONTINUED), best.problem.steps)
 
 
 def settle(run: FilteredRun, config: SmootherConfig) -> Settled | None:
@@ -341,6 +368,7 @@ def _smoothed(best: Settled) -> SmoothedRun:
         beam_width=problem.beam_width,
         robot=problem.robot,
         turns=_turns(best),
+        continued_from=best.continued_from,
     )
 
 

@@ -32,6 +32,7 @@ from limslam_agent.slam.line_graph.problem import (
 from limslam_agent.slam.line_graph.reassociation import reassociate, solve_labels
 from limslam_agent.slam.line_graph.smoothed_map import smoothed_map
 from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_run
+from limslam_env.geometry.se2 import compose
 from limslam_env.interface import NominalNoise
 
 
@@ -200,6 +201,20 @@ def continued_half(problem, poses):
     return continued(problem, found.state, found.labels)
 
 
+def filtered_run(wheels, ranges, poses, believed, lost, breaks):
+    """A run whose filter has associated the readings before step ``lost`` with the true walls, and none later."""
+    noise = NominalNoise(0.02, WHEEL_VARIANCE)
+    problem = make_problem(ROBOT, noise, START[None], wheels, ranges)
+    labels, readings = true_labels(problem, poses), problem.readings
+    known = [(labels == wall) & (readings.places < lost) for wall in range(len(WALLS))]
+    return FilteredRun(
+        ROBOT, noise, wheels, ranges, np.isfinite(ranges), believed, np.zeros((len(wheels), 1, 3, 3)),
+        [AssociationRecord(wall, is_new=True, readings=np.column_stack((readings.places[own], readings.beams[own])))
+         for wall, own in enumerate(known)],
+        [], breaks=breaks,
+    )  # fmt: skip
+
+
 @pytest.mark.parametrize("carried", [None, 60])
 def test_a_run_whose_place_is_not_known_from_some_step_on_is_smoothed_to_its_end(carried):
     wheels, ranges, poses = noisy_drive(5, places=[*ROUND, *ROUND])
@@ -208,24 +223,27 @@ def test_a_run_whose_place_is_not_known_from_some_step_on_is_smoothed_to_its_end
         wheels, ranges = np.delete(wheels, left_out, 0), np.delete(ranges, left_out, 0)
         poses = np.delete(poses, left_out, 1)
         wheels[carried] = 0.0
-    noise = NominalNoise(0.02, WHEEL_VARIANCE)
-    problem, lost = make_problem(ROBOT, noise, START[None], wheels, ranges), len(wheels) // 2
-    labels, readings = true_labels(problem, poses), problem.readings
-    known = [(labels == wall) & (readings.places < lost) for wall in range(len(WALLS))]
-    believed = np.moveaxis(poses, 0, 1).copy()
+    believed, lost = np.moveaxis(poses, 0, 1).copy(), len(wheels) // 2
     believed[lost:] = believed[lost]
-    run = FilteredRun(
-        ROBOT, noise, wheels, ranges, np.isfinite(ranges), believed, np.zeros((len(wheels), 1, 3, 3)),
-        [AssociationRecord(wall, is_new=True, readings=np.column_stack((readings.places[own], readings.beams[own])))
-         for wall, own in enumerate(known)],
-        [], breaks=() if carried is None else ((0, carried),),
-    )  # fmt: skip
-    found = smooth_run(run, unplaced=lost)
+    run = filtered_run(wheels, ranges, poses, believed, lost, () if carried is None else ((0, carried),))
+    found = smooth_run(run, unplaced=lost, losses=[lost])
     assert found.is_continued
     assert np.hypot(*(found.poses[:, 0] - poses[0])[:, :2].T).max() < 0.1
     # Where the odometry has jumped, the wheels do not say how the robot moved.
-    beginning = smooth_run(run, unplaced=lost, may_be_continued=False)
+    beginning = smooth_run(run, unplaced=lost)
     assert (len(beginning.poses), beginning.is_continued) == (lost, False)
+
+
+def test_a_path_at_a_wrong_place_is_found_without_the_filter_if_beams_contradict_it():
+    wheels, ranges, poses = noisy_drive(5, places=[*ROUND, *ROUND])
+    believed, lost = np.moveaxis(poses, 0, 1).copy(), len(wheels) // 2
+    right = filtered_run(wheels, ranges, poses, believed, len(wheels), ())
+    assert not smooth_run(right, losses=[lost]).is_continued
+    wrong = believed.copy()
+    wrong[lost:, 0] = compose(np.array([3.5, -0.1, 0.5 * np.pi]), believed[lost:, 0])
+    found = smooth_run(filtered_run(wheels, ranges, poses, wrong, lost, ((0, lost),)), losses=[lost])
+    assert found.is_continued
+    assert np.hypot(*(found.poses[:, 0] - poses[0])[:, :2].T).max() < 0.1
 
 
 def at_steps(problem, steps):
