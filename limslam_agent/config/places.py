@@ -27,8 +27,6 @@ class PlaceConfig(Bounded):
     on_map
         Least logarithm of the likelihood ratio of the contradictions at a place: of the right place, and of ground that
         the map does not have.
-    found
-        The same at the place of a lost robot, which must also have been the best place in the search before.
     recheck, search
         A robot whose readings changed suddenly weighs its readings since then each time that it has driven so far, and
         searches its whole map for another place less often, m.
@@ -62,7 +60,6 @@ class PlaceConfig(Bounded):
     lead: NonNegative = 25.0
     likeness: Share = 0.85
     on_map: NonNegative = 6.0
-    found: NonNegative = 7.0
     recheck: Positive = 0.3
     search: Positive = 1.0
     suspected: Positive = 6.0

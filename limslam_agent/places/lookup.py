@@ -99,7 +99,7 @@ class Lookup:
         likely = [] if before is None else [fit.pose for fit in before.open]
         decision = self._latest = localise(self._place, rays, self._config, likely)
         self._refused += not decision.is_accepted
-        if before is None or decision.fit is None or not agree(before, decision, self._config):
+        if before is None or decision.fit is None or not agree(before, decision):
             return None
         frame = decision.fit.pose
         placed, middle = compose(frame, start), transform_points(frame, decision.middle[None])[0]

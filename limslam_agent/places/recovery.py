@@ -342,7 +342,7 @@ class Recovery:
         # A search of the whole map may miss the place near by.
         decision = localise(absence.place, rays, self._config, likely, far, [near.fit])
         absence.decisions.append(decision)
-        if not earlier or not agree(earlier[-1], decision, self._config):
+        if not earlier or not agree(earlier[-1], decision):
             return None
         return self._placement(absence, rays, decision, sensor)
 

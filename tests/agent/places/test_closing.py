@@ -220,5 +220,5 @@ def test_the_likeliest_place_near_the_believed_one_is_compared_with_far_ones(who
     assert found.fit is near
     assert found.is_near
     assert found.is_accepted, "contradictions need only not speak against a place near the believed one"
-    assert agree(found, found, CONFIG)
+    assert agree(found, found)
     assert not localise(whole, rays, CONFIG, far=CONFIG.far, near=[replace(near, contradictions=6)]).is_accepted

@@ -91,14 +91,20 @@ def test_a_pose_does_not_slide_along_walls_that_are_not_quite_parallel():
 
 def test_two_searches_agree_on_one_place_only(whole):
     found = localise(whole, rays_of(drive(PART, HALL), ROBOT), CONFIG)
-    assert agree(found, found, CONFIG)
+    assert agree(found, found)
     away = replace(found, fit=replace(found.fit, pose=found.fit.pose + np.array([0.5, 0.0, 0.0])))
-    assert not agree(found, away, CONFIG)
-    assert not agree(found, replace(found, refusal="ambiguous"), CONFIG)
-    assert agree(replace(found, refusal="ambiguous"), found, CONFIG), "it was the best place before"
-    few = replace(found, fit=replace(found.fit, contradictions=0, tested=60))
-    assert CONFIG.on_map < few.fit.is_on_map < CONFIG.found
-    assert not agree(found, few, CONFIG), "a single search may accept so few readings"
+    assert not agree(found, away)
+    assert not agree(found, replace(found, refusal="ambiguous"))
+    assert agree(replace(found, refusal="ambiguous"), found), "it was the best place before"
+    few, many = (replace(found, fit=replace(found.fit, contradictions=0, tested=tested)) for tested in (60, 70))
+    assert few.fit.is_on_map > CONFIG.on_map
+    assert not agree(found, few), "a single search may accept so few readings"
+    assert agree(found, many)
+    # Three robots were placed wrongly with so many contradictions, on ground without a map.
+    alike = replace(found, fit=replace(found.fit, contradictions=4, tested=142))
+    assert alike.fit.is_on_map > CONFIG.on_map
+    assert not agree(found, alike)
+    assert agree(found, replace(found, is_near=True, fit=few.fit)), "a robot that has drifted is likely near"
 
 
 def test_without_rays_or_walls_there_is_nothing_to_compare(whole):
