@@ -7,7 +7,6 @@ from limslam_agent.config.bounds import Bounded, Positive
 from limslam_agent.config.consistent import ConsistentConfig, WhenToCalibrate
 from limslam_agent.config.exploration import GridConfig, PolicyConfig, TeamConfig
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.config.places import PlaceConfig
 from limslam_agent.config.published import FilterConfig, PublishedConfig
 from limslam_agent.config.shared import HoughConfig, OdometryConfig
 from limslam_agent.config.smoother import RenewalConfig, SmootherConfig
@@ -73,9 +72,9 @@ class AgentConfig(Bounded):
         Exploration.
     status
         When an estimate is unsure or lost.
-    places
-        How a lost robot finds its place again. None leaves it lost. Only a single robot with wheels and the consistent
-        estimator can go on in a new frame.
+    finds_places
+        Whether a lost robot looks for its place in its map. Only a single robot with wheels and the consistent
+        estimator can do so.
     smoothing
         The graph of local maps that smooths a recorded log of poses after its end. None leaves the log as the filter
         saw it.
@@ -95,7 +94,7 @@ class AgentConfig(Bounded):
     grid: GridConfig = field(default_factory=GridConfig)
     policy: PolicyConfig = field(default_factory=PolicyConfig)
     status: StatusConfig = field(default_factory=StatusConfig)
-    places: PlaceConfig | None = field(default_factory=PlaceConfig)
+    finds_places: bool = True
     smoothing: GraphConfig | None = field(default_factory=GraphConfig)
     line_smoothing: SmootherConfig | None = field(default_factory=SmootherConfig)
     renewal: RenewalConfig | None = field(default_factory=RenewalConfig)
@@ -111,9 +110,9 @@ class AgentConfig(Bounded):
         return replace(self.line_smoothing, calibrate=self.estimator.self_calibration.calibrate)
 
     @property
-    def recovery(self) -> PlaceConfig | None:
-        """Settings by which a lost robot finds its place again. None if it stays lost."""
-        return self.places if isinstance(self.estimator, ConsistentConfig) else None
+    def can_recover(self) -> bool:
+        """Whether a lost robot looks for its place in its map."""
+        return self.finds_places and isinstance(self.estimator, ConsistentConfig)
 
     @property
     def range_std(self) -> float:
