@@ -141,7 +141,7 @@ class FrameMapper:
             return False
         begin = time.perf_counter()
         renewal.note(observation)
-        is_recovered = self._config.recovery is not None and len(self.monitors) == 1
+        is_recovered = self._config.can_recover and len(self.monitors) == 1
         is_renewed = may_renew and renewal.renew_if_due("ok" if is_recovered else self.monitors[0].status.level)
         if is_renewed:
             self.grid = renewal.grid

@@ -86,12 +86,11 @@ class JoiningMapper(Mapper):
         self.joined: Joined | None = None
         self.parted: Joined | None = None
         super().reset(start_pose)
-        places = self.config.recovery
-        if places is None or len(self._starts) != 2:
+        if not self.config.can_recover or len(self._starts) != 2:
             raise ValueError("unknown starts are for two robots with the preset graph or consistent")
         self._own = self._starts
         self._apart = self._separate_mappers()
-        self._meeting, self._steps = Meeting(places), list[tuple[Observation, ...]]()
+        self._meeting, self._steps = Meeting(), list[tuple[Observation, ...]]()
 
     def step(self, *observations: Observation) -> None:
         """Process one observation of each robot; the errors are those of :meth:`Mapper.step`."""

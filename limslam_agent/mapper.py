@@ -322,8 +322,7 @@ class Mapper:
 
     def _new_recovery(self) -> Recovery | None:
         """What follows the estimate of a single robot, if it is to find its place again when it is lost."""
-        places = self.config.recovery
-        return Recovery(self.robot, self.config, places) if places is not None and len(self._starts) == 1 else None
+        return Recovery(self.robot, self.config) if self.config.can_recover and len(self._starts) == 1 else None
 
     def _new_lookup(self) -> Lookup | None:
         """The search for the robot's place in an earlier map, if there is one."""

@@ -7,7 +7,6 @@ from limslam_agent.config.bounds import Bounded, Positive
 from limslam_agent.config.consistent import ConsistentConfig, WhenToCalibrate
 from limslam_agent.config.exploration import GridConfig, PolicyConfig
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.config.places import PlaceConfig
 from limslam_agent.config.published import FilterConfig, PublishedConfig
 from limslam_agent.config.shared import HoughConfig, OdometryConfig
 from limslam_agent.config.smoother import RenewalConfig, SmootherConfig
@@ -69,9 +68,9 @@ class AgentConfig(Bounded):
     free_space_counts
         Whether a reading that ends in free space contradicts the map. False while such a reading may show the body of
         another robot.
-    places
-        How a lost robot finds its place again. None leaves it lost. Only a single robot with wheels and the consistent
-        estimator can go on in a new frame.
+    finds_places
+        Whether a lost robot looks for its place in its map. Only a single robot with wheels and the consistent
+        estimator can do so.
     smoothing
         The graph of local maps that smooths a recorded log of poses after its end. None leaves the log as the filter
         saw it.
@@ -90,7 +89,7 @@ class AgentConfig(Bounded):
     grid: GridConfig = field(default_factory=GridConfig)
     policy: PolicyConfig = field(default_factory=PolicyConfig)
     free_space_counts: bool = True
-    places: PlaceConfig | None = field(default_factory=PlaceConfig)
+    finds_places: bool = True
     smoothing: GraphConfig | None = field(default_factory=GraphConfig)
     smooths_runs: bool = True
     renewal: RenewalConfig | None = field(default_factory=RenewalConfig)
@@ -106,9 +105,9 @@ class AgentConfig(Bounded):
         return SmootherConfig(self.estimator.self_calibration.calibrate)
 
     @property
-    def recovery(self) -> PlaceConfig | None:
-        """Settings by which a lost robot finds its place again. None if it stays lost."""
-        return self.places if isinstance(self.estimator, ConsistentConfig) else None
+    def can_recover(self) -> bool:
+        """Whether a lost robot looks for its place in its map."""
+        return self.finds_places and isinstance(self.estimator, ConsistentConfig)
 
     @property
     def range_std(self) -> float:

@@ -1,5 +1,6 @@
 """What is kept of a robot that is lost: the frame that it was lost from, what happened since, and where it goes on."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
@@ -11,6 +12,12 @@ from limslam_agent.places.rays import moved, wall_points
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, inverse
+
+LEAST_KNOWN = 4.0
+"""A robot that is lost from a map with a smaller length of walls, m, begins a new map.
+
+Such a map is no loss, and the robot may never come back to its walls.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +59,18 @@ class KnownFrame:
     def copied(self) -> tuple[LineSlam, OccupancyGrid]:
         """SLAM and grid to go on with."""
         return self.slam.copied(), self.grid.copied()
+
+
+def known_before(copies: Sequence[KnownFrame], first: int, margin: int) -> KnownFrame | None:
+    """The latest copy of an estimate that is older than the step ``first`` by a margin; None without a copy.
+
+    If that copy has hardly a wall, because the drive has just begun, it is a later one from before the step.
+    """
+    old = [copy for copy in copies if copy.step <= first - margin] or copies[:1]
+    if old and old[-1].walls_m >= LEAST_KNOWN:
+        return old[-1]
+    found = [copy for copy in copies if copy.step < first] or old
+    return found[-1] if found else None
 
 
 @dataclass(eq=False)

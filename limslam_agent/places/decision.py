@@ -21,6 +21,15 @@ LARGEST_RUNNER_UP = 0.70
 MATCH_STD, MATCH_HEADING_STD = 0.05, math.radians(2.0)
 """Standard deviations of position and heading of a match, m and rad."""
 
+FIRST, SPACING = 1.5, 0.5
+"""Distance that a robot drives before its local map is matched for the first time, and between two matches, m."""
+
+LONGEST = 6000
+"""Largest number of steps of a search, and of those that are kept of a robot that is lost."""
+
+CONFIRMED, FAR_CONFIRMED = 3.0, 30.0
+"""A place is confirmed after so much driving without contradictions, m: in a map without a frontier, and in any map."""
+
 _LEAST_WALLS, _LEAST_ACROSS = 4.0, 0.9  # m: length of confirmed walls, in all and across their main direction
 _LEAST_KNOWN = 0.35  # share of the local map's points that are confirmed
 # The score of another pose counts only for this share if at least this number of points contradict it and its shares of

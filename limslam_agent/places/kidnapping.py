@@ -25,7 +25,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.config.places import PlaceConfig
 from limslam_agent.places.history import LoggedStep, StepLog
 from limslam_agent.places.localisation import KnownPlaces, is_far, localise, near_fit
 from limslam_agent.places.rays import rays_of
@@ -39,7 +38,16 @@ _FEWEST = 60  # number of rays for which the map is searched
 _MANY_BEAMS = 24  # one of more beams than this decides nothing
 _HELD, _LATEST = 1500, 300  # largest number of steps for which a doubtful change is held, and that weigh each beam
 _CHANGED, _MISFITS = 2, 0.05  # beams that changed, and largest share of rays of a sound beam that contradict the map
+_SEARCH = 1.0  # m: distance between two searches of the whole map
+# It is lost if the evidence that it was carried away is at least this. Another place of the map makes it unsure only if
+# its readings have at most the second evidence at the believed pose.
+_LOST, _SUPPORTED = 10.0, 15.0
 _DATED = 3.0  # evidence of a change that says when the robot was carried away
+
+SUSPECTED = 6.0
+"""A robot is unsure if the evidence that it was carried away is at least this: a logarithm of a likelihood ratio that
+outweighs the prior.
+"""
 
 CARRIED = Status("lost", "readings changed at once, and those since then do not fit the place")
 MAYBE_CARRIED = Status("unsure", CARRIED.reason)
@@ -104,12 +112,11 @@ class Kidnapping:
 
     Attributes
     ----------
-    robot, config
-        Body and beams as specified, and settings.
+    robot
+        Body and beams as specified.
     """
 
     robot: RobotSpec
-    config: PlaceConfig
     _unsearched: float = field(default=math.inf, init=False)
     _spacing: float = field(default=0.0, init=False)
     _elsewhere: Status = field(default=Status(), init=False)
@@ -148,19 +155,17 @@ class Kidnapping:
             self.forget()
             return None
         found = [self._weigh(step, change, log.since(step), sensor) for step, change in changes]
-        fitted = [
-            each.change for each in found if each.change in self._fitted_after or each.here > self.config.supported
-        ]
+        fitted = [each.change for each in found if each.change in self._fitted_after or each.here > _SUPPORTED]
         self._fitted_after = fitted
         likeliest = max(found, key=lambda each: each.evidence)
-        is_doubtful, evidence = likeliest.evidence >= self.config.suspected, likeliest.evidence
+        is_doubtful, evidence = likeliest.evidence >= SUSPECTED, likeliest.evidence
         if is_doubtful:
             near = near_fit(likeliest.place, likeliest.rays, covariance)
             evidence = min(evidence, likeliest.change.change - near.evidence)
         status = MAYBE_CARRIED if is_doubtful else Status()  # or it has drifted
-        if evidence >= self.config.carried and self._needs_no_beam(likeliest, log, sensor):
+        if evidence >= _LOST and self._needs_no_beam(likeliest, log, sensor):
             status = CARRIED
-        if driven and status.level != "lost" and self._unsearched >= max(self.config.search, self._spacing):
+        if driven and status.level != "lost" and self._unsearched >= max(_SEARCH, self._spacing):
             self._unsearched, self._elsewhere = 0.0, self._by_search(likeliest)
         if status.level == "ok":
             status = self._elsewhere
@@ -182,7 +187,7 @@ class Kidnapping:
         """The status, or that of the change that is held until the readings since then clearly fit."""
         if status.level != "ok":
             self._held = _Held(likeliest.step, likeliest.change, status)
-        elif likeliest.here > self.config.supported:
+        elif likeliest.here > _SUPPORTED:
             self._held = None
         return status if self._held is None else self._held.status
 
@@ -206,7 +211,7 @@ class Kidnapping:
         beams = np.arange(len(self.robot.beams))
         for beam in range(len(beams)):
             steps = [_without(step, beams == beam) for step in log.since(found.step)[-_LATEST:]]
-            is_needed = self._weigh(found.step, found.change, steps, sensor).evidence < self.config.suspected
+            is_needed = self._weigh(found.step, found.change, steps, sensor).evidence < SUSPECTED
             if is_needed and not (found.change.changed >= _CHANGED and self._fitted(beam, found, log, sensor)):
                 return False
         return True
@@ -216,15 +221,14 @@ class Kidnapping:
         others = np.arange(len(self.robot.beams)) != beam
         rays = rays_of([_without(step, others) for step in log.steps[: found.step - log.begin]], self.robot, sensor)
         fit = found.place.weigh(np.zeros((1, 3)), rays)[0]
-        return fit.evidence >= self.config.suspected and fit.contradictions <= _MISFITS * len(rays)
+        return fit.evidence >= SUSPECTED and fit.contradictions <= _MISFITS * len(rays)
 
     def _by_search(self, found: _Weighed) -> Status:
         """What follows from a search of the whole map before a change."""
-        config = self.config
-        if found.here > config.supported or len(found.rays) < _FEWEST:
+        if found.here > _SUPPORTED or len(found.rays) < _FEWEST:
             return Status()
-        self._spacing = self.config.search * found.place.size  # the time of a search grows with the map
-        other = localise(found.place, found.rays, config, [np.zeros(3)])
+        self._spacing = _SEARCH * found.place.size  # the time of a search grows with the map
+        other = localise(found.place, found.rays, [np.zeros(3)])
         if other.fit is None or not other.is_accepted or not is_far(other.fit.pose, other.middle):
             return Status()
         return MAYBE_ELSEWHERE

@@ -21,7 +21,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from limslam_agent.config.places import PlaceConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.kernels.tables import RAY_REACH, RAY_TO_X, RAY_X
 from limslam_agent.places.matching import are_apart
@@ -42,6 +41,7 @@ _KEPT = 20  # number of places that are tried again in the next search
 _WALL, _HIT, _MISS = 0.20, (2.5, 1.3), -8.0  # m, and evidence of a ray's end at a wall, and in free ground
 _CROSSED, _FREE = -6.0, 0.2  # evidence of a ray's way through a wall, and through free ground
 _MAP_STD = 0.045  # m: standard deviation of a wall's place in the map as seen from a refined pose
+_LIKENESS = 0.85  # largest share that the evidence of another place has of that of the best one
 _ALIKE = 2.0  # a place is a rival if its test of contradictions speaks less for it by less than this
 _UNLIKELY = 12.0  # logarithm of the number of places that a map has
 _NEAR, _NEAR_TURN = 0.5, math.radians(15.0)  # m, rad: a robot that is off by less than this may have drifted
@@ -50,7 +50,24 @@ _DEVIATIONS = -2.0, -1.0, 0.0, 1.0, 2.0  # and along each axis of the covariance
 _LIKELY = 4.5  # a pose with at most this cost is near, however far it is: 3 standard deviations
 _LEAST_STD, _LEAST_TURN = 0.05, math.radians(1.0)  # m, rad: least deviation of the pose with respect to the map
 _OWN = 0.5  # part of the pose's standard deviation that the walls near by do not share
-_RATES = 0.02, 0.12  # shares of rays that contradict the map at the right place, and on ground that it does not have
+_RIGHT, _WRONG = 0.02, 0.12  # shares of rays that contradict the map at the right place, and on ground that it lacks
+# The first share for a robot that was carried away. It is 0.0004 in simulated buildings. Ground that looks alike may
+# pass the test with the larger share, which bent maps need.
+_RIGHT_IF_CARRIED = 0.005
+_FOUND = 7.0  # least logarithm of the likelihood ratio of the contradictions at the place of a lost robot
+
+LEAD = 25.0
+"""Least difference between the evidence of a place and that of every other place."""
+
+ON_MAP = 6.0
+"""Least logarithm of the likelihood ratio of the contradictions at a place: of the right place, and of ground that the
+map does not have.
+"""
+
+FAR_SHARE = 0.3
+"""For what share of its evidence a place counts that is far from the believed one, if nothing says that the robot was
+carried away.
+"""
 
 FAR = 1.5, math.radians(30.0)
 """A robot that is off by more than this, m and rad, has not drifted, but was carried."""
@@ -178,9 +195,17 @@ class PlaceFit:
     @property
     def is_on_map(self) -> float:
         """Logarithm of the likelihood ratio of the contradictions: of the right place, and of ground like it."""
-        right, wrong = _RATES
+        return self._on_map_if(_RIGHT)
+
+    @property
+    def is_clearly_on_map(self) -> bool:
+        """Whether so few rays contradict the map that a robot that was carried away may be placed here."""
+        return min(self.is_on_map, self._on_map_if(_RIGHT_IF_CARRIED)) >= _FOUND
+
+    def _on_map_if(self, right: float) -> float:
+        """The logarithm of the likelihood ratio if a share ``right`` of the rays contradicts the map at its place."""
         fitting = self.tested - self.contradictions
-        return self.contradictions * math.log(right / wrong) + fitting * math.log((1.0 - right) / (1.0 - wrong))
+        return self.contradictions * math.log(right / _WRONG) + fitting * math.log((1.0 - right) / (1.0 - _WRONG))
 
     @property
     def log_odds(self) -> float:
@@ -245,7 +270,6 @@ class Localisation:
 def localise(
     known: KnownPlaces,
     rays: FloatArray,
-    config: PlaceConfig,
     before: Sequence[FloatArray] = (),
     far: float = 1.0,
     near: Sequence["PlaceFit"] = (),
@@ -274,14 +298,14 @@ def localise(
         return Localisation(None, 0.0, middle, "the readings fit nowhere")
     shares = {id(fit): far if is_far(fit.pose, middle) else 1.0 for fit in fits}
     # Where the test of contradictions has said that the drive is not there, chance fits count no more.
-    fits.sort(key=lambda fit: (fit.is_on_map < -config.on_map, -fit.evidence * shares[id(fit)]))
-    places = _places(fits, middle, config)
+    fits.sort(key=lambda fit: (fit.is_on_map < -ON_MAP, -fit.evidence * shares[id(fit)]))
+    places = _places(fits, middle)
     best, share = places[0], shares[id(places[0])]
     is_near = far < 1.0 and share == 1.0
     # A far place is compared with others that count in full, and a near one with far ones that do not.
     rivals = [fit.evidence * (1.0 if share < 1.0 else shares[id(fit)]) for fit in places[1:]]
     runner_up = max([0.0, *rivals]) / share if share > 0.0 else math.inf
-    refusal = _refusal(best, runner_up, config, 0.0 if is_near else config.on_map)
+    refusal = _refusal(best, runner_up, 0.0 if is_near else ON_MAP)
     # The readings of a drive that has left the ground of the map say little there, and may fit where rooms look alike.
     alike = [fit for fit in places[1:] if shares[id(fit)] >= share and fit.is_on_map > best.is_on_map - _ALIKE]
     if alike and not refusal:
@@ -335,11 +359,11 @@ def _sample(rays: FloatArray) -> FloatArray:
     return np.ascontiguousarray(np.concatenate((earlier[chosen], latest)))
 
 
-def _places(fits: Sequence[PlaceFit], middle: FloatArray, config: PlaceConfig) -> list[PlaceFit]:
+def _places(fits: Sequence[PlaceFit], middle: FloatArray) -> list[PlaceFit]:
     """The fit of each place, the best ones first, without places that the readings have refuted."""
     places = [fits[0]]
     for fit in fits[1:]:
-        if fit.is_on_map < -config.on_map:
+        if fit.is_on_map < -ON_MAP:
             break
         if all(are_apart(fit.pose, place.pose, middle) for place in places):
             places.append(fit)
@@ -355,23 +379,25 @@ def is_far(pose: FloatArray, middle: FloatArray, most: float = FAR[0], turn: flo
     return float(np.hypot(*shift)) > most or abs(wrap_angle(float(pose[2]))) > turn
 
 
-def agree(first: Localisation, second: Localisation, config: PlaceConfig) -> bool:
+def agree(first: Localisation, second: Localisation, *, has_drifted: bool = False) -> bool:
     """Whether two searches in succession find the same place.
 
-    The place must count in the later search, where the test of contradictions is stricter than in a single search. In
-    the earlier one it only has to be the best place: nearly all readings of the two are the same.
+    The place must count in the later search, where the test of contradictions is stricter than in a single search. It
+    is less strict for a robot that has probably drifted, since its map may be bent. In the earlier search, the place
+    only has to be the best one: nearly all readings of the two are the same.
     """
     if first.fit is None or second.fit is None or not second.is_accepted:
         return False
-    if not second.is_near and second.fit.is_on_map < config.found:
+    is_on_map = second.fit.is_on_map >= _FOUND if has_drifted else second.fit.is_clearly_on_map
+    if not second.is_near and not is_on_map:
         return False
     return not are_apart(first.fit.pose, second.fit.pose, second.middle)
 
 
-def _refusal(best: PlaceFit, runner_up: float, config: PlaceConfig, on_map: float) -> str:
+def _refusal(best: PlaceFit, runner_up: float, on_map: float) -> str:
     """Why a place does not count, in words; empty if it counts. The test of contradictions must give ``on_map``."""
     if best.is_on_map < on_map:
         return f"{best.contradictions} of {best.tested} readings contradict the map there"
-    if runner_up > min(best.evidence - config.lead, config.likeness * best.evidence):
+    if runner_up > min(best.evidence - LEAD, _LIKENESS * best.evidence):
         return f"ambiguous: another place has an evidence of {runner_up:.0f}, and the best one {best.evidence:.0f}"
     return ""

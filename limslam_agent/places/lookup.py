@@ -3,10 +3,9 @@
 import math
 from typing import Any, NamedTuple
 
-from limslam_agent.config.places import PlaceConfig
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.places.decision import match_covariance
+from limslam_agent.places.decision import FIRST, LONGEST, SPACING, match_covariance
 from limslam_agent.places.history import LoggedStep
 from limslam_agent.places.localisation import KnownPlaces, Localisation, agree, localise
 from limslam_agent.places.rays import moved, rays_of, wall_points
@@ -53,8 +52,8 @@ class Lookup:
     ----------
     saved
         The saved map.
-    robot, config
-        Body and beams, and settings of the search.
+    robot
+        Body and beams.
     sensor
         How the ranges are measured, as specified.
 
@@ -68,26 +67,26 @@ class Lookup:
         How the search ended, for ``result.json``.
     """
 
-    def __init__(self, saved: SavedMap, robot: RobotSpec, config: PlaceConfig, sensor: RangeSensor) -> None:
-        self.saved, self._robot, self._config = saved, robot, config
+    def __init__(self, saved: SavedMap, robot: RobotSpec, sensor: RangeSensor) -> None:
+        self.saved, self._robot = saved, robot
         self._place = KnownPlaces(saved.segments, saved.grid, sensor)
         self.steps: list[LoggedStep] = []
         self.is_open = True
         self.records: list[dict[str, Any]] = []
-        self._driven, self._sought, self._refused = 0.0, config.first - config.spacing, 0
+        self._driven, self._sought, self._refused = 0.0, FIRST - SPACING, 0
         self._latest: Localisation | None = None
 
     def note(self, step: LoggedStep) -> None:
         """Keep a step of the robot."""
         self.steps.append(step)
         self._driven += math.hypot(*step.motion[:2].tolist())
-        if len(self.steps) > self._config.longest:
-            self.end(f"the search took more than {self._config.longest} steps")
+        if len(self.steps) > LONGEST:
+            self.end(f"the search took more than {LONGEST} steps")
 
     @property
     def is_due(self) -> bool:
         """Whether the saved map is to be searched now."""
-        return self._driven - self._sought >= self._config.spacing * math.sqrt(self._place.size)
+        return self._driven - self._sought >= SPACING * math.sqrt(self._place.size)
 
     def seek(self, start: FloatArray, sensor: RangeSensor) -> Arrival | None:
         """Search the saved map for the place; it is found if two searches in succession find the same place.
@@ -97,9 +96,9 @@ class Lookup:
         self._sought, self._place.sensor = self._driven, sensor
         rays, before = rays_of(self.steps, self._robot, sensor), self._latest
         likely = [] if before is None else [fit.pose for fit in before.open]
-        decision = self._latest = localise(self._place, rays, self._config, likely)
+        decision = self._latest = localise(self._place, rays, likely)
         self._refused += not decision.is_accepted
-        if before is None or decision.fit is None or not agree(before, decision, self._config):
+        if before is None or decision.fit is None or not agree(before, decision):
             return None
         frame = decision.fit.pose
         placed, middle = compose(frame, start), transform_points(frame, decision.middle[None])[0]
@@ -124,8 +123,7 @@ def begin_lookup(saved: SavedMap, robot: RobotSpec, config: AgentConfig, sensor:
     ValueError
         If there is more than one robot, lost robots stay lost by the settings, or the settings have other cells.
     """
-    places = config.recovery
-    if places is None or robots != 1:
+    if not config.can_recover or robots != 1:
         raise ValueError("only one robot with the preset graph or consistent can look for its place in a map")
     OccupancyGrid.of(saved.grid, config.grid)
-    return Lookup(saved, robot, places, sensor)
+    return Lookup(saved, robot, sensor)

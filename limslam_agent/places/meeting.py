@@ -5,8 +5,19 @@ from typing import Any
 
 import numpy as np
 
-from limslam_agent.config.places import PlaceConfig
-from limslam_agent.places.decision import LARGEST_RUNNER_UP, Decision, agree, find_place, match_covariance, runner_up
+from limslam_agent.places.decision import (
+    CONFIRMED,
+    FAR_CONFIRMED,
+    FIRST,
+    LARGEST_RUNNER_UP,
+    LONGEST,
+    SPACING,
+    Decision,
+    agree,
+    find_place,
+    match_covariance,
+    runner_up,
+)
 from limslam_agent.places.matching import best_fits
 from limslam_agent.places.place_map import PlaceMap
 from limslam_env.geometry import FloatArray
@@ -16,11 +27,6 @@ from limslam_env.geometry.se2 import compose, inverse, transform_points
 class Meeting:
     """Matches the maps of two robots. The map with the shorter walls is matched with the other one.
 
-    Parameters
-    ----------
-    config
-        Settings of the search.
-
     Attributes
     ----------
     is_open
@@ -29,10 +35,10 @@ class Meeting:
         How the search ended, for ``result.json``.
     """
 
-    def __init__(self, config: PlaceConfig) -> None:
-        self._config, self.is_open = config, True
+    def __init__(self) -> None:
+        self.is_open = True
         self.records: list[dict[str, Any]] = []
-        self._driven, self._sought, self._steps = 0.0, config.first - config.spacing, 0
+        self._driven, self._sought, self._steps = 0.0, FIRST - SPACING, 0
         self._refused, self._contradicted = 0, 0
         self._latest: Decision | None = None
         self._is_second_local = True
@@ -47,7 +53,7 @@ class Meeting:
     @property
     def is_due(self) -> bool:
         """Whether the maps are to be matched now."""
-        return self.is_open and self._driven - self._sought >= self._config.spacing
+        return self.is_open and self._driven - self._sought >= SPACING
 
     def seek(
         self, first: PlaceMap, second: PlaceMap, start: FloatArray, covariances: Sequence[FloatArray]
@@ -68,7 +74,7 @@ class Meeting:
         decision = self._latest = find_place(known, local)
         self._refused += not decision.is_accepted
         if before is None or decision.fit is None or not agree(before, decision, local):
-            if self._steps >= self._config.longest:
+            if self._steps >= LONGEST:
                 self.end("the search took too long")
             return None
         middle = local.middle
@@ -102,9 +108,7 @@ class Meeting:
     def is_to_be_confirmed(self) -> bool:
         """Whether the robots have driven far enough to compare the shared map with the second robot's map again."""
         return (
-            self.is_doubtful
-            and self._driven - self._sought >= self._config.spacing
-            and self._driven - self._joined_at >= self._config.confirmed
+            self.is_doubtful and self._driven - self._sought >= SPACING and self._driven - self._joined_at >= CONFIRMED
         )
 
     def confirm(self, whole: PlaceMap, *, is_complete: bool) -> str:
@@ -116,7 +120,7 @@ class Meeting:
             Why the doubt remains although so much was seen, in words; empty otherwise.
         """
         self._sought = self._driven
-        is_known = is_complete or self._driven - self._joined_at >= self._config.far_confirmed
+        is_known = is_complete or self._driven - self._joined_at >= FAR_CONFIRMED
         if self._unconfirmed is None or not is_known:
             return ""
         fits = best_fits(whole, self._unconfirmed)

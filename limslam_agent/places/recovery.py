@@ -14,17 +14,26 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from limslam_agent.belief import Guess
-from limslam_agent.config.places import PlaceConfig
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
-from limslam_agent.places.absence import Absence, KnownFrame, Placement
-from limslam_agent.places.decision import LARGEST_RUNNER_UP, match_covariance
+from limslam_agent.places.absence import LEAST_KNOWN, Absence, KnownFrame, Placement, known_before
+from limslam_agent.places.decision import (
+    CONFIRMED,
+    FAR_CONFIRMED,
+    LARGEST_RUNNER_UP,
+    LONGEST,
+    SPACING,
+    match_covariance,
+)
 from limslam_agent.places.history import LoggedStep, StepLog, carried_at
-from limslam_agent.places.kidnapping import Doubt, Kidnapping
+from limslam_agent.places.kidnapping import SUSPECTED, Doubt, Kidnapping
 from limslam_agent.places.localisation import (
     DRIFT,
     FAR,
+    FAR_SHARE,
+    LEAD,
+    ON_MAP,
     KnownPlaces,
     Localisation,
     NearFit,
@@ -49,6 +58,12 @@ from limslam_env.interface import RobotSpec
 _LOCAL_COPIES = 6
 """Number of copies of the local frame over the steps that are kept."""
 WRONG_PLACE = Status("lost", "the readings contradict the map at the place that was found")
+_LOST_FIRST, _LOST_SPACING = 0.8, 0.35  # m: way to the first search of a lost robot, and between two of them
+_TURN_LENGTH = 0.1  # m of this way: a turn by one radian
+_RECHECK = 0.3  # m: way after which the readings since a sudden change are weighed again
+# Number of steps between two copies of the estimate, number of copies that are kept, and least number of steps by which
+# a copy must be older than the first doubt about the estimate.
+_CHECKPOINT, _CHECKPOINTS, _MARGIN = 50, 6, 100
 _WATCHED = 300  # number of steps after a sudden change in which it is weighed
 
 
@@ -72,8 +87,6 @@ class Recovery:
     ----------
     robot, config
         Body and beams as specified, and settings. The sensor that is passed with each call may turn the beams.
-    places
-        Settings of the search.
 
     Attributes
     ----------
@@ -89,8 +102,8 @@ class Recovery:
         What happened, for ``result.json``.
     """
 
-    def __init__(self, robot: RobotSpec, config: AgentConfig, places: PlaceConfig) -> None:
-        self._robot, self._agent, self._config = robot, config, places
+    def __init__(self, robot: RobotSpec, config: AgentConfig) -> None:
+        self._robot, self._agent = robot, config
         self.log = StepLog()
         self._copies: list[KnownFrame] = []
         self._local_copies: list[KnownFrame] = []
@@ -99,7 +112,7 @@ class Recovery:
         self.losses: list[int] = []
         self.records: list[dict[str, Any]] = []
         self._arrival: Absence | None = None
-        self._rechecked, self._kidnapping = 0.0, Kidnapping(robot, places)
+        self._rechecked, self._kidnapping = 0.0, Kidnapping(robot)
         self._doubt: Doubt | None = None
         self._offset = np.zeros((3, 3))  # covariance of a map that was begun anew
 
@@ -155,22 +168,22 @@ class Recovery:
         if absence is not None:
             x, y, turn = step.motion.tolist()
             absence.driven += math.hypot(x, y)
-            absence.moved += math.hypot(x, y) + self._config.turn_length * abs(turn)
+            absence.moved += math.hypot(x, y) + _TURN_LENGTH * abs(turn)
         if self.absence is not None:
             begin = self.log.begin
-            gone = self.log.forget_before(self.log.end - self._config.longest)
+            gone = self.log.forget_before(self.log.end - LONGEST)
             self.absence.gone += [step.pose for step in gone[max(self.absence.first - begin, 0) :]]
-            if self.is_lost and self.log.end % max(self._config.longest // _LOCAL_COPIES, 1) == 0:
+            if self.is_lost and self.log.end % max(LONGEST // _LOCAL_COPIES, 1) == 0:
                 kept = [copy for copy in self._local_copies if copy.step > self.log.begin]
                 self._local_copies = [*kept, self._copy(slam, grid)]
             return
-        if not self._copies or self.log.end % self._config.checkpoint == 0:
+        if not self._copies or self.log.end % _CHECKPOINT == 0:
             self._copies = self._kept([*self._copies, self._copy(slam, grid)])
             self.log.forget_before(self._copies[0].step)
 
     def _kept(self, copies: list[KnownFrame]) -> list[KnownFrame]:
         """The latest copies, and the latest one from before a change of the readings that is still doubtful."""
-        latest, held = copies[-self._config.checkpoints :], self._kidnapping.held
+        latest, held = copies[-_CHECKPOINTS:], self._kidnapping.held
         before = [] if held is None else [copy for copy in copies if copy.step < held][-1:]
         return latest if not before or before[0] in latest else [*before, *latest]
 
@@ -195,7 +208,7 @@ class Recovery:
         jump = math.sqrt(own.added_covariance[0, 0])
         before, self._arrival = self.absence, None
         if before is None:
-            known = self._known_before(first, 1 if is_dated else self._config.margin) or self._copy(slam, grid)
+            known = known_before(self._copies, first, 1 if is_dated else _MARGIN) or self._copy(slam, grid)
             self.absence = Absence(
                 known, first, status.reason, jump, known.places, slam.covariance, slam.pose,
                 has_fitted=has_fitted and jump == 0.0,
@@ -223,21 +236,10 @@ class Recovery:
             self.losses.clear()
         self.absence.first = max(self.absence.first, self.log.begin + 1)
         self.absence.is_dated, self.absence.is_carried = is_dated, is_carried or self.absence.is_astray
-        self.absence.sought = self.absence.moved + self._config.lost_first - self._config.lost_spacing
+        self.absence.sought = self.absence.moved + _LOST_FIRST - _LOST_SPACING
         self._copies, self._local_copies = [], []
         self._kidnapping.forget()
         self._note_event("lost", step=self.absence.first, reason=status.reason)
-
-    def _known_before(self, first: int, margin: int) -> KnownFrame | None:
-        """The latest copy of the estimate that is older than a step by a margin; None without a copy.
-
-        If that copy has hardly a wall, because the drive has just begun, it is a later one from before the step.
-        """
-        old = [copy for copy in self._copies if copy.step <= first - margin] or self._copies[:1]
-        if old and old[-1].walls_m >= self._config.least_known:
-            return old[-1]
-        found = [copy for copy in self._copies if copy.step < first] or old
-        return found[-1] if found else None
 
     def begin_anew(self) -> bool:
         """Whether a lost robot begins a new map where it believes to be, since it cannot be found in its earlier map.
@@ -245,7 +247,7 @@ class Recovery:
         This is the case if the earlier map has too few walls. The new map then takes its place.
         """
         absence = self.absence
-        if absence is None or absence.known is None or absence.known.walls_m >= self._config.least_known:
+        if absence is None or absence.known is None or absence.known.walls_m >= LEAST_KNOWN:
             return False
         self._offset = self.added_covariance
         self._note_event("begun anew", step=absence.first)
@@ -259,7 +261,7 @@ class Recovery:
         A robot may be carried to a place that looks at first like the one before. If it then draws its own walls, no
         reading contradicts its present map. The readings are therefore compared with the map of that time.
         """
-        if self._rechecked < self._config.recheck:
+        if self._rechecked < _RECHECK:
             return False
         driven, self._rechecked = self._rechecked, 0.0
         if self.absence is not None:
@@ -294,7 +296,7 @@ class Recovery:
         if is_own and not is_dated and self.absence is None:
             self._doubt = self._weigh(own, slam)
         doubt, self._doubt = self._doubt, None
-        if is_own and (doubt is None or doubt.evidence < self._config.suspected or is_dated):
+        if is_own and (doubt is None or doubt.evidence < SUSPECTED or is_dated):
             return _Loss(own.status, first, is_dated, change is not None or was_carried)
         assert doubt is not None  # noqa: S101 (the monitor or a doubt says that the robot is lost)
         status = own.status if is_own else doubt.status
@@ -305,11 +307,11 @@ class Recovery:
         if absence.place is None or absence.rays is None:
             return False
         place = absence.renewed or absence.place
-        if absence.is_unlikely and self._later_fit(absence, absence.place, sensor).is_on_map < -self._config.on_map:
+        if absence.is_unlikely and self._later_fit(absence, absence.place, sensor).is_on_map < -ON_MAP:
             return True
         rays = np.concatenate((absence.rays, rays_of(self.log.since(absence.first), self._robot, sensor)))
         (fit,) = place.weigh(np.zeros((1, 3)), rays)
-        return fit.is_on_map < -self._config.on_map
+        return fit.is_on_map < -ON_MAP
 
     def _later_fit(self, absence: Absence, place: KnownPlaces, sensor: RangeSensor) -> PlaceFit:
         """How well the readings since the robot found its place fit the map in which it was."""
@@ -324,7 +326,7 @@ class Recovery:
         absence = self.absence or self._arrival
         if absence is None:
             return False
-        spacing = self._config.lost_spacing if self.is_lost else self._config.spacing
+        spacing = _LOST_SPACING if self.is_lost else SPACING
         size = 1.0 if absence.place is None else absence.place.size
         return absence.moved - absence.sought >= spacing * math.sqrt(size)
 
@@ -342,12 +344,12 @@ class Recovery:
         # nothing says any more that it was carried away: a robot that has drifted may also read sudden changes, and in
         # a large building, some other place fits nearly always.
         near = near_fit(absence.place, rays, absence.covariance)
-        is_far_likely = absence.is_carried and not self._fits_near(near, rays, self._config.on_map)
-        far = 1.0 if is_far_likely else self._config.far
+        is_far_likely = absence.is_carried and not self._fits_near(near, rays, ON_MAP)
+        far = 1.0 if is_far_likely else FAR_SHARE
         # A search of the whole map may miss the place near by.
-        decision = localise(absence.place, rays, self._config, likely, far, [near.fit])
+        decision = localise(absence.place, rays, likely, far, [near.fit])
         absence.decisions.append(decision)
-        if not earlier or not agree(earlier[-1], decision, self._config):
+        if not earlier or not agree(earlier[-1], decision, has_drifted=not is_far_likely):
             return None
         return self._placement(absence, rays, decision, sensor)
 
@@ -357,7 +359,7 @@ class Recovery:
         Along a long wall, other places near by fit as well. So the covariance of the pose counts, too. ``on_map`` is
         the least logarithm of the likelihood ratio of the contradictions there.
         """
-        fits = near.evidence >= self._config.lead and near.fit.is_on_map >= on_map  # without rays, they do not
+        fits = near.evidence >= LEAD and near.fit.is_on_map >= on_map  # without rays, they do not
         return fits and not is_far(near.fit.pose, rays[:, :2].mean(axis=0))
 
     def seek_near(self, sensor: RangeSensor) -> Placement | None:
@@ -440,24 +442,24 @@ class Recovery:
         If the place is unlikely, the readings since then must also fit the walls of the map from before, and not only
         those that the robot has drawn since then. They must have as much evidence as a far place needs.
         """
-        absence, config = self.absence or self._arrival, self._config
+        absence = self.absence or self._arrival
         assert absence is not None  # noqa: S101 (a place is to be confirmed)
         absence.sought = absence.moved
         driven = absence.driven - (absence.placed or 0.0)
-        is_closed = driven >= config.far_confirmed or not frontier_cells(grid, self._agent.policy.min_frontier).any()
-        if own.level != "ok" or driven < config.confirmed or not (is_closed or absence.has_drifted):
+        is_closed = driven >= FAR_CONFIRMED or not frontier_cells(grid, self._agent.policy.min_frontier).any()
+        if own.level != "ok" or driven < CONFIRMED or not (is_closed or absence.has_drifted):
             return
         if absence.has_drifted:
             self._end_absence()
             return
         if absence.is_unlikely and absence.place is not None:
             fit = self._later_fit(absence, absence.place, slam.range_sensor)
-            if fit.evidence * config.far < config.lead or fit.is_on_map < config.on_map:
+            if fit.evidence * FAR_SHARE < LEAD or fit.is_on_map < ON_MAP:
                 return
         assert absence.rays is not None  # noqa: S101 (the robot has found its place)
         rays = rays_of(self.log.since(absence.first), self._robot, slam.range_sensor)
         rays = np.concatenate((absence.rays, rays))
-        found = localise(KnownPlaces(slam.segments, grid, slam.range_sensor), rays, config, [np.zeros(3)])
+        found = localise(KnownPlaces(slam.segments, grid, slam.range_sensor), rays, [np.zeros(3)])
         if found.is_accepted and found.likeness <= LARGEST_RUNNER_UP:
             self._end_absence()
 

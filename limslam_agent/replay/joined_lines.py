@@ -68,7 +68,7 @@ def joined_by_lines(replays: tuple[Replay, Replay]) -> JoinedLines | NotJoined:
     """
     one = replays[0]
     settings = one.config.run_smoothing
-    if one.config.recovery is None or settings is None:
+    if not one.config.can_recover or settings is None:
         raise ValueError("two logs of wheel travel are joined by the preset graph only")
     maps = [place_map(each.segments, each.grid) for each in replays]
     is_second_local = maps[1].length <= maps[0].length

@@ -123,7 +123,7 @@ class RunConfig:
     def _check_prior_map(self) -> None:
         if self.prior_map is None:
             return
-        if self.robots > 1 or self.laps or self.limit or self.agent.recovery is None:
+        if self.robots > 1 or self.laps or self.limit or not self.agent.can_recover:
             raise ValueError(
                 "a map of an earlier run is for one robot that explores with the preset graph or consistent"
             )
@@ -134,7 +134,7 @@ class RunConfig:
             return
         if self.robots != 2:
             raise ValueError(f"unknown starts are for two robots, not {self.robots}")
-        if self.laps or self.limit or self.policy != "frontier" or self.agent.recovery is None:
+        if self.laps or self.limit or self.policy != "frontier" or not self.agent.can_recover:
             raise ValueError("unknown starts are for the policy frontier with the preset graph or consistent")
 
     def _check_kidnapping(self) -> None:

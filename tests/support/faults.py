@@ -35,7 +35,7 @@ def steps_with(
     """
     env = LimSlamEnv(world, sensor_noise=noise, coverage_goal=None)
     settings = preset("consistent", NominalNoise(noise))
-    agent = LimSlamAgent(env.robot, settings if finds_places else replace(settings, places=None))
+    agent = LimSlamAgent(env.robot, settings if finds_places else replace(settings, finds_places=False))
     told, info = env.reset(seed=seed)
     agent.reset(info["pose"], seed)
     rows = []

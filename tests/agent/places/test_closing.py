@@ -9,11 +9,10 @@ from support.halls import HALL, PART, ROBOT, SENSOR, WAY, drive, known
 
 from limslam_agent import preset
 from limslam_agent.config.exploration import GridConfig
-from limslam_agent.config.places import PlaceConfig
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.places.absence import Absence
 from limslam_agent.places.history import StepLog
-from limslam_agent.places.localisation import Localisation, PlaceFit, agree, localise
+from limslam_agent.places.localisation import FAR_SHARE, Localisation, PlaceFit, agree, localise
 from limslam_agent.places.rays import rays_of
 from limslam_agent.places.recovery import Recovery
 from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with, poses_moved_with
@@ -23,7 +22,7 @@ from limslam_env.geometry.line import direction, normal
 from limslam_env.geometry.se2 import compose, transform_points
 from limslam_env.geometry.segment import sample
 
-CONFIG, MATCH = PlaceConfig(), np.diag([0.05, 0.05, 0.03]) ** 2
+MATCH = np.diag([0.05, 0.05, 0.03]) ** 2
 POSE, DRIFT = np.array([2.5, 1.0, 0.4]), np.array([1.2, -0.8, 0.06])
 NEAR = np.array([[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0]], dtype=float)
 AWAY = np.array([[8, 0, 8, 3], [8, 3, 12, 3], [12, 3, 12, 0]], dtype=float)
@@ -114,7 +113,7 @@ def whole():
 
 
 def lost(whole, **details):
-    recovery = Recovery(ROBOT, preset("graph"), CONFIG)
+    recovery = Recovery(ROBOT, preset("graph"))
     recovery.log = StepLog(0, drive(PART, HALL))
     recovery.absence = Absence(None, details.pop("first", 1), "", 0.0, whole, **details)
     return recovery
@@ -213,12 +212,12 @@ def test_the_likeliest_place_near_the_believed_one_is_compared_with_far_ones(who
     frame = np.array([3.5, -1.0, -0.4])
     steps = [replace(step, pose=compose(frame, step.pose)) for step in drive(PART, HALL)]
     rays = rays_of(steps, ROBOT)
-    alone = localise(whole, rays, CONFIG, far=CONFIG.far)
+    alone = localise(whole, rays, far=FAR_SHARE)
     assert not alone.is_near
     near = PlaceFit(np.zeros(3), 0.6 * alone.fit.evidence, 3, 90)
-    found = localise(whole, rays, CONFIG, far=CONFIG.far, near=[near])
+    found = localise(whole, rays, far=FAR_SHARE, near=[near])
     assert found.fit is near
     assert found.is_near
     assert found.is_accepted, "contradictions need only not speak against a place near the believed one"
-    assert agree(found, found, CONFIG)
-    assert not localise(whole, rays, CONFIG, far=CONFIG.far, near=[replace(near, contradictions=6)]).is_accepted
+    assert agree(found, found)
+    assert not localise(whole, rays, far=FAR_SHARE, near=[replace(near, contradictions=6)]).is_accepted

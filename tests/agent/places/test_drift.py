@@ -8,11 +8,11 @@ import pytest
 from support.halls import HALL, PART, ROBOT, SENSOR, WAY, drive, known
 
 from limslam_agent import Mapper, preset
-from limslam_agent.config.places import PlaceConfig
 from limslam_agent.places.absence import Absence
+from limslam_agent.places.decision import CONFIRMED
 from limslam_agent.places.history import StepLog
 from limslam_agent.places.kidnapping import CARRIED, Doubt
-from limslam_agent.places.localisation import Localisation, near_fit
+from limslam_agent.places.localisation import ON_MAP, Localisation, near_fit
 from limslam_agent.places.rays import rays_of
 from limslam_agent.places.recovery import Recovery
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
@@ -20,7 +20,6 @@ from limslam_agent.slam.core.ekf import LineEKF
 from limslam_agent.status.status import Status
 from limslam_env.geometry.se2 import compose
 
-CONFIG = PlaceConfig()
 NEAR, FAR = (0.2, -0.1, 0.08), (3.5, -1.0, -0.4)
 
 
@@ -31,7 +30,7 @@ def whole():
 
 def lost(whole, frame, **details):
     """A robot that has just been lost, whose believed poses are moved by a frame (3,)."""
-    recovery = Recovery(ROBOT, preset("graph"), CONFIG)
+    recovery = Recovery(ROBOT, preset("graph"))
     steps = [replace(step, pose=compose(np.array(frame), step.pose)) for step in drive(PART, HALL)]
     recovery.log = StepLog(0, steps)
     recovery.absence = Absence(None, 1, "", details.pop("jump", 0.0), whole, **details)
@@ -78,7 +77,7 @@ def test_a_few_readings_suffice_near_the_believed_pose(whole):
     recovery.absence.first = recovery.log.end - 12
     rays = rays_of(recovery.log.since(recovery.absence.first), ROBOT)
     near = near_fit(whole, rays, recovery.absence.covariance)
-    assert not recovery._fits_near(near, rays, CONFIG.on_map)
+    assert not recovery._fits_near(near, rays, ON_MAP)
     assert recovery.seek_near(SENSOR) is not None
 
 
@@ -150,10 +149,10 @@ def test_a_drifted_robot_is_lost_again_only_by_all_its_readings(whole):
 def test_a_drifted_robot_need_not_wait_for_the_end_of_the_map(whole, has_drifted):
     recovery = lost(whole, (0.0, 0.0, 0.0), placed=0.0, rays=np.empty((0, 6)), has_drifted=has_drifted)
     slam, grid = SimpleNamespace(range_sensor=SENSOR, segments=whole.segments), whole.grid
-    recovery.absence.driven = CONFIG.confirmed - 0.1
+    recovery.absence.driven = CONFIRMED - 0.1
     recovery.confirm(Status(), slam, grid)
     assert recovery.absence is not None
-    recovery.absence.driven = CONFIG.confirmed + 0.1
+    recovery.absence.driven = CONFIRMED + 0.1
     recovery.confirm(Status("unsure", "a reason"), slam, grid)
     assert recovery.absence is not None
     recovery.confirm(Status(), slam, grid)

@@ -8,7 +8,6 @@ from support.command_line import call
 
 from limslam_agent import preset
 from limslam_agent.cli.main import main
-from limslam_agent.config.places import PlaceConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.joining import NOT_YET_CONFIRMED, NOT_YET_JOINED, JoiningMapper
 from limslam_agent.mapper import Mapper
@@ -66,7 +65,7 @@ def test_two_robots_become_a_team(episode):
 def test_a_place_is_unsure_until_the_map_has_no_other_one():
     walls, grid = room(4, 3, [[0, 2, 1.5, 2], [1.5, 2, 1.5, 2.4], [3, 0, 3, 1.2]])
     own, alike = place_map(walls, grid), place_map(np.concatenate((walls, walls + 10.0)), grid)
-    meeting, metre = Meeting(PlaceConfig()), [np.array([1.0, 0.0, 0.0])] * 2
+    meeting, metre = Meeting(), [np.array([1.0, 0.0, 0.0])] * 2
     meeting.has_joined(HERE, own)
     for _ in range(3):
         assert not meeting.is_to_be_confirmed
@@ -202,7 +201,7 @@ def turned(segments, pose):
 
 
 def test_a_room_that_looks_the_same_after_a_turn_joins_nobody():
-    meeting, first = Meeting(PlaceConfig()), place_map(*room(4, 3, []))
+    meeting, first = Meeting(), place_map(*room(4, 3, []))
     for _ in range(3):
         meeting.drive([np.array([1.0, 0.0, 0.0])] * 2)
         assert meeting.seek(first, first, HERE, [np.zeros((3, 3))] * 2) is None
@@ -219,7 +218,7 @@ def test_either_map_may_be_the_smaller_one(is_second_smaller):
     part = (turned(whole[[0, 2, 3, 4, 5, 6]], inverse(pose)), GridView(-pose[:2], 0.1, grid.values))
     maps = [place_map(whole, grid), place_map(*part)]
     first, second = maps if is_second_smaller else maps[::-1]
-    meeting, none = Meeting(PlaceConfig()), [np.zeros((3, 3))] * 2
+    meeting, none = Meeting(), [np.zeros((3, 3))] * 2
     assert meeting.seek(first, second, HERE, none) is None, "one match is not enough"
     found = meeting.seek(first, second, HERE, none)
     assert found is not None

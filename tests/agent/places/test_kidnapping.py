@@ -8,19 +8,18 @@ import pytest
 from support.halls import HALL, PART, ROBOT, SENSOR, WAY, drive, known
 
 from limslam_agent import preset
-from limslam_agent.config.places import PlaceConfig
 from limslam_agent.places.absence import Absence
+from limslam_agent.places.decision import FAR_CONFIRMED
 from limslam_agent.places.history import StepLog
-from limslam_agent.places.kidnapping import CARRIED, MAYBE_CARRIED, MAYBE_ELSEWHERE, Kidnapping
-from limslam_agent.places.localisation import KnownPlaces, is_far, localise, near_fit
+from limslam_agent.places.kidnapping import CARRIED, MAYBE_CARRIED, MAYBE_ELSEWHERE, SUSPECTED, Kidnapping
+from limslam_agent.places.localisation import ON_MAP, KnownPlaces, is_far, localise, near_fit
 from limslam_agent.places.rays import rays_of
-from limslam_agent.places.recovery import WRONG_PLACE, Recovery
+from limslam_agent.places.recovery import _CHECKPOINTS, _RECHECK, WRONG_PLACE, Recovery
 from limslam_agent.status.contradictions import KnownMap
 from limslam_agent.status.status import Status
 from limslam_agent.status.sudden_changes import Suspicion
 from limslam_env.geometry.se2 import compose, inverse
 
-CONFIG = PlaceConfig()
 COVARIANCE = np.diag([0.03**2, 0.03**2, 0.01**2])
 AWAY = np.array([3.5, -1.0, -0.4])
 
@@ -43,8 +42,8 @@ def believed(poses=None, ranges=None):
     return StepLog(0, [replace(step, pose=p, ranges=r) for step, p, r in zip(steps, poses, ranges, strict=True)])
 
 
-def doubt(log, changes, config=CONFIG, covariance=COVARIANCE, driven=5.0):
-    return Kidnapping(ROBOT, config).doubt(changes, log, covariance, SENSOR, driven)
+def doubt(log, changes, covariance=COVARIANCE, driven=5.0):
+    return Kidnapping(ROBOT).doubt(changes, log, covariance, SENSOR, driven)
 
 
 def moved_log(frame):
@@ -77,12 +76,12 @@ def test_a_robot_that_has_drifted_a_little_was_not_carried_away(whole):
 @pytest.mark.parametrize("has_fitted", [True, False])
 def test_a_robot_whose_readings_have_fitted_since_a_change_may_have_drifted_later(whole, has_fitted):
     """It may also be at a place that looked at first like the one before, so that it still counts as carried away."""
-    watched, log, change = Kidnapping(ROBOT, CONFIG), believed(), [changed(whole, 5)]
+    watched, log, change = Kidnapping(ROBOT), believed(), [changed(whole, 5)]
     log.steps = log.steps[:30]
     if has_fitted:
         assert watched.doubt(change, log, COVARIANCE, SENSOR).status.level == "ok"
     log.steps += 2 * moved_log(AWAY).steps
-    recovery, own = Recovery(ROBOT, preset("graph"), CONFIG), SimpleNamespace(status=Status(), doubted=0)
+    recovery, own = Recovery(ROBOT, preset("graph")), SimpleNamespace(status=Status(), doubted=0)
     recovery._doubt = watched.doubt(change, log, COVARIANCE, SENSOR)
     loss = recovery._first_doubt(own, SimpleNamespace(range_sensor=SENSOR))
     assert (recovery._doubt, loss.first, loss.is_carried) == (None, 5, True)
@@ -101,7 +100,7 @@ def test_readings_that_fit_another_place_make_a_robot_unsure(whole):
     log, changes = moved_log([20.0, 0.0, 0.3]), [changed(whole, 5)]
     assert doubt(log, changes).status == MAYBE_ELSEWHERE
     assert doubt(log, changes, driven=0.0).status.level == "ok", "nothing is searched"
-    assert doubt(log, [changed(whole, 5, CONFIG.suspected)], driven=0.0).status == MAYBE_CARRIED
+    assert doubt(log, [changed(whole, 5, SUSPECTED)], driven=0.0).status == MAYBE_CARRIED
 
 
 @pytest.mark.parametrize(
@@ -109,7 +108,7 @@ def test_readings_that_fit_another_place_make_a_robot_unsure(whole):
 )
 def test_a_doubtful_change_is_held_until_the_readings_fit(whole, frame, change, is_held):
     """The second robot is doubtful with a large change only, and its readings fit all the same."""
-    robot, log, first = Kidnapping(ROBOT, CONFIG), moved_log(frame), changed(whole, 5, change)
+    robot, log, first = Kidnapping(ROBOT), moved_log(frame), changed(whole, 5, change)
     assert robot.doubt([first], log, COVARIANCE, SENSOR).status.level != "ok"
     assert robot.held == 5
     first[1].change = 0.0  # it is no longer doubtful by itself
@@ -120,15 +119,15 @@ def test_a_doubtful_change_is_held_until_the_readings_fit(whole, frame, change, 
 
 
 def test_a_change_is_not_held_beyond_the_steps_that_are_kept(whole):
-    robot, log = Kidnapping(ROBOT, CONFIG), moved_log((20.0, 0.0, 0.3))
+    robot, log = Kidnapping(ROBOT), moved_log((20.0, 0.0, 0.3))
     robot.doubt([changed(whole, 5, 7.0)], log, COVARIANCE, SENSOR)
     log.forget_before(10)
     assert robot.doubt([], log, COVARIANCE, SENSOR) is None
 
 
 def test_the_map_from_before_a_doubtful_change_is_kept():
-    recovery = Recovery(ROBOT, preset("graph"), CONFIG)
-    copies = [SimpleNamespace(step=50 * number) for number in range(CONFIG.checkpoints + 4)]
+    recovery = Recovery(ROBOT, preset("graph"))
+    copies = [SimpleNamespace(step=50 * number) for number in range(_CHECKPOINTS + 4)]
     assert recovery._kept(copies) == copies[4:]
     recovery._kidnapping = SimpleNamespace(held=120)
     assert recovery._kept(copies) == [copies[2], *copies[4:]]
@@ -148,19 +147,19 @@ def test_a_beam_that_fitted_before_several_readings_changed_is_sound(whole):
 
 def test_far_places_count_less_for_a_robot_that_has_drifted(whole):
     rays = rays_of(drive(PART, HALL, (3.0, -2.0, 1.3)), ROBOT)
-    assert localise(whole, rays, CONFIG).is_accepted
-    assert not localise(whole, rays, CONFIG, far=0.0).is_accepted
+    assert localise(whole, rays).is_accepted
+    assert not localise(whole, rays, far=0.0).is_accepted
     near = rays_of(drive(PART, HALL, (0.3, -0.2, 0.1)), ROBOT)
-    assert localise(whole, near, CONFIG, far=0.0).is_accepted
+    assert localise(whole, near, far=0.0).is_accepted
 
 
 @pytest.mark.parametrize(("frame", "is_wrong"), [((0.0, 0.0, 0.0), False), (AWAY, True)])
 def test_a_place_that_the_readings_contradict_is_left_again(whole, frame, is_wrong):
-    recovery = Recovery(ROBOT, preset("graph"), CONFIG)
+    recovery = Recovery(ROBOT, preset("graph"))
     recovery.log = moved_log(frame)
     rays = rays_of(recovery.log.since(0)[:10], ROBOT)
     recovery.absence = Absence(None, 1, "", 1.0, whole, is_carried=True, placed=0.0, rays=rays)
-    recovery._rechecked = CONFIG.recheck
+    recovery._rechecked = _RECHECK
     slam = SimpleNamespace(range_sensor=SENSOR, covariance=COVARIANCE)
     own = SimpleNamespace(status=SimpleNamespace(level="ok"), changes=lambda _: [], carried=None)
     assert recovery.is_elsewhere(own, slam) is is_wrong
@@ -171,14 +170,14 @@ def test_a_place_that_the_readings_contradict_is_left_again(whole, frame, is_wro
 @pytest.mark.parametrize(("frame", "is_wrong"), [((0.0, 0.0, 0.0), False), (AWAY, True)])
 def test_an_unlikely_place_is_judged_by_the_readings_since_the_return(whole, frame, is_wrong):
     """The rays by which the place was found fit it well, at a wrong place too."""
-    recovery, slam = Recovery(ROBOT, preset("graph"), CONFIG), SimpleNamespace(range_sensor=SENSOR)
+    recovery, slam = Recovery(ROBOT, preset("graph")), SimpleNamespace(range_sensor=SENSOR)
     recovery.log = moved_log(frame)
     rays = np.tile(rays_of(moved_log((0.0, 0.0, 0.0)).since(0), ROBOT), (20, 1))
     found = Absence(None, 1, "", 1.0, whole, placed=0.0, rays=rays)
     assert not recovery._is_refuted(found, SENSOR)
     found.is_far = True
     assert recovery._is_refuted(found, SENSOR) is is_wrong
-    recovery.absence, found.driven = found, CONFIG.far_confirmed
+    recovery.absence, found.driven = found, FAR_CONFIRMED
     slam.segments = whole.segments
     recovery.confirm(Status(), slam, whole.grid)
     assert (recovery.absence is found) is is_wrong
@@ -186,12 +185,12 @@ def test_an_unlikely_place_is_judged_by_the_readings_since_the_return(whole, fra
 
 @pytest.mark.parametrize("is_unlikely", [True, False])
 def test_an_unlikely_place_is_not_confirmed_by_the_robots_new_walls_alone(whole, is_unlikely):
-    recovery = Recovery(ROBOT, preset("graph"), CONFIG)
+    recovery = Recovery(ROBOT, preset("graph"))
     recovery.log = moved_log((0.0, 0.0, 0.0))
     rays = rays_of(recovery.log.since(0), ROBOT)
     grid = replace(whole.grid, low=whole.grid.low + 50.0)
     before = KnownPlaces(whole.segments + 50.0, grid, SENSOR)
-    found = Absence(None, 1, "", 1.0, before, driven=CONFIG.far_confirmed, placed=0.0, rays=rays)
+    found = Absence(None, 1, "", 1.0, before, driven=FAR_CONFIRMED, placed=0.0, rays=rays)
     recovery.absence, found.is_far = found, is_unlikely
     slam = SimpleNamespace(range_sensor=SENSOR, segments=whole.segments)
     recovery.confirm(Status(), slam, whole.grid)
@@ -200,9 +199,9 @@ def test_an_unlikely_place_is_not_confirmed_by_the_robots_new_walls_alone(whole,
 
 @pytest.mark.parametrize(("frame", "is_near"), [((0.3, -0.2, 0.1), True), (AWAY, False), ((20.0, 0.0, 0.3), False)])
 def test_readings_that_fit_near_the_believed_pose_take_back_that_the_robot_was_carried_away(whole, frame, is_near):
-    recovery, rays = Recovery(ROBOT, preset("graph"), CONFIG), rays_of(moved_log(frame).since(0), ROBOT)
-    assert recovery._fits_near(near_fit(whole, rays, COVARIANCE), rays, CONFIG.on_map) is is_near
-    assert not recovery._fits_near(near_fit(whole, rays[:0], COVARIANCE), rays[:0], CONFIG.on_map)
+    recovery, rays = Recovery(ROBOT, preset("graph")), rays_of(moved_log(frame).since(0), ROBOT)
+    assert recovery._fits_near(near_fit(whole, rays, COVARIANCE), rays, ON_MAP) is is_near
+    assert not recovery._fits_near(near_fit(whole, rays[:0], COVARIANCE), rays[:0], ON_MAP)
 
 
 @pytest.mark.parametrize(("std", "is_carried"), [(0.03, True), (0.5, False)])

@@ -7,18 +7,17 @@ import pytest
 from support.halls import readings
 
 from limslam_agent import preset
-from limslam_agent.config.places import PlaceConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.kernels.rays import scan_poses
 from limslam_agent.places.absence import Absence
 from limslam_agent.places.localisation import KnownPlaces
 from limslam_agent.places.rays import rays_of
-from limslam_agent.places.recovery import Recovery
+from limslam_agent.places.recovery import _LOST_SPACING, Recovery
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec
 
-CONFIG, ROBOT, SENSOR = PlaceConfig(), RobotSpec(), RangeSensor(0.01)
+ROBOT, SENSOR = RobotSpec(), RangeSensor(0.01)
 
 
 def floor(width, *heights):
@@ -68,9 +67,9 @@ def test_more_places_of_a_large_map_are_weighed():
 
 
 def test_searches_of_a_large_map_are_farther_apart():
-    recovery = Recovery(ROBOT, preset("graph"), CONFIG)
+    recovery = Recovery(ROBOT, preset("graph"))
     for place in (SMALL, LARGE):
-        spacing = CONFIG.lost_spacing * np.sqrt(place.size)
+        spacing = _LOST_SPACING * np.sqrt(place.size)
         recovery.absence = Absence(None, 0, "", 0.0, place, moved=spacing - 1e-6)
         assert not recovery.is_due()
         recovery.absence.moved = spacing + 1e-6

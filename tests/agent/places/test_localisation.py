@@ -7,18 +7,15 @@ import pytest
 from support.halls import HALL, PART, ROBOT, SQUARE, STD, WAY, drive, known, poses_along
 
 from limslam_agent import preset
-from limslam_agent.config.places import PlaceConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.kernels.tables import RAY_LENGTH
 from limslam_agent.places.history import LoggedStep, StepLog
-from limslam_agent.places.localisation import KnownPlaces, PlaceFit, agree, localise
+from limslam_agent.places.localisation import LEAD, ON_MAP, KnownPlaces, PlaceFit, agree, localise
 from limslam_agent.places.rays import ends_of, have_ended, moved, rays_of
 from limslam_agent.places.recovery import Recovery
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from limslam_env.geometry.segment import distances
-
-CONFIG = PlaceConfig()
 
 
 @pytest.fixture(scope="module")
@@ -28,14 +25,14 @@ def whole():
 
 @pytest.mark.parametrize("frame", [(0.0, 0.0, 0.0), (2.0, -1.0, 1.3), (-3.0, 4.0, -2.9)])
 def test_a_drive_is_placed_however_its_frame_is_turned(whole, frame):
-    found = localise(whole, rays_of(drive(PART, HALL, frame), ROBOT), CONFIG)
+    found = localise(whole, rays_of(drive(PART, HALL, frame), ROBOT))
     assert found.is_accepted, found.refusal
     off = compose(inverse(np.array(frame)), found.fit.pose)
     assert np.hypot(*off[:2]) < 0.05
     assert abs(wrap_angle(float(off[2]))) < 0.02
     assert found.fit.contradictions == 0
     assert found.record["accepted"]
-    assert found.record["evidence"] > found.record["runner_up"] + CONFIG.lead
+    assert found.record["evidence"] > found.record["runner_up"] + LEAD
 
 
 def test_a_drive_with_wide_and_biased_beams_is_placed_by_the_sensor_that_was_found():
@@ -46,23 +43,23 @@ def test_a_drive_with_wide_and_biased_beams_is_placed_by_the_sensor_that_was_fou
     place.sensor = wide
     (as_found,) = place.weigh(np.zeros((1, 3)), rays)
     assert as_found.evidence > as_stated.evidence + 50.0
-    found = localise(place, rays, CONFIG)
+    found = localise(place, rays)
     assert found.is_accepted, found.refusal
     assert np.hypot(*found.fit.pose[:2]) < 0.1
 
 
 def test_a_building_that_looks_the_same_after_a_turn_is_ambiguous():
     square = known([[0.6, 0.6], [2.4, 0.6], [2.4, 2.4], [0.6, 2.4], [0.6, 0.6]], SQUARE)
-    found = localise(square, rays_of(drive([[0.7, 0.6], [2.3, 0.6], [2.3, 2.3]], SQUARE), ROBOT), CONFIG)
+    found = localise(square, rays_of(drive([[0.7, 0.6], [2.3, 0.6], [2.3, 2.3]], SQUARE), ROBOT))
     assert found.refusal.startswith("ambiguous")
     assert not found.record["accepted"]
 
 
 def test_ground_that_the_map_does_not_have_is_refused(whole):
     elsewhere = np.array([[0, 0, 2.2, 0.5], [2.2, 0.5, 1.8, 4], [1.8, 4, 0.2, 3.8], [0.2, 3.8, 0, 0]], dtype=float)
-    found = localise(whole, rays_of(drive([[1.0, 0.8], [1.0, 3.4]], elsewhere), ROBOT), CONFIG)
+    found = localise(whole, rays_of(drive([[1.0, 0.8], [1.0, 3.4]], elsewhere), ROBOT))
     assert not found.is_accepted
-    assert found.fit.is_on_map < CONFIG.on_map
+    assert found.fit.is_on_map < ON_MAP
 
 
 @pytest.mark.parametrize(("contradictions", "is_rival"), [(0, True), (4, False)])
@@ -71,7 +68,7 @@ def test_a_place_that_as_few_readings_contradict_is_a_rival(monkeypatch, whole, 
     alike, right = np.array([4.0, 0.0, 3.0]), np.zeros(3)
     fits = [PlaceFit(alike, 187.0, 4, 137), PlaceFit(right, 93.0, contradictions, 53)]
     monkeypatch.setattr(KnownPlaces, "weigh", lambda *_: list(fits))
-    found = localise(whole, rays_of(drive(PART, HALL), ROBOT), CONFIG)
+    found = localise(whole, rays_of(drive(PART, HALL), ROBOT))
     assert found.fit is fits[0]
     assert found.refusal.startswith("ambiguous") is is_rival
 
@@ -90,15 +87,22 @@ def test_a_pose_does_not_slide_along_walls_that_are_not_quite_parallel():
 
 
 def test_two_searches_agree_on_one_place_only(whole):
-    found = localise(whole, rays_of(drive(PART, HALL), ROBOT), CONFIG)
-    assert agree(found, found, CONFIG)
+    found = localise(whole, rays_of(drive(PART, HALL), ROBOT))
+    assert agree(found, found)
     away = replace(found, fit=replace(found.fit, pose=found.fit.pose + np.array([0.5, 0.0, 0.0])))
-    assert not agree(found, away, CONFIG)
-    assert not agree(found, replace(found, refusal="ambiguous"), CONFIG)
-    assert agree(replace(found, refusal="ambiguous"), found, CONFIG), "it was the best place before"
-    few = replace(found, fit=replace(found.fit, contradictions=0, tested=60))
-    assert CONFIG.on_map < few.fit.is_on_map < CONFIG.found
-    assert not agree(found, few, CONFIG), "a single search may accept so few readings"
+    assert not agree(found, away)
+    assert not agree(found, replace(found, refusal="ambiguous"))
+    assert agree(replace(found, refusal="ambiguous"), found), "it was the best place before"
+    few, many = (replace(found, fit=replace(found.fit, contradictions=0, tested=tested)) for tested in (60, 70))
+    assert few.fit.is_on_map > ON_MAP
+    assert not agree(found, few), "a single search may accept so few readings"
+    assert agree(found, many)
+    # Three robots were placed wrongly with so many contradictions, on ground without a map.
+    alike = replace(found, fit=replace(found.fit, contradictions=4, tested=142))
+    assert alike.fit.is_on_map > ON_MAP
+    assert not agree(found, alike)
+    assert agree(found, alike, has_drifted=True), "its map may be bent"
+    assert agree(found, replace(found, is_near=True, fit=few.fit)), "a robot that has drifted is likely near"
 
 
 def test_without_rays_or_walls_there_is_nothing_to_compare(whole):
@@ -106,7 +110,7 @@ def test_without_rays_or_walls_there_is_nothing_to_compare(whole):
         np.zeros((0, 4)), GridView(np.zeros(2), 0.1, np.ones((4, 4), dtype=np.int16)), RangeSensor(STD)
     )
     rays = rays_of(drive(PART, HALL), ROBOT)
-    for found in (localise(nothing, rays, CONFIG), localise(whole, rays[:0], CONFIG)):
+    for found in (localise(nothing, rays), localise(whole, rays[:0])):
         assert not found.is_accepted
         assert found.record == {"accepted": False, "reason": "there is nothing to compare"}
 
@@ -187,7 +191,7 @@ def test_a_log_whose_first_steps_are_forgotten_gives_all_that_are_left():
 
 
 def test_a_renewal_moves_the_latest_steps_of_a_recovery():
-    recovery = Recovery(ROBOT, preset("graph"), CONFIG)
+    recovery = Recovery(ROBOT, preset("graph"))
     recovery.log.steps = drive(PART, HALL)
     before = [step.pose for step in recovery.log.steps]
     renewed = [np.full(3, 7.0), np.full(3, 8.0)]

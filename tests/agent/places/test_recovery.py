@@ -107,10 +107,10 @@ def test_the_folder_says_what_happened(episode, tmp_path):
     assert not (tmp_path / "map_unplaced.json").exists()
 
 
-def test_a_robot_that_never_finds_its_place_keeps_its_earlier_map(tmp_path):
+def test_a_robot_that_never_finds_its_place_keeps_its_earlier_map(tmp_path, monkeypatch):
     settings = with_until(preset("graph", NominalNoise(NOISE)), "walls")
     # The robot never drives as far as it has to before it looks for its place.
-    settings = replace(settings, places=replace(settings.places, lost_first=1e3))
+    monkeypatch.setattr("limslam_agent.places.recovery._LOST_FIRST", 1e3)
     config = RunConfig("env3", NOISE, seed=113, kidnap_at=30.0, max_time=50.0, settings=settings)
     episode = run_episode(config)
     assert (episode.places.breaks, episode.places.revisions) == ([], [])
@@ -140,10 +140,9 @@ def test_a_robot_that_was_lost_for_long_knows_afterwards_when_it_was_carried_awa
     monkeypatch.setattr(LineSlam, "join", noted)
     settings = with_until(preset("graph", NominalNoise(NOISE)), "walls")
     # Only the last 10 s are kept, and the search begins later than that.
-    places = replace(settings.places, longest=100, lost_first=3.0, lost_spacing=0.1)
-    config = RunConfig(
-        "env3", NOISE, seed=110, kidnap_at=90.0, max_time=125.0, settings=replace(settings, places=places)
-    )
+    for name, value in {"LONGEST": 100, "_LOST_FIRST": 3.0, "_LOST_SPACING": 0.1}.items():
+        monkeypatch.setattr(f"limslam_agent.places.recovery.{name}", value)
+    config = RunConfig("env3", NOISE, seed=110, kidnap_at=90.0, max_time=125.0, settings=settings)
     episode = run_episode(config)
     events = {event["event"]: event for event in episode.places.records}
     assert events["found"]["step"] > 900 + 110
@@ -158,7 +157,7 @@ def test_a_robot_that_was_lost_for_long_knows_afterwards_when_it_was_carried_awa
 
 
 def test_settings_without_a_search_leave_a_robot_lost():
-    settings = replace(preset("graph", NominalNoise(NOISE)), places=None)
+    settings = replace(preset("graph", NominalNoise(NOISE)), finds_places=False)
     episode = run_episode(RunConfig("env3", NOISE, seed=111, kidnap_at=10.0, max_time=22.0, settings=settings))
     assert (episode.places.records, episode.places.breaks) == ([], [])
 
@@ -307,9 +306,8 @@ SENSOR = RangeSensor(0.03, growth=0.01, bias=0.01)
 def lost_mapper(episode, monkeypatch, prepare=None):
     """A mapper that is prepared, and loses its place by a jump of the odometry after the time of restarts."""
     monkeypatch.setattr("limslam_agent.mapper.RESTART_WITHIN", 0)
-    settings = preset("graph", NominalNoise(NOISE))
-    settings = replace(settings, places=replace(settings.places, least_known=0.0))
-    mapper = Mapper(RobotSpec(), settings, episode.true[0, 0])
+    monkeypatch.setattr("limslam_agent.places.recovery._LEAST_KNOWN", 0.0)
+    mapper = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), episode.true[0, 0])
     if prepare is not None:
         prepare(mapper.slam)
     for number in range(40):

@@ -48,7 +48,7 @@ def test_the_uncertainty_of_a_kidnapped_robot_outgrows_its_error():
 
 def test_the_monitor_changes_no_pose(monkeypatch):
     _, rows = steps_with(Fault("kidnapped", 10.0, 1), "env2", NOISE, 10.0, seed=1)
-    settings = replace(preset("consistent", NominalNoise(NOISE)), places=None)
+    settings = replace(preset("consistent", NominalNoise(NOISE)), finds_places=False)
     watched, bare = (Mapper(RobotSpec(), settings, rows[0]["pose"]) for _ in range(2))
     for row in rows:
         watched.step(row["observation"])
