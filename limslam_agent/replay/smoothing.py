@@ -168,8 +168,9 @@ def _judged(found: GraphResult, config: GraphConfig, data: LogData) -> _Judged:
     doubtful = times[visits.doubtful(MOST_CONTRADICTED)]
     driven = float(keys.travel[-1])
     signals = PathSignals(
-        driven, tuple(crossed.tolist()), *visits.shares, loops, tuple(bent.tolist()), tuple(doubtful.tolist())
-    )
+        driven, tuple(crossed.tolist()), *visits.shares, loops, tuple(bent.tolist()), tuple(doubtful.tolist()),
+        pieces=visits.pieces,
+    )  # fmt: skip
     return found, landmarks, signals, data
 
 

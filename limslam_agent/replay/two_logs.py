@@ -222,8 +222,9 @@ def _signals(
         reach for reach, each in zip(reaches, replays, strict=True) if reach < float(each.log.robot.max_ranges.max())
     ]
     return landmarks, PathSignals(
-        driven, tuple(times), *visits.shares, loops, tuple(bends), tuple(doubts), min(limited, default=None)
-    )
+        driven, tuple(times), *visits.shares, loops, tuple(bends), tuple(doubts), min(limited, default=None),
+        visits.pieces,
+    )  # fmt: skip
 
 
 def _loops(joint: JointMap, replays: tuple[Replay, Replay]) -> list[dict[str, Any]]:

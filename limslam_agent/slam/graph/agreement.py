@@ -63,6 +63,10 @@ _LEAST_KNOWN = 0.2  # share of the log's points that other visits must have seen
 _OFTEN_USUAL = 0.04  # what is taken as usual until then; 2 to 8 % in most logs
 _STRETCH = 2  # chunks before and after a chunk
 _USUAL = 0.75  # quantile of the shares of all stretches
+# A piece of wall: the points of a chunk in a square of this side, m, if other visits have seen so many of them. It is
+# contradicted as a whole if they contradict a larger share of these.
+_PIECE, _PIECE_POINTS, _PIECE_SHARE = 1.0, 5, 0.7
+_MOSTLY = 0.5  # a stretch of which a larger share is contradicted is wrong, whatever is usual
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,6 +80,15 @@ class LoopVerdict:
     def kept(self) -> bool:
         """Whether the loop is part of the result."""
         return self.reason == KEPT
+
+
+def _agree(loops: Sequence[Loop], poses: FloatArray) -> tuple[BoolArray, BoolArray]:
+    """Which loops (k, k) join nearly the same chunks, and which of these agree about the relative pose."""
+    distance, angle = agreements(loops, poses)
+    first, second = np.array([loop.first for loop in loops]), np.array([loop.second for loop in loops])
+    near = np.abs(first[:, None] - first[None]) <= _GROUP_CHUNKS
+    near &= np.abs(second[:, None] - second[None]) <= _GROUP_CHUNKS
+    return near, near & (distance < _GROUP_DISTANCE) & (angle < _GROUP_TURN)
 
 
 def agreements(loops: Sequence[Loop], poses: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -113,11 +126,7 @@ def supported(loops: Sequence[Loop], poses: FloatArray, travel: FloatArray) -> B
 
 def groups_of(loops: Sequence[Loop], poses: FloatArray) -> list[list[int]]:
     """Groups of loops that agree, directly or through other loops. The first loop of the group comes first."""
-    distance, angle = agreements(loops, poses)
-    first, second = np.array([loop.first for loop in loops]), np.array([loop.second for loop in loops])
-    near = np.abs(first[:, None] - first[None]) <= _GROUP_CHUNKS
-    near &= np.abs(second[:, None] - second[None]) <= _GROUP_CHUNKS
-    joined = near & (distance < _GROUP_DISTANCE) & (angle < _GROUP_TURN)
+    _, joined = _agree(loops, poses)
     label = np.arange(len(loops))
     for row in range(len(loops)):
         for column in np.nonzero(joined[row] | joined[:, row])[0]:
@@ -236,12 +245,16 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class VisitCounts:
-    """Numbers of all points, of confirmed and of contradicted points (c,) of the chunks with middles ``middles``."""
+    """Numbers of all points, of confirmed and of contradicted points (c,) of the chunks with middles ``middles``.
+
+    ``pieces`` has the numbers of all pieces of walls that other visits have seen, and of those that they contradict.
+    """
 
     middles: IntArray
     points: IntArray
     confirmed: IntArray
     contradicted: IntArray
+    pieces: tuple[int, int] = (0, 0)
 
     @property
     def shares(self) -> tuple[float, float]:
@@ -254,7 +267,9 @@ class VisitCounts:
 
         There, a larger share than ``least`` of the points that other visits have seen is contradicted. In a cluttered
         building, points are contradicted everywhere. Where a corridor was laid onto a similar corridor, visits
-        contradict each other there only. A second log begins at the key pose ``seam``: its chunks are not around those
+        contradict each other there only. Where points are contradicted more often than confirmed, the stretch lies at a
+        wrong place: clutter does not explain that, and in a short log such a stretch makes many contradictions look
+        usual. A second log begins at the key pose ``seam``: its chunks are not around those
         of the first log.
         """
         log = self.middles >= seam
@@ -262,7 +277,7 @@ class VisitCounts:
         contradicted = around @ self.contradicted
         judged = contradicted + around @ self.confirmed
         share = np.where(judged >= _LEAST_JUDGED, contradicted / np.maximum(judged, 1), 0.0)
-        return self.middles[share > _largest_usual(float(np.quantile(share, _USUAL)), least)]
+        return self.middles[share > min(_MOSTLY, _largest_usual(float(np.quantile(share, _USUAL)), least))]
 
 
 def _largest_usual(usual: float, least: float) -> float:
@@ -281,7 +296,17 @@ def visit_counts(keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, ma
     owner = np.repeat(np.arange(len(middles)), points)
     verdicts = score.verdicts(trajectory.poses[middles])
     confirmed, contradicted = (np.bincount(owner[each], minlength=len(middles)) for each in verdicts)
-    return VisitCounts(middles, points, confirmed, contradicted)
+    pieces = _pieces(np.column_stack((owner, np.floor(score.points / _PIECE))), *verdicts)
+    return VisitCounts(middles, points, confirmed, contradicted, pieces)
+
+
+def _pieces(places: FloatArray, confirmed: BoolArray, contradicted: BoolArray) -> tuple[int, int]:
+    """Numbers of all pieces and of contradicted ones, of points (p,) with the chunks and squares ``places`` (p, 3)."""
+    judged = confirmed | contradicted
+    _, piece = np.unique(places[judged], axis=0, return_inverse=True)
+    seen, against = np.bincount(piece.ravel()), np.bincount(piece.ravel(), contradicted[judged])
+    whole = seen >= _PIECE_POINTS
+    return int(whole.sum()), int((against[whole] > _PIECE_SHARE * seen[whole]).sum())
 
 
 @kernel
@@ -443,6 +468,30 @@ def accept_groups(
             break
         waiting = rest
     return Decision(loops, solution, [loop for group in waiting for loop in group])
+
+
+def exchange_groups(poses: FloatArray, hops: Hops, decision: Decision, score: MapScore) -> Decision:
+    """Let refused groups take the place of the loops that join the same visits in another way, if the score rises.
+
+    Wrong loops and right ones cannot both be in the graph, so right groups that are found later do not raise the score
+    until the wrong ones are gone.
+    """
+    loops, solution, dropped = decision.loops, decision.solution, decision.dropped
+    value: float | None = None
+    for group in _ranked(dropped, poses):
+        near, agree = _agree([*loops, *group], poses)
+        rivals: BoolArray = np.any((near & ~(agree & agree.T))[: len(loops), len(loops) :], axis=1)
+        if not rivals.any():
+            continue
+        value = score(solution.poses) if value is None else value
+        kept = [loop for loop, is_rival in zip(loops, rivals, strict=True) if not is_rival]
+        trial = solve_annealed(poses[0], hops, [*kept, *group])
+        gained = score(trial.poses)
+        if gained > value + PRUNE_GAIN:
+            dropped = [loop for loop in dropped if loop not in group]
+            dropped += [loop for loop in loops if loop not in kept]
+            loops, solution, value = [*kept, *group], trial, gained
+    return Decision(loops, solution, dropped)
 
 
 def _ranked(loops: list[Loop], poses: FloatArray) -> list[list[Loop]]:

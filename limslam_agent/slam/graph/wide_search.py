@@ -39,17 +39,31 @@ def recognised(loops: list[Loop], count: int, reach: int) -> BoolArray:
     return marked
 
 
+def parts_of(loops: list[Loop], count: int) -> IntArray:
+    """Numbers (count,) of the parts of a log of chunks: no loop spans the hop between two parts.
+
+    An error of that hop shifts and turns all that follows, and the loops of neither part show it.
+    """
+    held = np.zeros(count - 1, dtype=np.bool_)
+    for loop in loops:
+        held[min(loop.first, loop.second) : max(loop.first, loop.second)] = True
+    return np.append(0, np.cumsum(~held))
+
+
 def search_widely(chunks: Chunks, solution: ChunkSolution, loops: list[Loop]) -> list[list[Loop]]:
-    """Groups of loops for chunks that are not near any loop of ``loops``, from the solution with these loops."""
+    """Groups of loops for chunks that are not near any loop of ``loops``, and between parts that no loop joins.
+
+    The search begins at the solution with these loops.
+    """
     poses = solution.poses
-    known = recognised(loops, len(chunks), _RECOGNISED)
-    if known.all():
+    known, parts = recognised(loops, len(chunks), _RECOGNISED), parts_of(loops, len(chunks))
+    if known.all() and not parts.any():
         return []
     joint = np.asarray(np.linalg.inv(information_matrix(poses, chunks.hops, loops, solution.weights)))
     groups = []
     steps = _step(chunks, _GRIDS_APART), _step(chunks, _CHUNKS_APART)
     for first in range(0, len(chunks), steps[0]):
-        groups += _groups(chunks, poses, joint, first, _candidates(chunks, poses, known, first, steps))
+        groups += _groups(chunks, poses, joint, first, _candidates(chunks, poses, (known, parts), first, steps))
     return groups
 
 
@@ -87,13 +101,20 @@ def _may_show_the_same(chunks: Chunks, poses: FloatArray, first: int) -> tuple[B
     return np.abs(chunks.travel - chunks.travel[first]) >= _MIN_TRAVEL, near
 
 
-def _candidates(chunks: Chunks, poses: FloatArray, known: BoolArray, first: int, steps: tuple[int, int]) -> IntArray:
-    """Unrecognised chunks that may show the place of ``first``; pairs of unrecognised chunks are counted once."""
+def _candidates(
+    chunks: Chunks, poses: FloatArray, seen: tuple[BoolArray, IntArray], first: int, steps: tuple[int, int]
+) -> IntArray:
+    """Chunks that may show the place of ``first``: unrecognised chunks, or recognised chunks of another part.
+
+    Pairs of unrecognised chunks, and pairs of recognised ones, are counted once.
+    """
+    known, parts = seen
     apart, near = _may_show_the_same(chunks, poses, first)
+    wanted = ~known | (known[first] & (parts != parts[first]))
     # A chunk that is not searched itself as a grid must be compared with earlier and with later chunks.
     numbers = np.arange(len(chunks))
-    once = known[first] | (numbers > first) | (numbers % steps[0] != 0)
-    return np.nonzero(near & apart & ~known & once & (numbers % steps[1] == 0))[0]
+    once = (known[first] & ~known) | (numbers > first) | (numbers % steps[0] != 0)
+    return np.nonzero(near & apart & wanted & once & (numbers % steps[1] == 0))[0]
 
 
 def _windows(poses: FloatArray, joint: FloatArray, first: int, seconds: IntArray) -> tuple[FloatArray, FloatArray]:

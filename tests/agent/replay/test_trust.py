@@ -18,8 +18,8 @@ BRIEF = GraphConfig(rounds=RoundConfig(hops=(1.0, 0.8), iterations=(6, 6), orien
 ROOM = np.array([[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 3.0]])
 
 
-def signals(driven=100.0, times=(), confirmed=0.5, contradicted=0.05, loops=20, bends=()):
-    return PathSignals(driven, tuple(times), confirmed, contradicted, loops, tuple(bends))
+def signals(driven=100.0, times=(), confirmed=0.5, contradicted=0.05, loops=20, bends=(), pieces=(0, 0)):
+    return PathSignals(driven, tuple(times), confirmed, contradicted, loops, tuple(bends), pieces=pieces)
 
 
 def test_a_path_crosses_a_wall_only_inside_of_its_ends():
@@ -39,6 +39,9 @@ def test_a_path_crosses_a_wall_only_inside_of_its_ends():
         (signals(contradicted=0.2), "visits of a place contradict each other at 29% of the points"),
         (signals(confirmed=0.0, contradicted=0.0, loops=0), "no place was recognised again in 100 m"),
         (signals(driven=30.0, confirmed=0.0, contradicted=0.0, loops=0), ""),
+        (signals(pieces=(236, 6)), ""),
+        (signals(pieces=(20, 2)), ""),
+        (signals(pieces=(152, 15)), "of 152 pieces of walls, 15 are where other visits saw free space"),
         (signals(bends=(33.2, 91.0)), "the path is bent more than odometry and walls allow after 33, 91 s"),
     ],
 )

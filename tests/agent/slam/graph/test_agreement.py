@@ -4,9 +4,20 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from support.corridors import corridor_log
 
-from limslam_agent.slam.graph.agreement import DOUBTFUL_SHARE, Decision, Evidence, VisitCounts, plausible_groups
-from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Hops, Loop, Strain
+from limslam_agent.config.graph import GraphConfig
+from limslam_agent.slam.graph.agreement import (
+    DOUBTFUL_SHARE,
+    Decision,
+    Evidence,
+    VisitCounts,
+    exchange_groups,
+    plausible_groups,
+    visit_counts,
+)
+from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Hops, Loop, Strain, solve_annealed
+from limslam_agent.slam.graph.key_poses import ERRORS, Trajectory, choose_keys
 
 
 def counts(contradicted):
@@ -26,6 +37,11 @@ def test_clutter_and_single_chunks_are_not_doubtful(contradicted):
     assert len(counts(contradicted).doubtful(0.12)) == 0
 
 
+def test_a_stretch_that_is_contradicted_more_often_than_confirmed_is_doubtful_in_any_clutter():
+    visits = counts([20] * 20 + [140] * 5 + [20] * 20)
+    assert visits.doubtful(0.12).tolist() == [63, 66, 69]
+
+
 def test_a_stretch_of_one_log_does_not_count_around_chunks_of_the_next_log():
     visits = counts([2] * 20 + [60, 60] + [2] * 20)
     assert visits.doubtful(0.12).tolist() == [57, 60, 63, 66]
@@ -35,6 +51,20 @@ def test_a_stretch_of_one_log_does_not_count_around_chunks_of_the_next_log():
 def test_chunks_that_no_other_visit_has_seen_are_not_doubtful():
     unseen = np.zeros(9, dtype=np.int64)
     assert len(VisitCounts(np.arange(9), np.full(9, 200), unseen, unseen).doubtful(0.12)) == 0
+
+
+def test_a_wrong_path_contradicts_whole_pieces_of_walls():
+    """The second of two laps of a corridor lies 1 m beside the first one, or where it was driven."""
+    data, truth = corridor_log(bias=0.0)
+    keys = choose_keys(data, GraphConfig().keys)
+    shares = []
+    for beside in (0.0, 1.0):
+        poses = truth[keys.first_event] + [0.0, beside, 0.0] * (keys.key_travel > 0.5 * keys.key_travel[-1])[:, None]
+        seen, against = visit_counts(keys, Trajectory(poses, np.zeros(ERRORS)), GraphConfig(), data.max_range).pieces
+        assert seen > 50
+        shares.append(against / seen)
+    assert shares[0] < 0.01
+    assert shares[1] > 0.1
 
 
 def similar_corridors(contradicted, hops, kernel):
@@ -67,6 +97,21 @@ def test_a_group_is_refused_if_the_visits_that_it_joins_contradict_each_other(co
     assert plausible_groups((poses, hops), placed, [], score) == ([], [])
     kept, left = plausible_groups((poses, hops), placed, [[loop]], score)
     assert (kept, left) == (([], [loop]) if refused else ([[loop]], []))
+
+
+@pytest.mark.parametrize(("place", "other", "exchanged"), [(8.0, 1, True), (6.0, 1, False), (8.0, 5, False)])
+def test_a_refused_group_takes_the_place_of_a_loop_that_joins_the_same_visits_otherwise(place, other, exchanged):
+    """The score is highest where the last chunk is 8 m from the first one; loops from chunk 5 are of another visit."""
+    poses = np.column_stack((np.arange(10.0), np.zeros((10, 2))))
+    hops = Hops(np.tile([1.0, 0.0, 0.0], (9, 1)), np.tile(0.1 * np.eye(3), (9, 1, 1)))
+    wrong, right = (
+        Loop(first, 9, np.array([x - first, 0.0, 0.0]), 1e4 * np.eye(3), 0.8, "union")
+        for first, x in ((0, 6.0), (other, 8.0))
+    )
+    placed = Decision([wrong], solve_annealed(poses[0], hops, [wrong]), [right])
+    found = exchange_groups(poses, hops, placed, lambda poses: -abs(poses[9, 0] - place))
+    assert (found.loops, found.dropped) == (([right], [wrong]) if exchanged else ([wrong], [right]))
+    assert found.solution.poses[9, 0] == pytest.approx(8.0 if exchanged else 6.0, abs=0.1)
 
 
 @pytest.mark.parametrize(
