@@ -80,8 +80,8 @@ class AssumedSensor:
         turned = self._turned(errors)
         if turned is not None:
             return turned
-        # What a model of wide cones leaves unexplained would be taken for a bias.
-        may_be_biased = sensor.cone == self._specified.cone
+        # What a model of wide cones leaves unexplained would be taken for a bias. A known one has to be corrected.
+        may_be_biased = sensor.cone == self._specified.cone or sensor.bias != 0.0
         is_biased = may_be_biased and evidence[0] > (config.further_gate if sensor.bias else config.gate)
         if not is_biased and evidence[1] < gate and noise.evidence < noise_gate:
             return None

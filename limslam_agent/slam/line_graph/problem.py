@@ -25,8 +25,6 @@ LEAST_RANGE_STD = 0.005  # m
 FEWEST_READINGS = 6
 """Least number of readings of a line."""
 
-_SIZES = SelfCalibrationConfig(size_std=0.03, uneven_std=0.03, axle_std=0.03)
-_BIAS_STD = 0.02  # m, of a bias of all ranges
 _ASIDE_STD = 1e-5  # m: keeps the equations regular, and adds up to less than a millimetre in a run
 # Poses of a thinned drive are this far apart, m or rad. By noise, and by another calibration, several arcs in a row
 # lead aside of the single arc that they are taken for, with this standard deviation, m.
@@ -34,8 +32,17 @@ _NODE_SPACING, _NODE_TURN, _THINNED_ASIDE_STD = 0.1, 0.2, 2e-3
 _LEAST_VARIANCE = 1e-12  # m^2
 
 
-CALIBRATION_PRIOR: FloatArray = np.asarray(np.linalg.inv(block_diag(_SIZES.covariance, [_BIAS_STD**2])), dtype=float)
+def _calibration_prior(size_std: float, bias_std: float) -> FloatArray:
+    """Inverse covariance (4, 4) for standard deviations of a common error of both wheels, and of a bias (m)."""
+    sizes = SelfCalibrationConfig(size_std=size_std, uneven_std=0.03, axle_std=0.03)
+    return np.asarray(np.linalg.inv(block_diag(sizes.covariance, [bias_std**2])), dtype=float)
+
+
+CALIBRATION_PRIOR = _calibration_prior(0.03, 0.02)
 """Inverse covariance (4, 4) of the prior of a robot's calibration: left wheel, right wheel, axle, bias."""
+
+RELATIVE_PRIOR = _calibration_prior(1e-5, 1e-5)
+"""The same if wheels and ranges are taken to have no common error."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +144,12 @@ class Problem:
     def look_noise(self) -> FloatArray:
         """Standard deviation of each look (k,), as a share of ``range_std``."""
         return self._noise_of(self.looks)
+
+    @cached_property
+    def reach(self) -> FloatArray:
+        """The reach (k,) of each beam, m: readings that are expected beyond it are not used."""
+        std = self.range_std / RangeSensor(1.0, self.growth).usual_std(float(self.robot.max_ranges.max()))
+        return RangeSensor(std, std * self.growth, bias=self.bias).reaches(self.robot)[self.readings.beams]
 
     @cached_property
     def assumed_calibration(self) -> FloatArray:

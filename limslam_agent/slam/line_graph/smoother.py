@@ -20,6 +20,7 @@ from limslam_agent.slam.line_graph.mending import continued, is_contradicted, is
 from limslam_agent.slam.line_graph.problem import (
     CALIBRATION_PRIOR,
     FEWEST_READINGS,
+    RELATIVE_PRIOR,
     Problem,
     Readings,
     make_problem,
@@ -39,8 +40,6 @@ _CALIBRATION_PRICE = 20.0  # by how much estimated errors must raise the score
 _SENSOR_ROUNDS = 4  # errors of the sensor are estimated at most this many times, each time with a new solution
 _CONTINUED = "continued"
 _UNSURE_HEADING = math.radians(4.0)  # rad: standard deviation of the filter from which on associations may be wrong
-# The error of the right wheel less that of the left one, and the error of the axle less the mean of the wheels.
-_RELATIVE = np.array([[-1.0, 1.0, 0.0, 0.0], [-0.5, -0.5, 1.0, 0.0]])
 # m, m, rad: how far the place at which a carried robot was found may be off beyond the covariances of its poses. It is
 # so wide that the readings decide, and so narrow that they are still associated with the walls around that place.
 _FOUND_STDS = np.array([0.3, 0.3, math.radians(10.0)])
@@ -239,7 +238,7 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Settled | None:
         problem, found = _as_read(problem, run, labels)
         best = _settled(problem, found, run)
         if config.calibrate == "if_needed" and _may_need_calibration(best):
-            sized = replace(problem, prior=CALIBRATION_PRIOR)
+            sized = _sized(problem)
             again = _settled(sized, _reassociated(sized, run, labels), run)
             best = max(best, again, key=lambda each: each.worth)
     except DegenerateError:
@@ -276,21 +275,27 @@ def _settled(problem: Problem, found: Association, run: FilteredRun) -> Settled:
 def _may_need_calibration(found: Settled) -> bool:
     """Whether beams contradict a solution, or another calibration fits the wheels and ranges much better.
 
-    The second criterion is Wald's test of the calibration that is estimated with the same associations. What a wide
-    beam reads, and what a sensor whose noise grows with the range misses near its limit, is known to some millimetres
-    only. That looks like a common error of all sizes with a bias, so such sensors are tested for relative errors alone,
-    unless a bias is known: a wrong one has to be corrected.
+    The second criterion is Wald's test of the calibration that is estimated with the same associations.
     """
     if is_contradicted(found.problem, found.association):
         return True
-    sized = replace(found.problem, prior=CALIBRATION_PRIOR)
+    sized = _sized(found.problem)
     solution = solve(sized, found.association.state, found.association.labels)
     first, count = solution.factored.first_shared, solution.state.calibration.size
-    is_rough = (sized.beam_width > 0.0 or sized.growth > 0.0) and not sized.bias
-    tested = np.kron(np.eye(len(sized.starts)), _RELATIVE if is_rough else np.eye(4))
-    values = tested @ (solution.state.calibration - sized.assumed_calibration).ravel()
-    covariance = tested @ solution.factored.covariance[first : first + count, first : first + count] @ tested.T
+    values = (solution.state.calibration - sized.assumed_calibration).ravel()
+    covariance = solution.factored.covariance[first : first + count, first : first + count]
     return float(values @ np.linalg.solve(covariance, values)) > _CALIBRATION_GATE * len(sized.starts)
+
+
+def _sized(problem: Problem) -> Problem:
+    """The problem with a calibration of the robots.
+
+    What a wide beam reads, and what a sensor reads whose noise grows with the range, is known to some millimetres only.
+    That looks like a common error of all sizes with a bias, so the robots of such sensors have relative errors alone,
+    unless a bias is known: a wrong one has to be corrected.
+    """
+    is_rough = (problem.beam_width > 0.0 or problem.growth > 0.0) and not problem.bias
+    return replace(problem, prior=RELATIVE_PRIOR if is_rough else CALIBRATION_PRIOR)
 
 
 def with_breaks(problem: Problem, run: FilteredRun) -> Problem:

@@ -283,6 +283,18 @@ def test_less_noise_than_specified_makes_no_turned_beams(std: float, is_turned: 
     assert (sensor._turned(errors) is not None) == is_turned
 
 
+@pytest.mark.parametrize(("bias", "is_corrected"), [(-0.05, True), (0.0, False)])
+def test_beside_an_opening_angle_only_a_known_bias_is_corrected(bias: float, is_corrected: bool) -> None:
+    stated, config = RangeSensor(NOISE), RangeErrorConfig()
+    sensor, errors = AssumedSensor(stated, 1.5, config), RangeErrors(3, config.stds(6))
+    sensor.assume(stated._replace(cone=0.01, bias=bias))
+    sensor._is_counted = True
+    errors._information[0, 0], errors._score[0] = 1e6, 1e6 * 0.04
+    found = sensor.correction(errors)
+    assert (found is not None) == is_corrected
+    assert found is None or found.bias == pytest.approx(bias + 0.04, abs=1e-3)
+
+
 def test_what_is_unknown_of_turned_beams_is_in_the_covariance() -> None:
     slam, turns = with_turned_beams(100)
     ekf = slam._estimator._filter
