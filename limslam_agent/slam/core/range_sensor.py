@@ -11,8 +11,6 @@ from limslam_env.interface import RobotSpec
 USUAL_RANGE = 0.7
 """The usual length of a range is this share of the longest one."""
 
-_REACH_STDS = 2.0
-
 
 class RangeSensor(NamedTuple):
     """How a range sensor measures.
@@ -53,13 +51,6 @@ class RangeSensor(NamedTuple):
     def usual_std(self, reach: float) -> float:
         """Standard deviation of a range of usual length, m, if the longest one is ``reach``, m."""
         return float(self.stds(np.array([USUAL_RANGE * reach]))[0]) if self.growth else self.std
-
-    def reaches(self, robot: RobotSpec) -> FloatArray:
-        """The longest expected range of each beam (n_beams,), m, at which noise seldom makes it miss its wall.
-
-        Farther off, only the readings that are too short arrive, and they would pull the robot towards the wall.
-        """
-        return np.asarray(robot.too_far - self.bias - _REACH_STDS * self.stds(robot.too_far))
 
     def mounted(self, robot: RobotSpec) -> RobotSpec:
         """The robot with its beams as they are mounted. Each beam keeps its side."""

@@ -74,7 +74,7 @@ def solve(
     for iteration in range(iterations):
         rows = rows_of(problem, state, labels)
         if iteration < _CHOOSING:
-            weights = _clear(problem, rows, labels) / problem.noise**2 * (1.0 if shares is None else shares)
+            weights = _not_grazing(rows, labels) / problem.noise**2 * (1.0 if shares is None else shares)
         equations = _Equations(problem, state, labels, rows, weights)
         step = equations.step()
         state, change = _descend(problem, state, step, labels, weights, equations.chi_square)
@@ -127,10 +127,9 @@ def range_residuals(problem: Problem, state: State, rows: FloatArray) -> FloatAr
     return np.asarray(problem.readings.distances - rows[:, RANGE] - biases)
 
 
-def _clear(problem: Problem, rows: FloatArray, labels: IntArray) -> FloatArray:
-    """Weights (k,): 1 for readings of a line that the beam meets in reach and does not graze, otherwise 0."""
-    is_in_reach = (rows[:, RANGE] > 0.0) & (rows[:, RANGE] < problem.reach)
-    return ((labels >= 0) & (np.abs(rows[:, COSINE]) >= GRAZING) & is_in_reach).astype(float)
+def _not_grazing(rows: FloatArray, labels: IntArray) -> FloatArray:
+    """Weights (k,): 1 for readings of a line in front of the beam that the beam does not graze, otherwise 0."""
+    return ((labels >= 0) & (np.abs(rows[:, COSINE]) >= GRAZING) & (rows[:, RANGE] > 0.0)).astype(float)
 
 
 @dataclass(frozen=True, eq=False)

@@ -146,12 +146,6 @@ class Problem:
         return self._noise_of(self.looks)
 
     @cached_property
-    def reach(self) -> FloatArray:
-        """The reach (k,) of each beam, m: readings that are expected beyond it are not used."""
-        std = self.range_std / RangeSensor(1.0, self.growth).usual_std(float(self.robot.max_ranges.max()))
-        return RangeSensor(std, std * self.growth, bias=self.bias).reaches(self.robot)[self.readings.beams]
-
-    @cached_property
     def assumed_calibration(self) -> FloatArray:
         """The calibration (n, 4 or more) of robots that are as specified, but for the known bias."""
         count = 0 if self.prior is None else len(self.prior) - CALIBRATED

@@ -9,13 +9,11 @@ from support.drives import ROBOT
 from support.smoother_runs import START, WHEEL_VARIANCE, noisy_run, true_labels
 
 from limslam_agent.slam.line_graph import chain_kernels, elimination
-from limslam_agent.slam.line_graph.chain_kernels import RANGE
 from limslam_agent.slam.line_graph.line_smoother import pose_covariances, solve
 from limslam_agent.slam.line_graph.problem import (
     CALIBRATION_PRIOR,
     Readings,
     make_problem,
-    rows_of,
     state_from_motions,
     state_from_poses,
 )
@@ -100,8 +98,7 @@ def test_the_optimum_is_that_of_gtsam():
     walls = np.full((problem.steps, 1, len(ROBOT.beams)), -1)
     ranges = np.full(walls.shape, 1.5)
     at = problem.readings.places, 0, problem.readings.beams
-    # The optimum of a log takes all readings that are given.
-    walls[at], ranges[at] = np.where(ours.weights > 0.0, labels, -1), problem.readings.distances
+    walls[at], ranges[at] = labels, problem.readings.distances
     wheels = np.concatenate((np.zeros((1, 1, 2)), np.moveaxis(problem.wheels[..., :2], 0, 1)))
     limit = solve_optimum(
         ROBOT, np.moveaxis(poses, 0, 1), wheels, ranges, walls, range_std=0.02, wheel_variance=WHEEL_VARIANCE
@@ -176,16 +173,6 @@ def test_errors_are_as_large_as_the_covariances_say():
 
 
 @pytest.mark.usefixtures("block")
-def test_readings_that_are_expected_near_the_longest_range_are_not_used():
-    problem, poses = noisy_run(3, 0.02)
-    labels = true_labels(problem, poses)
-    found = solve_labels(problem, state_from_motions(problem), labels, 12)
-    expected = rows_of(problem, found.state, found.labels)[:, RANGE]
-    is_far = (found.labels >= 0) & (expected > ROBOT.too_far[problem.readings.beams] - 2.0 * 0.02 + 0.01)
-    assert is_far.any()
-    assert not found.solution.weights[is_far].any()
-
-
 def test_two_robots_share_their_lines():
     problem, poses = noisy_run(5, robots=2)
     both = smoothed(problem, poses)
