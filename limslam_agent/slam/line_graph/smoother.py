@@ -196,14 +196,19 @@ def smooth_run(
 def _without_filter(best: Settled, run: FilteredRun, config: SmootherConfig, losses: Sequence[int]) -> Settled:
     """The solution of a run whose filter may have placed a lost robot wrongly, or a better one without the filter.
 
-    It goes on from the latest loss before which no beams contradict the map.
+    It goes on from the latest loss before which no beams contradict the map. A map that is contradicted stays so, and
+    so a bisection finds this loss with few solutions.
     """
-    for step in reversed(losses):
-        begin = settle(run.until(step), config)
-        if begin is not None and not is_contradicted(begin.problem, begin.association):
-            found = _continued(begin, run)
-            return best if found is None else max(best, found, key=lambda each: each.worth)
-    return best
+    known, first, last = None, 0, len(losses)
+    while first < last:
+        middle = (first + last) // 2
+        begin = settle(run.until(losses[middle]), config)
+        if begin is not None and is_contradicted(begin.problem, begin.association):
+            last = middle
+        else:
+            known, first = begin, middle + 1
+    found = None if known is None else _continued(known, run)
+    return best if found is None else max(best, found, key=lambda each: each.worth)
 
 
 def _continued(best: Settled, run: FilteredRun) -> Settled | None:
