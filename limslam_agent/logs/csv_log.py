@@ -204,6 +204,8 @@ class _Rows:
             # 0,1,0,031 has twice as many fields as numbers, or nearly so if some of them are whole.
             is_doubled = self.separator == b"," and 1.3 * count < len(fields) <= 2 * count
             hint = "if commas are decimal marks here, separate the columns by ; or tabs" if is_doubled else NO_ROW
+            if not (self.has_scan or is_doubled):
+                hint += ", or correct the header: --columns can name all columns in its place"
             raise ValueError(f"{len(fields)} columns where the header names {count}: {hint}")
         names = ("t", "left", "right") if self.leading == len(_WHEELS) else ("t", "x", "y", "theta")
         move = [parse_number(field, name) for field, name in zip(fields, names, strict=False)]
@@ -237,8 +239,8 @@ class _Rows:
     def _take_time(self, move: list[float]) -> float:
         """The time of a row, s, on the clock of the log.
 
-        A clock that is full begins again. So does that of a robot that was switched on again, and its row is added to
-        ``restarts``.
+        A clock that is full begins again. A late row after that is still from before. The clock of a robot that was
+        switched on again begins again, too, and its row is added to ``restarts``.
 
         Raises
         ------
@@ -248,9 +250,10 @@ class _Rows:
         move = [move[0] * self.options.seconds, *move[1:]]
         before = list(self.moves[-self.leading :]) or list(move)
         last, before[0] = before[0], before[0] - self.time_before
+        turn = CLOCK_COUNTS * self.options.seconds
         if move[0] < before[0] - LARGEST_STEP_BACK:
             if self.options.is_clock_full(move[0], before[0]):
-                self.time_before += CLOCK_COUNTS * self.options.seconds
+                self.time_before += turn
                 return move[0] + self.time_before
             if self.leading == len(_POSE) or not self.options.is_switched_on_again(move, before):
                 back = f"the time steps back by {before[0] - move[0]:.1f} s"
@@ -258,6 +261,8 @@ class _Rows:
             # The clock of a robot that was switched on again counts on from the row before.
             self.restarts.append(len(self.has_scan))
             self.time_before = last
+        elif move[0] < turn and abs(move[0] - turn - before[0]) <= LARGEST_STEP_BACK:
+            return move[0] + self.time_before - turn
         return move[0] + self.time_before
 
     def log(self) -> RecordedLog:

@@ -16,6 +16,7 @@ from limslam_agent.logs.table_options import TableOptions
 
 _TEXT_ENDINGS = (".csv", ".csv.gz")
 _SPREADSHEETS = (".xlsx", ".xls", ".ods")
+_SPREADSHEET_MAGICS = (ZIP_MAGIC, b"\xd0\xcf\x11\xe0")
 
 
 def read_log(
@@ -56,11 +57,12 @@ def read_log(
         If the file is larger than the limits or cannot be used, or a choice does not apply to its format.
     """
     reach = DEFAULT_MAX_RANGE if max_range is None else max_range
-    if PurePath(path).suffix.lower() in _SPREADSHEETS:
-        raise LogError(f"{fspath(path)}: is a spreadsheet, which must be saved as CSV in UTF-8")
     if is_bag(path):
         _refuse_options(path, table)
         return read_ros(path, beams_deg, reach, topics, limits)
+    # Programs also give these endings to plain text.
+    if PurePath(path).suffix.lower() in _SPREADSHEETS and first_bytes(path, 4) in _SPREADSHEET_MAGICS:
+        raise LogError(f"{fspath(path)}: is a spreadsheet, which must be saved as CSV in UTF-8")
     if topics:
         raise LogError(f"{fspath(path)}: is not a ROS bag, so topics cannot be chosen")
     if first_bytes(path, len(ZIP_MAGIC)) == ZIP_MAGIC or PurePath(path).suffix == ".npz":

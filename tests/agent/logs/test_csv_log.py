@@ -166,7 +166,7 @@ def test_small_steps_back_in_time_stay_as_they_are(write):
 @pytest.mark.parametrize(
     ("row", "words"),
     [
-        ("0.2,0,0,0,1,1", "line 3: 6 columns where the header names 7"),
+        ("0.2,0,0,0,1,1", "line 3: 6 columns where the header names 7: delete the line"),
         ("0.2,0,0,0,1,1,1,1", "line 3: 8 columns where the header names 7"),
         (
             "0,2,0,0,1,5,0,1,1,1,1",
@@ -220,6 +220,11 @@ def test_files_without_rows_are_refused(write):
     assert "is empty: it has no header" in refusal(write("\n# nothing\n"))
     assert "has no row with ranges" in refusal(write(HEAD))
     assert "has no row with ranges" in refusal(write(HEAD + "0,0,0,0,-\n"))
+
+
+def test_text_with_the_ending_of_a_spreadsheet_is_read(write):
+    text = f"{HEAD}0,0,0,0,1,1,1\n".replace(",", "\t")
+    assert len(read_log(write(text, "table.xls"))) == 1
 
 
 def test_files_that_cannot_be_read_are_refused(write, tmp_path):

@@ -343,7 +343,14 @@ def test_folders_and_missing_files_are_refused(tmp_path):
     assert refusal(tmp_path).endswith("is a folder, but not a ROS 2 bag: it has no metadata.yaml")
     (tmp_path / "log.npz").touch()
     assert refusal(tmp_path).endswith(f"; the log of this run is {tmp_path / 'log.npz'}")
-    assert "is a spreadsheet, which must be saved as CSV" in refusal(tmp_path / "table.xlsx")
+    for name, begin in (
+        ("table.xlsx", b"PK\x03\x04"),
+        ("table.XLS", b"\xd0\xcf\x11\xe0"),
+        ("table.ods", b"PK\x03\x04"),
+    ):
+        (tmp_path / name).write_bytes(begin + bytes(8))
+        assert "is a spreadsheet, which must be saved as CSV" in refusal(tmp_path / name)
+    assert "No such file" in refusal(tmp_path / "absent.xlsx")
     assert "No such file" in refusal(tmp_path / "absent.bag")
     bag = write_bag(tmp_path, drive(2), "sqlite")
     storage_of(bag).unlink()

@@ -89,6 +89,11 @@ def test_a_table_of_poses_takes_the_places_of_the_beams_from_the_robot(write):
         (HEAD + "0,0,far,1,1,1\n", TableOptions(ROBOT), "line 2: right is not a number: 'far'"),
         (HEAD + "0,0,inf,1,1,1\n", TableOptions(ROBOT), "line 2: right is inf"),
         (HEAD + "0,0,0,1,1\n", TableOptions(ROBOT), "line 2: 5 columns where the header names 6: delete the line"),
+        (
+            HEAD + "0,0,0,1,1,1,7\n",
+            TableOptions(ROBOT),
+            "or begin it with #, or correct the header: --columns can name all columns in its place",
+        ),
         (HEAD + "0,0,0,1,1,1\n-5,0,0,1,1,1\n", TableOptions(ROBOT), "the time steps back by 5.0 s: if the robot was"),
         (HEAD + METRES, TableOptions(ROBOT, 100.0), "a wheel travels 2 m in 0.1 s at time 0.1 s"),
         (HEAD + TICKS, TableOptions(ROBOT, 0.001, time_unit="ms"), "--accumulated says that they count from the start"),
@@ -106,6 +111,13 @@ def test_a_clock_of_32_bits_is_continued_where_it_begins_again(write, unit, begi
     log = read_log(write(HEAD + rows), table=TableOptions(ROBOT, time_unit=unit))
     np.testing.assert_allclose(np.diff(log.time), 0.1, atol=1e-6)
     assert log.restarts == ()
+
+
+@pytest.mark.parametrize("order", [(0, 2, 1, 3, 4), (1, 0, 2, 3, 4), (0, 1, 3, 2, 4), (0, 3, 1, 2, 4), (2, 1, 3, 4, 0)])
+def test_late_rows_around_the_beginning_of_a_clock_keep_their_times(write, order):
+    rows = "".join(f"{(2**32 - 200_000 + row * 100_000) % 2**32},0,0,1,1,1\n" for row in order)
+    log = read_log(write(HEAD + rows), table=TableOptions(ROBOT, time_unit="us"))
+    np.testing.assert_allclose(log.time - log.time[0], 0.1 * (np.array(order) - order[0]), atol=1e-6)
 
 
 @pytest.mark.parametrize(("bits", "has_sign"), [(16, False), (16, True), (12, False), (32, True)])
