@@ -26,6 +26,13 @@ app = typer.Typer(
     help="Suites of runs, and what came of them.",
 )
 
+# How the commands that keep what is done go on after Ctrl-C.
+_GO_ON = {
+    **dict.fromkeys(("run", "dataset", "peers"), "the same command goes on"),
+    "train": "--resume goes on from the last checkpoint",
+    "made-up-logs": "--seeds chooses the rest",
+}
+
 Folder = Annotated[Path, typer.Argument(help="Folder of results that `run` has made.")]
 Log = Annotated[Path, typer.Argument(help="A recorded log.")]
 
@@ -330,8 +337,10 @@ def report(
 def main() -> None:
     """Entry point: 0 well, 1 a job failed, 2 and one line for what the user can mend, 130 stopped."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
-    goes_on = "--seeds chooses the rest" if "made-up-logs" in sys.argv[1:2] else "the same command goes on"
-    run_command(app, "benchmarks", f"stopped; what is done is kept, and {goes_on}")
+    goes_on = _GO_ON.get(next(iter(sys.argv[1:]), ""))
+    run_command(
+        app, "benchmarks", interrupted=f"stopped; what is done is kept, and {goes_on}" if goes_on else "stopped"
+    )
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ list of settings in one argument, such as ``"mirrored beams=90,45,0,-45,-90 nois
 settings are the fields of :class:`Variation`. Only the smoothing is done, without the filter in front of it.
 """
 
+import sys
 import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -212,3 +213,7 @@ def outcome(path: Path, known: Path, how: Variation) -> Outcome:
     seconds = time.process_time() - begin
     errors = summary(relation_errors(relations, data.time, found.poses, data.odometry))
     return Outcome(found, signals, errors, seconds)
+
+
+if __name__ == "__main__":
+    sys.exit("the command is now: python -m benchmarks log-variations")

@@ -6,6 +6,7 @@ the shift of the match is the distance by which the path places the two visits a
 determines the shift along it, so a few shifts are large even where the path is exact. The resolution is 0.1 m, 1 deg.
 """
 
+import sys
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -64,21 +65,21 @@ class Revisits:
 
 
 def revisits_of(log_path: Path, folder: Path) -> Revisits:
-    """Match the visits of each place along the smoothed path of a replay of a log."""
-    poses = read_tum(folder / "trajectory_smoothed.tum")[1]
-    return revisits(log_data(read_log(log_path), poses, 0.0), poses)
-
-
-def revisits(log: LogData, poses: FloatArray) -> Revisits:
-    """Match the visits of each place along the path ``poses`` (n, 3) of a log's events.
+    """Match the visits of each place along the smoothed path of a replay of a log.
 
     Raises
     ------
     ValueError
-        If the path does not have one pose for each event of the log.
+        If the log or the path cannot be read, or the path is not that of the log.
     """
-    if len(poses) != len(log.time):
-        raise ValueError(f"the path has {len(poses)} poses and the log has {len(log.time)} events")
+    poses, log = read_tum(folder / "trajectory_smoothed.tum")[1], read_log(log_path)
+    if len(poses) != len(log):
+        raise ValueError(f"{folder}: the path has {len(poses)} poses and the log {log_path} has {len(log)} events")
+    return revisits(log_data(log, poses, 0.0), poses)
+
+
+def revisits(log: LogData, poses: FloatArray) -> Revisits:
+    """Match the visits of each place along the path ``poses`` (n, 3) of a log's events."""
     config = GraphConfig()
     # In place of odometry: events between two key poses then follow the path, too.
     data = replace(log, odometry=poses)
@@ -110,3 +111,7 @@ def _visits(maps: list[LocalMap], poses: FloatArray, first: int) -> IntArray:
     travel = np.array([each.travel for each in maps])
     near = np.hypot(*(poses[:, :2] - poses[first, :2]).T) <= _NEAR
     return np.flatnonzero(near & (travel - travel[first] >= _APART))
+
+
+if __name__ == "__main__":
+    sys.exit("the command is now: python -m benchmarks revisits")

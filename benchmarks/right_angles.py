@@ -3,12 +3,13 @@
 ``python -m benchmarks right-angles FOLDER...`` prints a line for each folder of a run or a replay. No truth is needed.
 """
 
-import json
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
+from limslam_agent.output.finished_run import MAP, read_walls
 from limslam_env.geometry import FloatArray
 
 WITHIN = 2.0
@@ -52,9 +53,18 @@ class RightAngles:
 
 
 def right_angles_of(folder: Path) -> RightAngles:
-    """Measure the walls of the map of a run or a replay."""
-    content = json.loads((folder / "map.json").read_text(encoding="utf-8"))
-    return right_angles(np.array(content["segments"], dtype=float).reshape(-1, 4))
+    """Measure the walls of the map of a run or a replay.
+
+    Raises
+    ------
+    ValueError
+        If the folder has no map, or one that is damaged or without walls.
+    """
+    walls = read_walls(folder / MAP)
+    try:
+        return right_angles(walls)
+    except ValueError as error:
+        raise ValueError(f"{folder / MAP}: {error}") from error
 
 
 def right_angles(segments: FloatArray) -> RightAngles:
@@ -120,3 +130,7 @@ def _doubled(segment: FloatArray, others: FloatArray) -> float:
             low, high = np.sort(ends @ along)
             covered |= (places >= low) & (places <= high)
     return float(covered.mean() * length)
+
+
+if __name__ == "__main__":
+    sys.exit("the command is now: python -m benchmarks right-angles")

@@ -83,7 +83,7 @@ def main() -> None:
     collect_rarely()
     # A termination runs the clean-up code as any other end does, so that no half-written folder is left.
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
-    run_command(app, "limslam")
+    run_command(app, "limslam", numbers=True)
 
 
 def _use_one_thread() -> None:

@@ -33,7 +33,7 @@ _OUTPUT = {"out", "force", "video", "film_speed", "watch"}
 
 # The true noise of wheels, which the kind of range sensors does not change.
 _WHEELS = {"wheel_variance", "encoder_resolution", "wheel_mismatch", "axle_mismatch", "slip_rate", "slip_share"}
-# The tables of an agent that belong to its preset.
+# The settings of an agent that belong to its preset.
 _OF_PRESET = ("estimator", "smoothing", "smooths_runs", "renewal")
 
 
@@ -225,11 +225,10 @@ class Given:
         old = known_settings(self._preset_in_file(in_file, AgentConfig()), table)[1] if table else []
         names = ", ".join(old[:_MOST_NAMED]) + (f" and {len(old) - _MOST_NAMED} more" if old[_MOST_NAMED:] else "")
         lacking = [f"{self.path}: left out, since this version has no such settings: {names}"] if old else []
-        unused = ", ".join(f"[agent.{name}]" for name in _OF_PRESET if name in table)
+        unused = ", ".join(f"agent.{name}" for name in _OF_PRESET if name in table)
         if in_file == preset or not unused:
             return lacking
-        words = f"{self.path}: the settings of {unused} are for the preset {in_file} and not used"
-        return [*lacking, f"{words}: the preset is {preset}"]
+        return [*lacking, f"{self.path}: not used, since the preset is {preset} and not {in_file}: {unused}"]
 
     def _preset_in_file(self, name: str, base: "AgentConfig") -> "AgentConfig":
         from limslam_agent.config.presets import preset

@@ -47,11 +47,25 @@ def print_table(rows: list[tuple[str, ...]]) -> None:
         typer.echo(printable(line.rstrip()))
 
 
-def run_command(app: typer.Typer, name: str, interrupted: str = "stopped") -> NoReturn:
+def run_command(
+    app: typer.Typer, name: str, *, interrupted: str = "stopped", resource: str = "output", numbers: bool = False
+) -> NoReturn:
     """Run the command line of a program, and exit.
 
     An error that the user can correct gives exit code 2 and one line, which begins with the program's name, not a
-    traceback. ``interrupted`` is what is said after Ctrl-C.
+    traceback.
+
+    Parameters
+    ----------
+    app, name
+        The program and its name.
+    interrupted
+        What is said after Ctrl-C.
+    resource
+        What an error of the operating system without the name of a file is about.
+    numbers
+        Whether a number that cannot be computed with comes from the user. Otherwise it is a fault of the program, which
+        ends with a traceback.
     """
     try:
         code = app(standalone_mode=False)
@@ -63,8 +77,10 @@ def run_command(app: typer.Typer, name: str, interrupted: str = "stopped") -> No
         # All errors that the project raises itself are ValueErrors: worlds, logs, outputs, settings.
         _fail(name, str(error))
     except OSError as error:
-        _fail(name, f"{error.filename or 'output'}: {error.strerror or error}")
+        _fail(name, f"{error.filename or resource}: {error.strerror or error}")
     except (ArithmeticError, MemoryError) as error:
+        if not numbers:
+            raise
         _fail(name, f"a number is too large or too small to compute with: {error}")
     if code == INTERRUPTED:  # which typer itself returns after Ctrl-C
         typer.echo(f"{name}: {interrupted}", err=True)

@@ -1,10 +1,13 @@
 """Visits of one place: where they coincide, and where the second visit is displaced."""
 
+import re
+
 import numpy as np
 import pytest
 from support.corridors import corridor_log
 
-from benchmarks.revisits import revisits
+from benchmarks.revisits import revisits, revisits_of
+from limslam_agent.output.tum import write_tum
 from limslam_env.geometry import se2
 
 LAP = 345  # events, about
@@ -34,7 +37,9 @@ def test_a_displaced_lap_is_measured(laps):
     assert 0.2 < np.median(found.shifts) < 0.7
 
 
-def test_a_path_of_another_log_is_refused(laps):
-    log, truth = laps
-    with pytest.raises(ValueError, match="poses and the log has"):
-        revisits(log, truth[:-1])
+def test_the_folder_of_another_log_is_named(tmp_path):
+    (log := tmp_path / "log.csv").write_text("t,x,y,theta,r_0\n0,0,0,0,1\n1,0,0,0,1\n", encoding="utf-8")
+    write_tum(tmp_path / "trajectory_smoothed.tum", np.arange(3.0), np.zeros((3, 3)))
+    words = f"{tmp_path}: the path has 3 poses and the log {log} has 2 events"
+    with pytest.raises(ValueError, match=re.escape(words)):
+        revisits_of(log, tmp_path)

@@ -1,12 +1,15 @@
 """Right angles of a map: two groups of directions, walls out of them, and walls that stand twice."""
 
 import json
+import re
+import runpy
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
 
 from benchmarks.__main__ import main
-from benchmarks.right_angles import right_angles
+from benchmarks.right_angles import right_angles, right_angles_of
 
 
 def turned(segments, degrees):
@@ -52,3 +55,30 @@ def test_the_command_prints_a_line_for_each_folder(tmp_path, capsys, monkeypatch
     assert "4 walls of 40 m, 100% within 2 deg of two directions 90.0 deg apart" in printed.out
     assert (ended.value.code, printed.err.count("\n")) == (2, 1)
     assert "missing" in printed.err
+
+
+@pytest.mark.parametrize("content", ["{}", '{"segments": [[1, 2]]}', "{", '{"segments": []}'])
+def test_a_map_that_cannot_be_measured_is_named(tmp_path, content):
+    (path := tmp_path / "map.json").write_text(content, encoding="utf-8")
+    with pytest.raises(ValueError, match=re.escape(f"{path}: ")):
+        right_angles_of(tmp_path)
+
+
+@pytest.mark.parametrize("module", ["right_angles", "revisits", "log_variations"])
+def test_a_module_that_was_a_command_names_the_command(module):
+    with pytest.raises(SystemExit) as ended:
+        runpy.run_path(str(find_spec(f"benchmarks.{module}").origin), run_name="__main__")
+    assert ended.value.code == f"the command is now: python -m benchmarks {module.replace('_', '-')}"
+
+
+@pytest.mark.parametrize(("error", "ends"), [(KeyboardInterrupt, SystemExit), (ZeroDivisionError, ZeroDivisionError)])
+def test_nothing_is_kept_after_ctrl_c_and_a_fault_is_not_hidden(tmp_path, capsys, monkeypatch, error, ends):
+    def fails(_):
+        raise error
+
+    monkeypatch.setattr("benchmarks.right_angles.right_angles_of", fails)
+    monkeypatch.setattr("benchmarks.__main__.signal.signal", lambda *_: None)
+    monkeypatch.setattr("sys.argv", ["benchmarks", "right-angles", str(tmp_path)])
+    with pytest.raises(ends):
+        main()
+    assert capsys.readouterr().err == ("benchmarks: stopped\n" if error is KeyboardInterrupt else "")

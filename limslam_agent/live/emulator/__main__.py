@@ -143,7 +143,7 @@ def _port(udp: int | None, host: str) -> "Port":
 
 def main() -> None:
     """Entry point. An error that the user can correct gives exit code 2 and one line."""
-    run_command(app, "emulator")
+    run_command(app, "emulator", resource="port")
 
 
 if __name__ == "__main__":
