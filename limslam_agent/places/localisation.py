@@ -379,16 +379,17 @@ def is_far(pose: FloatArray, middle: FloatArray, most: float = FAR[0], turn: flo
     return float(np.hypot(*shift)) > most or abs(wrap_angle(float(pose[2]))) > turn
 
 
-def agree(first: Localisation, second: Localisation, *, has_drifted: bool = False) -> bool:
+def agree(first: Localisation, second: Localisation, *, may_be_bent: bool = False) -> bool:
     """Whether two searches in succession find the same place.
 
     The place must count in the later search, where the test of contradictions is stricter than in a single search. It
-    is less strict for a robot that has probably drifted, since its map may be bent. In the earlier search, the place
-    only has to be the best one: nearly all readings of the two are the same.
+    is less strict if the map may be bent: that of a robot that has probably drifted, and that of an earlier run, whose
+    furniture may have been moved. In the earlier search, the place only has to be the best one: nearly all
+    readings of the two are the same.
     """
     if first.fit is None or second.fit is None or not second.is_accepted:
         return False
-    is_on_map = second.fit.is_on_map >= _FOUND if has_drifted else second.fit.is_clearly_on_map
+    is_on_map = second.fit.is_on_map >= _FOUND if may_be_bent else second.fit.is_clearly_on_map
     if not second.is_near and not is_on_map:
         return False
     return not are_apart(first.fit.pose, second.fit.pose, second.middle)

@@ -98,7 +98,7 @@ class Lookup:
         likely = [] if before is None else [fit.pose for fit in before.open]
         decision = self._latest = localise(self._place, rays, likely)
         self._refused += not decision.is_accepted
-        if before is None or decision.fit is None or not agree(before, decision):
+        if before is None or decision.fit is None or not agree(before, decision, may_be_bent=True):
             return None
         frame = decision.fit.pose
         placed, middle = compose(frame, start), transform_points(frame, decision.middle[None])[0]

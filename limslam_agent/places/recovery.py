@@ -349,7 +349,7 @@ class Recovery:
         # A search of the whole map may miss the place near by.
         decision = localise(absence.place, rays, likely, far, [near.fit])
         absence.decisions.append(decision)
-        if not earlier or not agree(earlier[-1], decision, has_drifted=not is_far_likely):
+        if not earlier or not agree(earlier[-1], decision, may_be_bent=not is_far_likely):
             return None
         return self._placement(absence, rays, decision, sensor)
 

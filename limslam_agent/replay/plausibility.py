@@ -47,14 +47,18 @@ MOSTLY_APART = 0.5
 MOST_NAMED = 5
 """A warning names at most so many times."""
 
-CLEARLY_FASTER = 1.2
-"""A wheel whose average speed is this many times its largest one has travel in another unit."""
+CLEARLY_FASTER, MUCH_FASTER = 1.2, 3.0
+"""A wheel whose average speed is this many times its largest one may have travel in another unit. If it is this many
+times, the path by the wheels tells nothing about their order and signs."""
 
 MANY_NOTHING = 0.5
 """Above this share of readings that saw nothing, the building is so wide that one beam may never see a wall."""
 
 LEAST_SPREAD = 0.5
 """If the middle half of the readings of a beam has a wider range than this, m, the robot has moved."""
+
+FEWEST_READINGS = 20
+"""Fewer readings of a beam may be the same although its sensor works."""
 
 
 def log_warnings(log: RecordedLog) -> list[str]:
@@ -143,21 +147,28 @@ def _about_zeros(log: RecordedLog) -> list[str]:
 
 
 def _about_beams(log: RecordedLog) -> list[str]:
-    """Beams that say the same in every row, although the readings of another one show that the robot has moved."""
+    """Beams that always say the same or nothing, although the readings of another one show that the robot has moved."""
     if _spread(log) < LEAST_SPREAD:
         return []
     readings = np.minimum(log.ranges[log.has_scan], log.robot.max_ranges)
     lowest, highest = np.fmin.reduce(readings), np.fmax.reduce(readings)  # nan where a beam has no reading
-    is_dead, saw_nothing = ~(highest > lowest), lowest >= log.robot.too_far
+    counts = (~np.isnan(readings)).sum(axis=0)
+    is_dead, saw_nothing = (counts >= FEWEST_READINGS) & (highest == lowest), lowest >= log.robot.too_far
     if _seen(log)[1] > MANY_NOTHING:
         is_dead &= ~saw_nothing
+    is_dead |= counts == 0
     if not is_dead.any():
         return []
     angles = [f"{angle:g}" for angle in np.round(np.degrees(log.robot.beam_angles), 1)]
-    said = ["nothing was seen" if nothing else f"{low:.3g}" for nothing, low in zip(saw_nothing, lowest, strict=True)]
-    which = ", ".join(f"the beam at {angles[beam]} deg says {said[beam]}" for beam in np.nonzero(is_dead)[0])
+    said = [
+        f"says {'nothing was seen' if nothing else f'{low:.3g}'} in all of its {count} readings"
+        if count
+        else "has no reading"
+        for nothing, low, count in zip(saw_nothing, lowest, counts, strict=True)
+    ]
+    which = ", ".join(f"the beam at {angles[beam]} deg {said[beam]}" for beam in np.nonzero(is_dead)[0])
     others = ",".join(angle for angle, dead in zip(angles, is_dead, strict=True) if not dead)
-    return [f"{which} in every row: is its sensor connected? --beams={others} leaves it out"]
+    return [f"{which}: is its sensor connected? --beams={others} leaves it out"]
 
 
 def _about_odometry(log: RecordedLog) -> list[str]:
@@ -181,19 +192,24 @@ def _about_odometry(log: RecordedLog) -> list[str]:
 
 
 def _about_wheels(log: RecordedLog, wheels: FloatArray) -> list[str]:
-    """What is unlikely about the travel (n, 2) of both wheels, m: whether they move, and in which direction."""
+    """What is unlikely about the travel (n, 2) of both wheels, m: whether they move, how fast, and which way."""
     left, right = np.abs(wheels[1:]).sum(axis=0).tolist()
     if left == right == 0.0:
         return ["the wheels never move: are the encoders connected, and are left and right their columns?"]
     speed, most = max(left, right) / max(float(np.ptp(log.time)), 1e-9), log.robot.max_wheel_speed
+    about_speed = []
     if speed > CLEARLY_FASTER * most:
         text = f"a wheel travels at {speed:.2g} m/s on average, but the robot's max_wheel_speed is {most:g} m/s"
-        return [f"{text}: are left and right travel, not speeds, and are the metres for each tick right?"]
-    if min(left, right) > 0.0 or max(left, right) < LEAST_DRIVEN:
-        return _misread(log, _path(wheels, log.robot.axle), by_wheels=True)
-    still, moving = ("left", "right") if left == 0.0 else ("right", "left")
-    travel = f"while the {moving} wheel travels {max(left, right):.1f} m"
-    return [f"the {still} wheel never moves, {travel}: is its encoder connected, and is {still} its column?"]
+        question = "are left and right travel, not speeds, and are the metres for each tick right?"
+        about_speed = [f"{text}: {question} If the robot is so fast, set max_wheel_speed in its file"]
+    if min(left, right) == 0.0 and max(left, right) >= LEAST_DRIVEN:
+        still, moving = ("left", "right") if left == 0.0 else ("right", "left")
+        travel = f"while the {moving} wheel travels {max(left, right):.1f} m"
+        question = f"is its encoder connected, and is {still} its column?"
+        return [*about_speed, f"the {still} wheel never moves, {travel}: {question}"]
+    if speed > MUCH_FASTER * most:
+        return about_speed
+    return [*about_speed, *_misread(log, _path(wheels, log.robot.axle), by_wheels=True)]
 
 
 def _path(wheels: FloatArray, axle: float) -> FloatArray:

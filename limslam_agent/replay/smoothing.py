@@ -116,6 +116,8 @@ def trusted_path(
     """The smoothed log with its walls, signals and data, or odometry alone if its signals are clearly better."""
     report = report or (lambda _: None)
     judged = _judged(smooth_log(data, start, config, report), config, data)
+    # Contradicted pieces of walls only make the path doubtful. They are too few to tell at which ranges visits
+    # disagree, and whether a search of all frames mends such a path was not measured.
     if judged[2].contradicts_itself:
         judged = _second_look(start, config, judged, report)
     found, landmarks, signals, used = judged

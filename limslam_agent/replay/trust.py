@@ -43,8 +43,13 @@ MOST_CONTRADICTED = 0.12
 """A path is doubtful if other visits contradict a larger share of the points that they confirm or contradict."""
 
 PIECES_OF_RIGHT, PIECES_OF_WRONG, MOST_ODDS = 0.01, 0.06, 100.0
-"""Shares of the pieces of walls that other visits contradict on right and on wrong paths. A path is doubtful if the
-pieces make it more likely wrong than right by more than these odds."""
+"""Shares of the pieces of walls that other visits contradict on right and on wrong paths, and the largest odds for a
+wrong path by both. Chunks overlap and several visits read one wall, so pieces are not independent: the odds are a
+threshold, and no probability."""
+
+FEWEST_PIECES = 6
+"""Fewer contradicted pieces of walls may be one thing that was moved: a cupboard of 1.6 m is up to four in a short
+log."""
 
 MOST_BENT = 16.0
 """A path is doubtful where its loops bend it away from the local smoothing by a larger chi-square."""
@@ -118,11 +123,11 @@ class PathSignals:
 
     @property
     def contradicts_walls(self) -> bool:
-        """Whether so many whole pieces of walls are contradicted that the path is much more likely wrong than right."""
+        """Whether so many whole pieces of walls are contradicted that the path is doubtful."""
         seen, against = self.pieces
         log_odds = against * math.log(PIECES_OF_WRONG / PIECES_OF_RIGHT)
         log_odds += (seen - against) * math.log((1.0 - PIECES_OF_WRONG) / (1.0 - PIECES_OF_RIGHT))
-        return log_odds > math.log(MOST_ODDS)
+        return against >= FEWEST_PIECES and log_odds > math.log(MOST_ODDS)
 
     @property
     def status(self) -> Status:
@@ -159,7 +164,7 @@ class PathSignals:
             "smoothed_wall_crossings": self.crossings,
             "smoothed_wall_crossing_times": [round(time, 2) for time in self.crossing_times],
             "smoothed_contradicted_share": self.contradicted_share,
-            "smoothed_contradicted_walls": self.pieces[1] / max(1, self.pieces[0]),
+            "smoothed_contradicted_walls": self.pieces[1] / self.pieces[0] if self.pieces[0] else None,
             "smoothed_reach_m": self.reach,
             "smoothed_bend_times": [round(time, 2) for time in self.bend_times],
             "smoothed_doubtful_times": [round(time, 2) for time in self.doubtful_times],

@@ -38,6 +38,12 @@ from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.formats.writing import write_world
 from limslam_env.worlds.world import World
 
+_ALIGNED_WALLS = "wall_f1_aligned", "wall_f1_aligned_5cm", "spurious_walls", "spurious_m", "duplicate_m"
+_IN_ANY_FRAME = {
+    "ate_aligned_m", "limit_ate_m", "coverage_claimed", "landmarks", *_ALIGNED_WALLS,
+    *(f"{name}_online" for name in _ALIGNED_WALLS),
+}  # fmt: skip
+
 
 def trajectory_scores(
     true: FloatArray, estimated: FloatArray, odometry: FloatArray, covariances: FloatArray
@@ -62,26 +68,25 @@ def score(episode: Episode) -> dict[str, Any]:
     mapped = episode.mapped_steps  # the online map is drawn from the steps before the robot was lost
     columns = (episode.true, episode.estimated, episode.odometry, episode.covariances)
     trajectory = team_scores(*(rows[:, placed] for rows in columns))
-    is_elsewhere = config.prior_map is not None and not episode.in_prior_map
-    if is_elsewhere:  # The estimates are in a frame of their own: only aligned ones can be compared with the truth.
-        trajectory = {**dict.fromkeys(trajectory), "ate_aligned_m": trajectory["ate_aligned_m"]}
     limit = offline_optimum_scores(episode, trajectory["ate_m"]) if config.limit else {}
     smoothed = smoothed_scores(episode, limit.get("limit_ate_m"))
     is_over = episode.is_finished and not episode.stop_reason.endswith(NOT_EXPLORED)
     has_explored = is_over and explores(config.policy, config.laps)
+    walls = map_scores(
+        episode.world,
+        config.robot,
+        episode.coverage_grid,
+        episode.final_map,
+        episode.true[mapped, placed],
+        episode.final_map.poses[mapped, placed],
+        None if online is None else (replace(online, poses=online.poses[known]), episode.true[known, placed]),
+    )
+    estimates = {**trajectory, **limit, **smoothed, **walls}
+    if config.prior_map is not None and not episode.in_prior_map:
+        # The estimates are in a frame of their own, and can be compared with the truth only when aligned.
+        estimates = {name: value if name in _IN_ANY_FRAME else None for name, value in estimates.items()}
     return {
-        **trajectory,
-        **limit,
-        **(dict.fromkeys(smoothed) if is_elsewhere else smoothed),
-        **map_scores(
-            episode.world,
-            config.robot,
-            episode.coverage_grid,
-            episode.final_map,
-            episode.true[mapped, placed],
-            episode.final_map.poses[mapped, placed],
-            None if online is None else (replace(online, poses=online.poses[known]), episode.true[known, placed]),
-        ),
+        **estimates,
         **drive_scores(episode.time, episode.coverage, episode.true, episode.contact, has_explored=has_explored),
         **association_metrics(events, len(episode.world.edges)),
         **closure_metrics(events, closed, len(episode.world.edges)),

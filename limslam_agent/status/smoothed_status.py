@@ -44,17 +44,20 @@ def smoothed_status(
     while_driving
         The worst level of the status while the robots drove.
     lost_since
-        Time after the start, s, from which on the filter did not know the robot's place; None if it knew it at the end.
+        Time after the start, s, from which on the filter did not know the robot's place, or was wrong about it; None if
+        it was not.
     is_continued
         Whether the smoother has found the poses since then by itself.
     """
     if lost_since is not None and not is_continued:
         return Status("lost", f"the place of the robot is unknown from {lost_since:.0f} s on")
     status = _by_readings(contradictions, filtered, smoothed, while_driving)
-    if status.level == "ok" and lost_since is not None:
-        words = f"the robot did not know its place from {lost_since:.0f} s on; only the smoothed path shows it"
+    if lost_since is None:
+        return status
+    words = f"only the smoothed path shows the robot's place from {lost_since:.0f} s on"
+    if status.level == "ok":
         return Status("unsure", words)
-    return status
+    return Status(status.level, f"{words}; {status.reason}")
 
 
 def _by_readings(

@@ -41,8 +41,11 @@ def _calibration_prior(size_std: float, bias_std: float) -> FloatArray:
 CALIBRATION_PRIOR = _calibration_prior(0.03, 0.02)
 """Inverse covariance (4, 4) of the prior of a robot's calibration: left wheel, right wheel, axle, bias."""
 
-RELATIVE_PRIOR = _calibration_prior(1e-5, 1e-5)
-"""The same if wheels and ranges are taken to have no common error."""
+RELATIVE_PRIOR = _calibration_prior(1e-6, 1e-6)
+"""The same if wheels and ranges are taken to have no common error.
+
+The deviations are so small that no readings make the common errors count in Wald's test.
+"""
 
 
 @dataclass(frozen=True, eq=False)

@@ -185,19 +185,22 @@ def smooth_run(
     its odometry says how it moved since then.
     """
     config = config or SmootherConfig()
-    best = settle(run.until(unplaced), config)
-    if best is not None and unplaced in losses:
-        best = _continued(best, run) or best
-    elif best is not None and unplaced is None and is_contradicted(best.problem, best.association):
-        best = _without_filter(best, run, config, losses)
-    return None if best is None else _smoothed(best)
+    best, found = settle(run.until(unplaced), config), None
+    if best is None:
+        return None
+    if is_contradicted(best.problem, best.association):
+        found = _without_filter(run, config, losses)
+    elif unplaced in losses:
+        found = _continued(best, run)
+    return _smoothed(found or best)
 
 
-def _without_filter(best: Settled, run: FilteredRun, config: SmootherConfig, losses: Sequence[int]) -> Settled:
-    """The solution of a run whose filter may have placed a lost robot wrongly, or a better one without the filter.
+def _without_filter(run: FilteredRun, config: SmootherConfig, losses: Sequence[int]) -> Settled | None:
+    """The solution of a run whose filter has placed a lost robot wrongly.
 
-    It goes on from the latest loss before which no beams contradict the map. A map that is contradicted stays so, and
-    so a bisection finds this loss with few solutions.
+    It goes on alone from the latest loss before which no beams contradict the map; None if nothing says where the robot
+    was later. A map that is contradicted mostly stays so, and each solution may take minutes, so this loss is found by
+    bisection.
     """
     known, first, last = None, 0, len(losses)
     while first < last:
@@ -206,9 +209,8 @@ def _without_filter(best: Settled, run: FilteredRun, config: SmootherConfig, los
         if begin is not None and is_contradicted(begin.problem, begin.association):
             last = middle
         else:
-            known, first = begin, middle + 1
-    found = None if known is None else _continued(known, run)
-    return best if found is None else max(best, found, key=lambda each: each.worth)
+            known, first = begin or known, middle + 1
+    return None if known is None else _continued(known, run)
 
 
 def _continued(best: Settled, run: FilteredRun) -> Settled | None:
@@ -243,7 +245,7 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Settled | None:
         problem, found = _as_read(problem, run, labels)
         best = _settled(problem, found, run)
         if config.calibrate == "if_needed" and _may_need_calibration(best):
-            sized = _sized(problem)
+            sized = _calibrated(problem)
             again = _settled(sized, _reassociated(sized, run, labels), run)
             best = max(best, again, key=lambda each: each.worth)
     except DegenerateError:
@@ -284,7 +286,7 @@ def _may_need_calibration(found: Settled) -> bool:
     """
     if is_contradicted(found.problem, found.association):
         return True
-    sized = _sized(found.problem)
+    sized = _calibrated(found.problem)
     solution = solve(sized, found.association.state, found.association.labels)
     first, count = solution.factored.first_shared, solution.state.calibration.size
     values = (solution.state.calibration - sized.assumed_calibration).ravel()
@@ -292,8 +294,8 @@ def _may_need_calibration(found: Settled) -> bool:
     return float(values @ np.linalg.solve(covariance, values)) > _CALIBRATION_GATE * len(sized.starts)
 
 
-def _sized(problem: Problem) -> Problem:
-    """The problem with a calibration of the robots.
+def _calibrated(problem: Problem) -> Problem:
+    """The problem with constant errors of wheels, axle and ranges.
 
     What a wide beam reads, and what a sensor reads whose noise grows with the range, is known to some millimetres only.
     That looks like a common error of all sizes with a bias, so the robots of such sensors have relative errors alone,

@@ -101,7 +101,7 @@ def test_two_searches_agree_on_one_place_only(whole):
     alike = replace(found, fit=replace(found.fit, contradictions=4, tested=142))
     assert alike.fit.is_on_map > ON_MAP
     assert not agree(found, alike)
-    assert agree(found, alike, has_drifted=True), "its map may be bent"
+    assert agree(found, alike, may_be_bent=True)
     assert agree(found, replace(found, is_near=True, fit=few.fit)), "a robot that has drifted is likely near"
 
 

@@ -115,6 +115,7 @@ def test_a_robot_that_never_finds_its_place_keeps_its_earlier_map(tmp_path, monk
     episode = run_episode(config)
     assert (episode.places.breaks, episode.places.revisions) == ([], [])
     assert 0 < episode.places.unplaced.begin <= 300
+    assert episode.places.losses == [episode.places.unplaced.begin], "from here on the smoother may go on alone"
     assert episode.snapshot.status == "lost"
     assert episode.places.records[-1]["event"] == "not found"
     write_episode(tmp_path, episode)
@@ -306,7 +307,8 @@ SENSOR = RangeSensor(0.03, growth=0.01, bias=0.01)
 def lost_mapper(episode, monkeypatch, prepare=None):
     """A mapper that is prepared, and loses its place by a jump of the odometry after the time of restarts."""
     monkeypatch.setattr("limslam_agent.mapper.RESTART_WITHIN", 0)
-    monkeypatch.setattr("limslam_agent.places.recovery._LEAST_KNOWN", 0.0)
+    for module in ("absence", "recovery"):
+        monkeypatch.setattr(f"limslam_agent.places.{module}.LEAST_KNOWN", 0.0)
     mapper = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), episode.true[0, 0])
     if prepare is not None:
         prepare(mapper.slam)

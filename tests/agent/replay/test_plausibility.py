@@ -198,19 +198,47 @@ def test_exchanged_and_reversed_wheels_are_noticed(change, question):
 
 
 @pytest.mark.parametrize(
-    ("reading", "words"), [(0.4, "says 0.4 in"), (np.nan, "says nan in"), (np.inf, "says nothing was seen in")]
+    ("reading", "first", "words"),
+    [
+        (0.4, 0, "says 0.4 in all of its {} readings"),
+        (0.4, -30, "says 0.4 in all of its 30 readings"),
+        (np.inf, 0, "says nothing was seen in all of its {} readings"),
+        (np.nan, 0, "has no reading"),
+    ],
 )
-def test_a_beam_that_always_says_the_same_is_named(reading, words):
+def test_a_beam_that_always_says_the_same_or_nothing_is_named(reading, first, words):
     log = wheel_log(np.eye(2))
-    log.ranges[:, 0] = reading
+    log.ranges[:, 0] = np.nan
+    log.ranges[first:, 0] = reading
     (warning,) = [found for found in log_warnings(log) if "sensor connected" in found]
-    assert f"the beam at 90 deg {words} every row" in warning
+    assert warning.startswith(f"the beam at 90 deg {words.format(len(log))}: is its sensor connected?")
     assert "--beams=45,15,-15,-45,-90 leaves it out" in warning
+
+
+@pytest.mark.parametrize("count", [1, 3])
+def test_a_beam_with_few_readings_is_not_left_out_because_they_are_the_same(count):
+    log = wheel_log(np.eye(2))
+    log.ranges[count:, 0], log.ranges[:count, 0] = np.nan, 0.4
+    assert not [found for found in log_warnings(log) if "sensor connected" in found]
 
 
 def test_wheels_that_are_faster_than_the_robot_are_noticed():
     (warning,) = log_warnings(wheel_log(4.0 * np.eye(2)))
     assert "but the robot's max_wheel_speed is 0.3 m/s: are left and right travel, not speeds" in warning
+    assert warning.endswith("If the robot is so fast, set max_wheel_speed in its file")
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [([[0, 1], [1, 0]], "are the wheels exchanged"), ([[0, 0], [0, 3]], "the left wheel never moves")],
+)
+def test_faster_wheels_are_examined_further(change, words):
+    """The robot drives faster than its file says, and its wheels are exchanged, or one of them is not connected."""
+    log = wheel_log(np.array(change, dtype=float))
+    slow = replace(log, robot=replace(log.robot, max_wheel_speed=0.1))
+    faster, other = log_warnings(slow)
+    assert "but the robot's max_wheel_speed is 0.1 m/s" in faster
+    assert words in other
 
 
 def test_a_gap_in_a_wheel_log_is_named_with_its_times():

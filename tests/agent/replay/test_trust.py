@@ -41,12 +41,19 @@ def test_a_path_crosses_a_wall_only_inside_of_its_ends():
         (signals(driven=30.0, confirmed=0.0, contradicted=0.0, loops=0), ""),
         (signals(pieces=(236, 6)), ""),
         (signals(pieces=(20, 2)), ""),
+        (signals(pieces=(45, 4)), ""),  # of a moved cupboard in a short log
+        (signals(pieces=(60, 6)), "of 60 pieces of walls, 6 are where other visits saw free space"),
         (signals(pieces=(152, 15)), "of 152 pieces of walls, 15 are where other visits saw free space"),
         (signals(bends=(33.2, 91.0)), "the path is bent more than odometry and walls allow after 33, 91 s"),
     ],
 )
 def test_the_status_names_each_reason(found, words):
     assert (found.status.level, found.status.reason) == ("unsure" if words else "ok", words)
+
+
+def test_a_share_of_no_pieces_of_walls_is_not_known():
+    assert signals().figures["smoothed_contradicted_walls"] is None
+    assert signals(pieces=(50, 5)).figures["smoothed_contradicted_walls"] == 0.1
 
 
 def test_odometry_is_better_only_if_it_crosses_fewer_walls_and_agrees_better():

@@ -1,6 +1,7 @@
 """Mending: what a score without truth prefers, and wrong associations of whole walls that are found again."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -232,6 +233,21 @@ def test_a_run_whose_place_is_not_known_from_some_step_on_is_smoothed_to_its_end
     # Where the odometry has jumped, the wheels do not say how the robot moved.
     beginning = smooth_run(run, unplaced=lost)
     assert (len(beginning.poses), beginning.is_continued) == (lost, False)
+
+
+@pytest.mark.parametrize("first", [0, 5])
+def test_the_beginning_of_a_run_has_what_was_found_out_until_then(first):
+    """Steps of readings and closures count from the start of the drive, of which a run may be the end."""
+    steps, later = np.zeros((9, 1, 2)), first + np.array([3, 4])
+    records = [AssociationRecord(0, is_new=True, readings=np.array([[first, 0], [last, 1]])) for last in later]
+    run = FilteredRun(
+        ROBOT, NominalNoise(0.02), steps, steps, steps > 0.0, steps, steps, records,
+        [SimpleNamespace(step=step) for step in later], breaks=((0, 3), (0, 4)), first_step=first,
+    )  # fmt: skip
+    begin = run.until(4)
+    assert (len(begin.wheels), begin.associations, begin.breaks) == (4, records[:1], ((0, 3),))
+    assert [each.step for each in begin.closures] == [first + 3]
+    assert run.until(None) is run
 
 
 def test_a_path_at_a_wrong_place_is_found_without_the_filter_if_beams_contradict_it():
