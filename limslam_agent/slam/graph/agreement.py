@@ -6,7 +6,7 @@ separate them.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -45,7 +45,6 @@ _GROUP_DISTANCE, _GROUP_TURN, _GROUP_CHUNKS = 0.7, math.radians(10.0), 3
 _MIN_TRAVEL, _MAX_DISTANCE = 13.5, 13.0  # m: visits are compared from this distance driven on, up to this distance
 _MAX_GROUPS, MAX_GROUP = 40, 8  # groups that are tried, and loops in a group
 _MOST_DOUBTS = 8  # groups whose removal is tried in a pass
-_MOST_EXCHANGES = 10  # groups that are tried in the place of other loops
 PRUNE_GAIN = 0.002
 """A group of loops is removed if its removal raises the score by this."""
 DOUBTFUL_SHARE = 0.12
@@ -83,32 +82,20 @@ class LoopVerdict:
         return self.reason == KEPT
 
 
-def _near_and_agreeing(loops: Sequence[Loop], others: Sequence[Loop], poses: FloatArray) -> tuple[BoolArray, BoolArray]:
-    """Which loops (k) join nearly the same chunks as other loops (m), and which of these also predict them: (k, m)."""
-    distance, angle = agreements(loops, others, poses)
-    apart = np.abs(_ends(loops)[:, :, None] - _ends(others)[:, None])
-    near: BoolArray = (apart <= _GROUP_CHUNKS).all(axis=0)
-    return near, near & (distance < _GROUP_DISTANCE) & (angle < _GROUP_TURN)
+def agreements(loops: Sequence[Loop], poses: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Errors with which each loop (row) predicts each other loop (column).
 
+    Returns distances (k, k), m, and angles (k, k), rad.
 
-def agreements(loops: Sequence[Loop], others: Sequence[Loop], poses: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Errors with which each loop (row) predicts each of the other loops (column).
-
-    Returns distances (k, m), m, and angles (k, m), rad. The relative poses between the ends of the loops are computed
-    from ``poses`` (c, 3).
+    The relative poses between the ends of the loops are computed from ``poses`` (c, 3).
     """
-    (first, second), (other_first, other_second) = _ends(loops), _ends(others)
-    relative, other = (np.array([loop.relative for loop in each]).reshape(-1, 3) for each in (loops, others))
-    before = se2.between(poses[other_first][None], poses[first][:, None])
-    after = se2.between(poses[second][:, None], poses[other_second][None])
+    first, second = np.array([loop.first for loop in loops]), np.array([loop.second for loop in loops])
+    relative = np.array([loop.relative for loop in loops])
+    before = se2.between(poses[first][None], poses[first][:, None])
+    after = se2.between(poses[second][:, None], poses[second][None])
     predicted = se2.compose(se2.compose(before, relative[:, None]), after)
-    apart = se2.between(predicted, np.broadcast_to(other[None], predicted.shape))
+    apart = se2.between(predicted, np.broadcast_to(relative[None], predicted.shape))
     return np.hypot(apart[..., 0], apart[..., 1]), np.abs(apart[..., 2])
-
-
-def _ends(loops: Sequence[Loop]) -> IntArray:
-    """The first and the second chunks (2, k) of loops."""
-    return np.array([(loop.first, loop.second) for loop in loops], dtype=np.int64).reshape(-1, 2).T
 
 
 def supported(loops: Sequence[Loop], poses: FloatArray, travel: FloatArray) -> BoolArray:
@@ -116,8 +103,11 @@ def supported(loops: Sequence[Loop], poses: FloatArray, travel: FloatArray) -> B
 
     ``travel`` (c,) is the distance driven up to each chunk, m.
     """
-    distance, angle = agreements(loops, loops, poses)
-    first, second = travel[_ends(loops)]
+    if not loops:
+        return np.zeros(0, dtype=np.bool_)
+    distance, angle = agreements(loops, poses)
+    first = travel[[loop.first for loop in loops]]
+    second = travel[[loop.second for loop in loops]]
     gap = np.abs(second[:, None] - second[None])
     near = (gap >= _SUPPORT_FROM) & (gap <= _SUPPORT_TO)
     near &= np.abs(first[:, None] - first[None]) <= _SUPPORT_TO
@@ -127,12 +117,25 @@ def supported(loops: Sequence[Loop], poses: FloatArray, travel: FloatArray) -> B
 
 def groups_of(loops: Sequence[Loop], poses: FloatArray) -> list[list[int]]:
     """Groups of loops that agree, directly or through other loops. The first loop of the group comes first."""
-    _, joined = _near_and_agreeing(loops, loops, poses)
+    distance, angle = agreements(loops, poses)
+    first, second = np.array([loop.first for loop in loops]), np.array([loop.second for loop in loops])
+    near = np.abs(first[:, None] - first[None]) <= _GROUP_CHUNKS
+    near &= np.abs(second[:, None] - second[None]) <= _GROUP_CHUNKS
+    joined = near & (distance < _GROUP_DISTANCE) & (angle < _GROUP_TURN)
     label = np.arange(len(loops))
     for row in range(len(loops)):
         for column in np.nonzero(joined[row] | joined[:, row])[0]:
             label[label == label[column]] = label[row]
     return [list(map(int, np.nonzero(label == each)[0])) for each in dict.fromkeys(label.tolist())]
+
+
+def distances_after_alignment(poses: FloatArray, others: FloatArray) -> FloatArray:
+    """Distances (m,) between the positions of two paths (m, 3), after the rigid motion that fits them best."""
+    places, targets = poses[:, :2] - poses[:, :2].mean(axis=0), others[:, :2] - others[:, :2].mean(axis=0)
+    products = places.T @ targets
+    angle = np.arctan2(products[0, 1] - products[1, 0], products[0, 0] + products[1, 1])
+    moved = se2.transform_points(np.array([0.0, 0.0, angle]), places)
+    return np.asarray(np.hypot(*(moved - targets).T))
 
 
 @dataclass(frozen=True, eq=False)
@@ -459,49 +462,6 @@ def accept_groups(
             break
         waiting = rest
     return Decision(loops, solution, [loop for group in waiting for loop in group])
-
-
-def exchange_groups(poses: FloatArray, hops: Hops, decision: Decision, score: MapScore) -> Decision:
-    """Let refused groups take the place of the loops that join the same visits in another way, if the score rises.
-
-    Wrong loops and right ones cannot both be in the graph, so right groups that are found later do not raise the score
-    until the wrong ones are gone. The kernels must accept the group, and the score must be higher than without both.
-    """
-    loops, solution, dropped = decision.loops, decision.solution, decision.dropped
-    value: float | None = None
-    tried = 0
-    for group in _ranked(dropped, poses):
-        rivals = _rivals(loops, group, poses)
-        if not rivals.any():
-            continue
-        if (tried := tried + 1) > _MOST_EXCHANGES:
-            break
-        value = score(solution.poses) if value is None else value
-        kept = [loop for loop, is_rival in zip(loops, rivals, strict=True) if not is_rival]
-        # With narrow kernels, the solution would stay where the wrong loops have put it.
-        trial = solve_annealed(poses[0], hops, [*kept, *group])
-        gained = score(trial.poses)
-        accepted = gained > value + PRUNE_GAIN and trial.weights[len(kept) :].mean() > KEPT_WEIGHT
-        if accepted and gained > score(solve_annealed(poses[0], hops, kept).poses):
-            dropped = [loop for loop in dropped if loop not in group]
-            dropped += [loop for loop in loops if loop not in kept]
-            loops, solution, value = [*kept, *group], trial, gained
-    return Decision(loops, solution, dropped)
-
-
-def _rivals(loops: Sequence[Loop], group: Sequence[Loop], poses: FloatArray) -> BoolArray:
-    """Which loops (k,) join the same visits as a loop of a group, in either direction, but in another way."""
-    ahead, others = [_ahead(loop) for loop in loops], [_ahead(loop) for loop in group]
-    near, predicts = _near_and_agreeing(ahead, others, poses)
-    _, is_predicted = _near_and_agreeing(others, ahead, poses)
-    return np.asarray((near & ~(predicts & is_predicted.T)).any(axis=1))
-
-
-def _ahead(loop: Loop) -> Loop:
-    """The loop from its earlier to its later chunk, with the information of its own direction."""
-    if loop.first < loop.second:
-        return loop
-    return replace(loop, first=loop.second, second=loop.first, relative=se2.inverse(loop.relative))
 
 
 def _ranked(loops: list[Loop], poses: FloatArray) -> list[list[Loop]]:

@@ -18,7 +18,6 @@ from limslam_agent.slam.graph.agreement import (
     LoopVerdict,
     MapScore,
     accept_groups,
-    exchange_groups,
     plausible_groups,
     prune_groups,
     supported,
@@ -225,7 +224,7 @@ def _place_guarded(candidates: Candidates, placed: _Placed, score: MapScore) -> 
     placed = _pruned(chunks, placed, score)
     groups, placed = candidates.groups(placed, score)
     decision = _accept(chunks, placed, groups, score, _GAIN, near=False)
-    gained = decision.loops != placed.loops
+    gained = len(decision.loops) > len(placed.loops)
     placed = placed.after(decision, NOT_ADDED)
     return _pruned(chunks, placed, score) if gained else placed
 
@@ -258,8 +257,7 @@ def _pruned(chunks: Chunks, placed: _Placed, score: MapScore) -> _Placed:
 def _accept(
     chunks: Chunks, placed: _Placed, groups: list[list[Loop]], score: MapScore, gain: float, *, near: bool
 ) -> Decision:
-    decision = accept_groups(chunks.poses, chunks.hops, placed.loops, groups, score, gain, near=near)
-    return exchange_groups(chunks.poses, chunks.hops, decision, score)
+    return accept_groups(chunks.poses, chunks.hops, placed.loops, groups, score, gain, near=near)
 
 
 def _bundled(log: LogProblem, trajectory: Trajectory, chunks: Chunks, placed: _Placed, iterations: int) -> Round:

@@ -21,6 +21,7 @@ from limslam_agent.slam.graph.agreement import (
     NOT_ADDED,
     Evidence,
     LoopVerdict,
+    distances_after_alignment,
 )
 from limslam_agent.slam.graph.key_poses import (
     ERRORS,
@@ -390,12 +391,3 @@ def _result(keys: KeyPoses, name: str, best: Round, scores: dict[str, list[float
         keys=keys,
         trajectory=best.trajectory,
     )
-
-
-def distances_after_alignment(poses: FloatArray, others: FloatArray) -> FloatArray:
-    """Distances (m,) between the positions of two paths (m, 3), after the rigid motion that fits them best."""
-    places, targets = poses[:, :2] - poses[:, :2].mean(axis=0), others[:, :2] - others[:, :2].mean(axis=0)
-    products = places.T @ targets
-    angle = np.arctan2(products[0, 1] - products[1, 0], products[0, 0] + products[1, 1])
-    moved = se2.transform_points(np.array([0.0, 0.0, angle]), places)
-    return np.asarray(np.hypot(*(moved - targets).T))

@@ -1,6 +1,5 @@
 """Visits that contradict each other at one place only, and groups of loops that would make them do so."""
 
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -13,13 +12,11 @@ from limslam_agent.slam.graph.agreement import (
     Decision,
     Evidence,
     VisitCounts,
-    exchange_groups,
     plausible_groups,
     visit_counts,
 )
-from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Hops, Loop, Strain, solve_annealed
+from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Hops, Loop, Strain
 from limslam_agent.slam.graph.key_poses import ERRORS, Trajectory, choose_keys
-from limslam_env.geometry import se2
 
 
 def counts(contradicted):
@@ -99,50 +96,6 @@ def test_a_group_is_refused_if_the_visits_that_it_joins_contradict_each_other(co
     assert plausible_groups((poses, hops), placed, [], score) == ([], [])
     kept, left = plausible_groups((poses, hops), placed, [[loop]], score)
     assert (kept, left) == (([], [loop]) if refused else ([[loop]], []))
-
-
-CHAIN = np.column_stack((np.arange(10.0), np.zeros((10, 2))))
-HOPS = Hops(np.tile([1.0, 0.0, 0.0], (9, 1)), np.tile(0.1 * np.eye(3), (9, 1, 1)))
-
-
-def loop_to(place, first=0, last=9):
-    """A loop that places the last chunk of the chain so far from its first chunk, m."""
-    return Loop(first, last, np.array([place - first, 0.0, 0.0]), 1e4 * np.eye(3), 0.8, "union")
-
-
-def exchanged(wrong, refused, place):
-    """The decision about refused loops and a wrong one, if the score is highest with the last chunk at a place, m."""
-    placed = Decision([wrong], solve_annealed(CHAIN[0], HOPS, [wrong]), refused)
-    return exchange_groups(CHAIN, HOPS, placed, lambda poses: -abs(poses[9, 0] - place))
-
-
-@pytest.mark.parametrize(("place", "other", "is_better"), [(8.0, 1, True), (6.0, 1, False), (8.0, 5, False)])
-@pytest.mark.parametrize("backward", [False, True])
-def test_a_refused_group_takes_the_place_of_a_loop_that_joins_the_same_visits_otherwise(
-    place, other, is_better, backward
-):
-    """The score is highest where the last chunk is 8 m from the first one; loops from chunk 5 are of another visit."""
-    wrong, right = loop_to(6.0), loop_to(8.0, other)
-    if backward:
-        right = replace(right, first=9, second=other, relative=se2.inverse(right.relative))
-    found = exchanged(wrong, [right], place)
-    assert (found.loops, found.dropped) == (([right], [wrong]) if is_better else ([wrong], [right]))
-    assert found.solution.poses[9, 0] == pytest.approx(8.0 if is_better else 6.0, abs=0.1)
-
-
-@pytest.mark.parametrize(("said", "place"), [(8.0, 9.2), (60.0, 9.2)])
-def test_a_group_takes_no_place_if_only_the_removal_of_the_other_loops_raises_the_score(said, place):
-    """The kernels accept the first group, which is worse than no loop, and reject the second one."""
-    wrong, refused = loop_to(6.0), loop_to(said)
-    found = exchanged(wrong, [refused], place)
-    assert (found.loops, found.dropped) == ([wrong], [refused])
-
-
-def test_only_some_groups_are_tried_in_the_place_of_other_loops():
-    wrong, calls = loop_to(6.0), []
-    placed = Decision([wrong], solve_annealed(CHAIN[0], HOPS, [wrong]), [loop_to(10.0 + place) for place in range(15)])
-    exchange_groups(CHAIN, HOPS, placed, lambda poses: float(calls.append(poses) or 0.0))
-    assert len(calls) == 1 + 10
 
 
 @pytest.mark.parametrize(
