@@ -11,7 +11,7 @@ The first two differ by the logarithm of a likelihood ratio: the evidence of the
 the believed pose. It must outweigh the prior probability that a robot is carried away in a step. The third explanation
 only makes the robot unsure, because rooms look alike: that a new room fits at the place of an earlier one is usual in
 an office building, and that a robot is carried away is not. It makes the robot lost if the readings also say that it is
-not where it is believed to be.
+not where it is believed to be, and fit nowhere near by.
 
 A change that makes the robot unsure is held until the readings since then clearly fit the believed pose, and not only
 as long as changes are watched: time alone says nothing for the pose. If they have clearly fitted at any time since a
@@ -27,16 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.places.history import LoggedStep, StepLog
-from limslam_agent.places.localisation import (
-    LEAD,
-    KnownPlaces,
-    Localisation,
-    NearFit,
-    agree,
-    is_far,
-    localise,
-    near_fit,
-)
+from limslam_agent.places.localisation import KnownPlaces, Localisation, NearFit, agree, is_far, localise, near_fit
 from limslam_agent.places.rays import rays_of
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.status import Status
@@ -50,7 +41,7 @@ _HELD, _LATEST = 1500, 300  # largest number of steps for which a doubtful chang
 _CHANGED, _MISFITS = 2, 0.05  # beams that changed, and largest share of rays of a sound beam that contradict the map
 _SEARCH = 1.0  # m: distance between two searches of the whole map
 # It is lost if the evidence that it was carried away is at least this. Another place of the map makes it unsure only if
-# its readings have at most the second evidence at the believed pose.
+# its readings have at most the second evidence at the believed pose, and lost only if near it, too.
 _LOST, _SUPPORTED = 10.0, 15.0
 _DATED = 3.0  # evidence of a change that says when the robot was carried away
 
@@ -246,10 +237,12 @@ class Kidnapping:
         self._searched = other = localise(found.place, found.rays, [np.zeros(3)])
         if other.fit is None or not other.is_accepted or not is_far(other.fit.pose, other.middle):
             return Status()
-        if near is None or before is None or not agree(before, other):  # as for the place of a lost robot
+        # If the robot has drifted, a pose near by explains what contradicts the believed one, and a new room may look
+        # like an earlier one.
+        if near is None or near.evidence > _SUPPORTED or not self._needs_no_beam(found, log, found.place.sensor):
             return MAYBE_ELSEWHERE
-        leads = other.fit.evidence >= near.evidence + LEAD and self._needs_no_beam(found, log, found.place.sensor)
-        return ELSEWHERE if leads else MAYBE_ELSEWHERE
+        is_found = before is not None and agree(before, other)  # as the place of a lost robot
+        return ELSEWHERE if is_found else MAYBE_ELSEWHERE
 
 
 def _without(step: LoggedStep, beams: BoolArray) -> LoggedStep:
