@@ -10,7 +10,8 @@ of that moment, which a wrong pose cannot change any more. Three explanations of
 The first two differ by the logarithm of a likelihood ratio: the evidence of the change, less that of the readings at
 the believed pose. It must outweigh the prior probability that a robot is carried away in a step. The third explanation
 only makes the robot unsure, because rooms look alike: that a new room fits at the place of an earlier one is usual in
-an office building, and that a robot is carried away is not.
+an office building, and that a robot is carried away is not. It makes the robot lost if the readings also say that it is
+not where it is believed to be, and fit nowhere near by.
 
 A change that makes the robot unsure is held until the readings since then clearly fit the believed pose, and not only
 as long as changes are watched: time alone says nothing for the pose. If they have clearly fitted at any time since a
@@ -26,7 +27,7 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.places.history import LoggedStep, StepLog
-from limslam_agent.places.localisation import KnownPlaces, is_far, localise, near_fit
+from limslam_agent.places.localisation import KnownPlaces, Localisation, NearFit, agree, is_far, localise, near_fit
 from limslam_agent.places.rays import rays_of
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.status import Status
@@ -40,7 +41,7 @@ _HELD, _LATEST = 1500, 300  # largest number of steps for which a doubtful chang
 _CHANGED, _MISFITS = 2, 0.05  # beams that changed, and largest share of rays of a sound beam that contradict the map
 _SEARCH = 1.0  # m: distance between two searches of the whole map
 # It is lost if the evidence that it was carried away is at least this. Another place of the map makes it unsure only if
-# its readings have at most the second evidence at the believed pose.
+# its readings have at most the second evidence at the believed pose, and lost only if near it, too.
 _LOST, _SUPPORTED = 10.0, 15.0
 _DATED = 3.0  # evidence of a change that says when the robot was carried away
 
@@ -51,7 +52,8 @@ outweighs the prior.
 
 CARRIED = Status("lost", "readings changed at once, and those since then do not fit the place")
 MAYBE_CARRIED = Status("unsure", CARRIED.reason)
-MAYBE_ELSEWHERE = Status("unsure", "the latest readings fit another place of the map")
+ELSEWHERE = Status("lost", "the latest readings fit another place of the map")
+MAYBE_ELSEWHERE = Status("unsure", ELSEWHERE.reason)
 
 
 @dataclass(frozen=True, eq=False)
@@ -120,6 +122,7 @@ class Kidnapping:
     _unsearched: float = field(default=math.inf, init=False)
     _spacing: float = field(default=0.0, init=False)
     _elsewhere: Status = field(default=Status(), init=False)
+    _searched: Localisation | None = field(default=None, init=False)
     _held: _Held | None = field(default=None, init=False)
     _fitted_after: list[Suspicion] = field(default_factory=list, init=False)  # changes after which readings fitted
 
@@ -130,7 +133,7 @@ class Kidnapping:
 
     def forget(self) -> None:
         """Hold nothing any more: the frame of the poses has changed."""
-        self._held, self._elsewhere, self._fitted_after = None, Status(), []
+        self._held, self._elsewhere, self._searched, self._fitted_after = None, Status(), None, []
 
     def doubt(
         self,
@@ -158,16 +161,15 @@ class Kidnapping:
         fitted = [each.change for each in found if each.change in self._fitted_after or each.here > _SUPPORTED]
         self._fitted_after = fitted
         likeliest = max(found, key=lambda each: each.evidence)
-        is_doubtful, evidence = likeliest.evidence >= SUSPECTED, likeliest.evidence
-        if is_doubtful:
-            near = near_fit(likeliest.place, likeliest.rays, covariance)
+        near, evidence, status = None, likeliest.evidence, Status()
+        if evidence >= SUSPECTED:
+            near, status = near_fit(likeliest.place, likeliest.rays, covariance), MAYBE_CARRIED  # or it has drifted
             evidence = min(evidence, likeliest.change.change - near.evidence)
-        status = MAYBE_CARRIED if is_doubtful else Status()  # or it has drifted
         if evidence >= _LOST and self._needs_no_beam(likeliest, log, sensor):
             status = CARRIED
         if driven and status.level != "lost" and self._unsearched >= max(_SEARCH, self._spacing):
-            self._unsearched, self._elsewhere = 0.0, self._by_search(likeliest)
-        if status.level == "ok":
+            self._unsearched, self._elsewhere = 0.0, self._by_search(likeliest, near, log)
+        if status.level == "ok" or self._elsewhere.level == "lost":
             status = self._elsewhere
         status = self._held_status(likeliest, status)
         has_fitted = likeliest.change in self._fitted_after
@@ -223,15 +225,24 @@ class Kidnapping:
         fit = found.place.weigh(np.zeros((1, 3)), rays)[0]
         return fit.evidence >= SUSPECTED and fit.contradictions <= _MISFITS * len(rays)
 
-    def _by_search(self, found: _Weighed) -> Status:
-        """What follows from a search of the whole map before a change."""
+    def _by_search(self, found: _Weighed, near: NearFit | None, log: StepLog) -> Status:
+        """What follows from a search of the whole map before a change.
+
+        ``near`` is the likeliest pose near the believed one if the readings say that the robot is not at this one.
+        """
+        before, self._searched = self._searched, None
         if found.here > _SUPPORTED or len(found.rays) < _FEWEST:
             return Status()
         self._spacing = _SEARCH * found.place.size  # the time of a search grows with the map
-        other = localise(found.place, found.rays, [np.zeros(3)])
+        self._searched = other = localise(found.place, found.rays, [np.zeros(3)])
         if other.fit is None or not other.is_accepted or not is_far(other.fit.pose, other.middle):
             return Status()
-        return MAYBE_ELSEWHERE
+        # If the robot has drifted, a pose near by explains what contradicts the believed one, and a new room may look
+        # like an earlier one.
+        if near is None or near.evidence > _SUPPORTED or not self._needs_no_beam(found, log, found.place.sensor):
+            return MAYBE_ELSEWHERE
+        is_found = before is not None and agree(before, other)  # as the place of a lost robot
+        return ELSEWHERE if is_found else MAYBE_ELSEWHERE
 
 
 def _without(step: LoggedStep, beams: BoolArray) -> LoggedStep:

@@ -11,7 +11,7 @@ from limslam_agent import preset
 from limslam_agent.places.absence import Absence
 from limslam_agent.places.decision import FAR_CONFIRMED
 from limslam_agent.places.history import StepLog
-from limslam_agent.places.kidnapping import CARRIED, MAYBE_CARRIED, MAYBE_ELSEWHERE, SUSPECTED, Kidnapping
+from limslam_agent.places.kidnapping import CARRIED, ELSEWHERE, MAYBE_CARRIED, MAYBE_ELSEWHERE, SUSPECTED, Kidnapping
 from limslam_agent.places.localisation import ON_MAP, KnownPlaces, is_far, localise, near_fit
 from limslam_agent.places.rays import rays_of
 from limslam_agent.places.recovery import _CHECKPOINTS, _RECHECK, WRONG_PLACE, Recovery
@@ -101,6 +101,15 @@ def test_readings_that_fit_another_place_make_a_robot_unsure(whole):
     assert doubt(log, changes).status == MAYBE_ELSEWHERE
     assert doubt(log, changes, driven=0.0).status.level == "ok", "nothing is searched"
     assert doubt(log, [changed(whole, 5, SUSPECTED)], driven=0.0).status == MAYBE_CARRIED
+
+
+@pytest.mark.parametrize(("std", "status"), [(0.03, ELSEWHERE), (7.0, MAYBE_CARRIED)])
+def test_a_doubtful_robot_whose_readings_fit_another_place_twice_is_lost(whole, std, status):
+    """It believes that it is beside its map, 7 m from its place, which a large covariance explains."""
+    robot, log, changes = Kidnapping(ROBOT), moved_log([7.0, 0.0, 0.0]), [changed(whole, 5, SUSPECTED + 1.0)]
+    covariance = np.diag([std**2, 0.03**2, 0.01**2])
+    found = [robot.doubt(changes, log, covariance, SENSOR, 5.0).status for _ in range(2)]
+    assert found == [MAYBE_CARRIED, status]
 
 
 @pytest.mark.parametrize(
