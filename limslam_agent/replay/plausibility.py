@@ -51,14 +51,14 @@ CLEARLY_FASTER, MUCH_FASTER = 1.2, 3.0
 """A wheel whose average speed is this many times its largest one may have travel in another unit. If it is this many
 times, the path by the wheels tells nothing about their order and signs."""
 
-MANY_NOTHING = 0.5
-"""Above this share of readings that saw nothing, the building is so wide that one beam may never see a wall."""
+MANY_NOTHING = 0.3
+"""If the other beams saw nothing in a larger share of their readings, a beam may never see a wall."""
 
 LEAST_SPREAD = 0.5
 """If the middle half of the readings of a beam has a wider range than this, m, the robot has moved."""
 
-FEWEST_READINGS = 20
-"""Fewer readings of a beam may be the same although its sensor works."""
+FEWEST_READINGS = 200
+"""Fewer readings of a beam may be the same although its sensor works, as along a corridor."""
 
 
 def log_warnings(log: RecordedLog) -> list[str]:
@@ -154,7 +154,8 @@ def _about_beams(log: RecordedLog) -> list[str]:
     lowest, highest = np.fmin.reduce(readings), np.fmax.reduce(readings)  # nan where a beam has no reading
     counts = (~np.isnan(readings)).sum(axis=0)
     is_dead, saw_nothing = (counts >= FEWEST_READINGS) & (highest == lowest), lowest >= log.robot.too_far
-    if _seen(log)[1] > MANY_NOTHING:
+    others = readings[:, ~saw_nothing]
+    if np.count_nonzero(others >= log.robot.too_far[~saw_nothing]) > MANY_NOTHING * np.isfinite(others).sum():
         is_dead &= ~saw_nothing
     is_dead |= counts == 0
     if not is_dead.any():
@@ -167,8 +168,8 @@ def _about_beams(log: RecordedLog) -> list[str]:
         for nothing, low, count in zip(saw_nothing, lowest, counts, strict=True)
     ]
     which = ", ".join(f"the beam at {angles[beam]} deg {said[beam]}" for beam in np.nonzero(is_dead)[0])
-    others = ",".join(angle for angle, dead in zip(angles, is_dead, strict=True) if not dead)
-    return [f"{which}: is its sensor connected? --beams={others} leaves it out"]
+    kept = ",".join(angle for angle, dead in zip(angles, is_dead, strict=True) if not dead)
+    return [f"{which}: is its sensor connected? --beams={kept} leaves it out"]
 
 
 def _about_odometry(log: RecordedLog) -> list[str]:
