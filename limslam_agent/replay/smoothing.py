@@ -30,15 +30,16 @@ from limslam_agent.replay.trust import (
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.graph.agreement import visit_counts
+from limslam_agent.slam.graph.agreement import VisitCounts, visit_counts
 from limslam_agent.slam.graph.key_poses import LogData
+from limslam_agent.slam.graph.matching import LEAST_POINTS
 from limslam_agent.slam.graph.point_links import PointCloud, point_cloud
 from limslam_agent.slam.graph.smooth import GraphResult, saying, smooth_log, without_loops
 from limslam_agent.slam.graph.wall_lines import lines_in
 from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, completed, smooth_run
 from limslam_agent.status.smoothed_status import lost_since, smoothed_status
 from limslam_agent.status.status import LEVELS, Status
-from limslam_env.geometry import FloatArray
+from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 
 # The finished map is searched as one window, so it needs finer bins, and more lines, than a few metres of driving.
@@ -171,9 +172,18 @@ def _judged(found: GraphResult, config: GraphConfig, data: LogData) -> _Judged:
     driven = float(keys.travel[-1])
     signals = PathSignals(
         driven, tuple(crossed.tolist()), *visits.shares, loops, tuple(bent.tolist()), tuple(doubtful.tolist()),
-        pieces=visits.pieces,
+        pieces=visits.pieces, blind=config.maps.half * int(_blind(found, visits).sum()),
     )  # fmt: skip
     return found, landmarks, signals, data
+
+
+def _blind(found: GraphResult, visits: VisitCounts) -> BoolArray:
+    """Which chunks (c,) show too few points to be recognised, and lie between the ends of no kept loop."""
+    events, few = found.keys.first_event[visits.middles], visits.points < LEAST_POINTS
+    for loop in [verdict.loop for verdict in found.verdicts if verdict.kept]:
+        begin, end = np.sort(found.chunk_events[[loop.first, loop.second]])
+        few &= (events < begin) | (events > end)
+    return few
 
 
 def ends_of(landmarks: list[Landmark]) -> FloatArray:

@@ -55,7 +55,8 @@ MOST_BENT = 16.0
 """A path is doubtful where its loops bend it away from the local smoothing by a larger chi-square."""
 
 FAR_WITHOUT_LOOPS = 50.0
-"""Distance, m, after which the error of a path without loops matters."""
+"""Distance, m, after which the error of a path without loops matters. It also holds for the parts of a path along which
+hardly a wall was seen, and which no loop spans."""
 
 _BIN, _LEAST_REACH, _LEAST_POINTS = 0.25, 1.0, 50
 """Ranges are judged in bins of this width, m, from this range on, m, and with at least so many judged points."""
@@ -89,6 +90,9 @@ class PathSignals:
         Range from which on readings were left out because visits contradict each other there, m. None if all were used.
     pieces
         Numbers of all pieces of walls that other visits have seen, and of those that they contradict as a whole.
+    blind
+        Length of the parts of the path that only odometry holds, m: no loop spans them, and too few points were seen
+        there to recognise them.
     """
 
     driven: float
@@ -100,6 +104,7 @@ class PathSignals:
     doubtful_times: tuple[float, ...] = ()
     reach: float | None = None
     pieces: tuple[int, int] = (0, 0)
+    blind: float = 0.0
 
     @property
     def crossings(self) -> int:
@@ -148,6 +153,8 @@ class PathSignals:
             reasons.append(f"the path is bent more than odometry and walls allow after {times} s")
         if not self.loops and self.driven > FAR_WITHOUT_LOOPS:
             reasons.append(f"no place was recognised again in {self.driven:.0f} m")
+        elif self.blind > FAR_WITHOUT_LOOPS:
+            reasons.append(f"hardly a wall was seen in {self.blind:.0f} m that no recognised place holds")
         return Status("unsure", ", ".join(reasons)) if reasons else Status()
 
     def is_worse_than(self, other: "PathSignals") -> bool:

@@ -27,6 +27,9 @@ _PRIOR = 0.05  # penalty of a match at the border of its window, for shift and f
 _SHARPNESS = 0.25  # from a difference in score to one in log-likelihood, for each point
 _FLOOR_POSITION, _FLOOR_TURN = 0.06, math.radians(1.2)  # least standard deviations of a match, m and rad
 NO_MATCH = -9.0
+LEAST_POINTS = 20
+"""Fewer points are not matched, since they fit nearly anywhere. By ``_SHARPNESS``, a perfect fit of 20 points is only
+e^5 = 150 times as likely as a fit in unknown cells, and a search compares thousands of poses."""
 _FAR_CELLS = 60  # by which points are shifted to see how well a match is known
 _FALL = 2.0  # the loss of log-likelihood at two standard deviations
 _UNKNOWN_STD = 10.0  # m, of a match along a direction in which nothing speaks against any shift
@@ -77,7 +80,10 @@ class Window:
 
 @dataclass(frozen=True, eq=False)
 class Match:
-    """The best pose (3,) of a chunk in another chunk's frame, and its score; ``NO_MATCH`` if every score is too low."""
+    """The best pose (3,) of a chunk in another chunk's frame, and its score.
+
+    The score is ``NO_MATCH`` if every score is too low, or if there are fewer than ``LEAST_POINTS`` points.
+    """
 
     score: float
     pose: FloatArray
@@ -107,7 +113,7 @@ def match(grid: SearchGrid, points: FloatArray, guess: FloatArray, window: Windo
     if margin > grid.margin:
         raise ValueError(f"the grid is made for windows of {grid.margin} cells, not {margin}")
     turns = int(window.turn / window.turn_step + 1e-6)
-    if not len(points):
+    if len(points) < LEAST_POINTS:
         return Match(NO_MATCH, guess)
     numbers = np.array([grid.low, grid.cell, window.turn_step, _PRIOR, least])
     found = _search(grid.padded, grid.maxima, grid.width, points, guess, margin, turns, numbers)

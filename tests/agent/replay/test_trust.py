@@ -1,6 +1,7 @@
 """Signals of a smoothed path that need no truth, and the status that follows from them."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,8 +9,10 @@ from support.corridors import FOUR_BEAMS, corridor_log
 
 from limslam_agent.config.graph import GraphConfig, RoundConfig
 from limslam_agent.output.summary import replay_summary
-from limslam_agent.replay.smoothing import trusted_path
+from limslam_agent.replay.smoothing import _blind, trusted_path
 from limslam_agent.replay.trust import PathSignals, _reach, crossings, odometry_variances, reach_of_agreement
+from limslam_agent.slam.graph.agreement import KEPT, NO_SUPPORT, LoopVerdict, VisitCounts
+from limslam_agent.slam.graph.chunk_graph import Loop
 from limslam_agent.slam.graph.key_poses import ERRORS, Trajectory, choose_keys, motion_variances
 from limslam_env.geometry import se2
 
@@ -18,8 +21,8 @@ BRIEF = GraphConfig(rounds=RoundConfig(hops=(1.0, 0.8), iterations=(6, 6), orien
 ROOM = np.array([[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 3.0]])
 
 
-def signals(driven=100.0, times=(), confirmed=0.5, contradicted=0.05, loops=20, bends=(), pieces=(0, 0)):
-    return PathSignals(driven, tuple(times), confirmed, contradicted, loops, tuple(bends), pieces=pieces)
+def signals(driven=100.0, times=(), confirmed=0.5, contradicted=0.05, loops=20, bends=(), pieces=(0, 0), blind=0.0):
+    return PathSignals(driven, tuple(times), confirmed, contradicted, loops, tuple(bends), pieces=pieces, blind=blind)
 
 
 def test_a_path_crosses_a_wall_only_inside_of_its_ends():
@@ -27,6 +30,19 @@ def test_a_path_crosses_a_wall_only_inside_of_its_ends():
     assert crossings(along, ROOM).tolist() == [False, False, True, True, False, False]
     assert not crossings(along, np.zeros((0, 4))).any()
     assert not crossings(along[:1], ROOM).any()
+
+
+def test_ground_without_walls_is_blind_unless_a_loop_spans_it():
+    loop = Loop(2, 0, np.zeros(3), np.eye(3), 1.0, "along the way")
+    counts = np.array([3, 3, 50, 3])
+    visits = VisitCounts(np.array([0, 10, 20, 30]), counts, counts, 0 * counts)
+    found = SimpleNamespace(
+        keys=SimpleNamespace(first_event=2 * np.arange(40)), chunk_events=np.array([10, 20, 30]),
+        verdicts=[LoopVerdict(loop, KEPT)],
+    )  # fmt: skip
+    assert _blind(found, visits).tolist() == [True, False, False, True]
+    found.verdicts = [LoopVerdict(loop, NO_SUPPORT)]
+    assert _blind(found, visits).tolist() == [True, True, False, True]
 
 
 @pytest.mark.parametrize(
@@ -38,6 +54,8 @@ def test_a_path_crosses_a_wall_only_inside_of_its_ends():
         (signals(times=(1.0, 2.0, 3.0, 4.0)), "the path passes through walls at 4 places"),
         (signals(contradicted=0.2), "visits of a place contradict each other at 29% of the points"),
         (signals(confirmed=0.0, contradicted=0.0, loops=0), "no place was recognised again in 100 m"),
+        (signals(blind=40.0), ""),
+        (signals(blind=70.0), "hardly a wall was seen in 70 m that no recognised place holds"),
         (signals(driven=30.0, confirmed=0.0, contradicted=0.0, loops=0), ""),
         (signals(pieces=(236, 6)), ""),
         (signals(pieces=(20, 2)), ""),

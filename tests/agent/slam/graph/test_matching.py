@@ -141,6 +141,14 @@ def test_a_match_is_known_along_a_corridor_only_by_what_stands_out_there(ends, s
     assert np.sqrt(covariance[1, 1]) < 0.2
 
 
+def test_too_few_points_to_tell_places_apart_are_not_matched():
+    chunk = chunk_of(corner(np.random.default_rng(3)))
+    grid, window = search_grid(chunk, 0.6), Window(0.6, 0.2, 0.1)
+    enough = chunk.points[: matching.LEAST_POINTS]
+    assert match(grid, enough, np.zeros(3), window, 0.6).score > 0.9
+    assert match(grid, enough[1:], np.zeros(3), window, 0.6).score == NO_MATCH
+
+
 def test_a_grid_is_free_along_the_beams_and_hit_at_their_ends():
     grid = draw_grid(np.array([[2.05, 0.05]]), np.array([[0.05, 0.05]]), 80, MAPS)
     assert grid[60, 40] == HIT
