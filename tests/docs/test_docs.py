@@ -1,6 +1,7 @@
 """Tables and lists of the pages name what is there, and all of it."""
 
 import re
+import runpy
 from dataclasses import fields
 from importlib.util import find_spec
 from pathlib import Path
@@ -89,3 +90,11 @@ def test_the_release_is_the_same_everywhere():
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert (citation["version"], citation["date-released"]) == (version, date[1])
     assert f"version = {{{version}}}" in (DOCS / "index.md").read_text(encoding="utf-8")
+
+
+def test_the_figure_of_the_results_finds_its_tables():
+    figure = runpy.run_path(str(DOCS / "images" / "results.py"))
+    text = figure["RESULTS"].read_text(encoding="utf-8")
+    runs, logs = (figure["table"](text, figure[heading]) for heading in ("RUNS", "LOGS"))
+    assert {f"ATE {name}, m" for name in figure["ESTIMATES"]} <= set(runs[0])
+    assert {"odometry, m", "LimSLAM, m"} <= set(logs[0])
