@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.agreement import MAX_GROUP, agreements, groups_of, supported
+from limslam_agent.slam.graph.agreement import MAX_GROUP, agreements, distances_after_alignment, groups_of, supported
 from limslam_agent.slam.graph.chunk_graph import (
     Hops,
     Loop,
@@ -18,7 +18,6 @@ from limslam_agent.slam.graph.chunk_graph import (
 )
 from limslam_agent.slam.graph.key_poses import Trajectory, integrate
 from limslam_agent.slam.graph.loop_search import Belief, Chunks, scale_of_hops
-from limslam_agent.slam.graph.smooth import distances_after_alignment
 from limslam_env.geometry import se2
 
 INFORMATION = np.diag([1.0 / 0.1**2, 1.0 / 0.1**2, 1.0 / 0.03**2])
@@ -175,7 +174,7 @@ def test_a_lone_loop_has_no_support_and_two_that_agree_have(truth):
 def test_loops_that_contradict_are_in_different_groups(truth):
     pair = loops_of(truth, [(0, 24), (1, 25), (2, 26)])
     other = Loop(1, 26, se2.compose(se2.between(truth[1], truth[26]), np.array([2.0, 0.0, 0.0])), INFORMATION, 0.7, "x")
-    distance, _ = agreements([*pair, other], [*pair, other], truth)
+    distance, _ = agreements([*pair, other], truth)
     assert distance[0, 1] == pytest.approx(0.0, abs=1e-9)
     assert distance[0, 3] == pytest.approx(2.0)
     assert groups_of([*pair, other], truth) == [[0, 1, 2], [3]]
