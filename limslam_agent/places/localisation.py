@@ -26,6 +26,7 @@ from limslam_agent.kernels.tables import RAY_REACH, RAY_TO_X, RAY_X
 from limslam_agent.places.matching import are_apart
 from limslam_agent.places.rays import have_ended
 from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.status.contradictions import log_likelihood_ratio
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose, transform_points, wrap_angle
 from limslam_env.geometry.segment import sample
@@ -204,8 +205,7 @@ class PlaceFit:
 
     def _on_map_if(self, right: float) -> float:
         """The logarithm of the likelihood ratio if a share ``right`` of the rays contradicts the map at its place."""
-        fitting = self.tested - self.contradictions
-        return self.contradictions * math.log(right / _WRONG) + fitting * math.log((1.0 - right) / (1.0 - _WRONG))
+        return log_likelihood_ratio(self.contradictions, self.tested, right, _WRONG)
 
     @property
     def log_odds(self) -> float:
@@ -384,8 +384,8 @@ def agree(first: Localisation, second: Localisation, *, may_be_bent: bool = Fals
 
     The place must count in the later search, where the test of contradictions is stricter than in a single search. It
     is less strict if the map may be bent: that of a robot that has probably drifted, and that of an earlier run, whose
-    furniture may have been moved. In the earlier search, the place only has to be the best one: nearly all
-    readings of the two are the same.
+    furniture may have been moved. In the earlier search, the place only has to be the best one: nearly all readings of
+    the two are the same.
     """
     if first.fit is None or second.fit is None or not second.is_accepted:
         return False

@@ -173,7 +173,7 @@ class Recovery:
             begin = self.log.begin
             gone = self.log.forget_before(self.log.end - LONGEST)
             self.absence.gone += [step.pose for step in gone[max(self.absence.first - begin, 0) :]]
-            if self.is_lost and self.log.end % max(LONGEST // _LOCAL_COPIES, 1) == 0:
+            if self.is_lost and self.log.end % (LONGEST // _LOCAL_COPIES) == 0:
                 kept = [copy for copy in self._local_copies if copy.step > self.log.begin]
                 self._local_copies = [*kept, self._copy(slam, grid)]
             return

@@ -30,6 +30,7 @@ from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.agreement import MapScore
 from limslam_agent.slam.graph.key_poses import KeyPoses, LogData, Trajectory, calibrated_steps, motion_variances
 from limslam_agent.slam.graph.local_maps import chunk_middles, cut_chunks
+from limslam_agent.status.contradictions import log_likelihood_ratio
 from limslam_agent.status.status import Status
 from limslam_env.geometry import BoolArray, FloatArray, se2
 
@@ -130,8 +131,7 @@ class PathSignals:
     def contradicts_walls(self) -> bool:
         """Whether so many whole pieces of walls are contradicted that the path is doubtful."""
         seen, against = self.pieces
-        log_odds = against * math.log(PIECES_OF_WRONG / PIECES_OF_RIGHT)
-        log_odds += (seen - against) * math.log((1.0 - PIECES_OF_WRONG) / (1.0 - PIECES_OF_RIGHT))
+        log_odds = log_likelihood_ratio(against, seen, PIECES_OF_WRONG, PIECES_OF_RIGHT)
         return against >= FEWEST_PIECES and log_odds > math.log(MOST_ODDS)
 
     @property

@@ -4,6 +4,7 @@ A beam contradicts the map in two cases. It should end at a wall, and its readin
 map is known to be free. In a correct map nearly no beam does so.
 """
 
+import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -25,6 +26,15 @@ SIGMAS, _SLACK = 3.0, 0.10
 # standard deviations of a range plus _SLACK. Walls are corrected when a loop is closed, and the grid is not.
 FREE, FREE_CELLS = 4, 2
 _NEVER = 1 << 15  # no cell has this value
+
+
+def log_likelihood_ratio(contradicting: int, count: int, share: float, other: float) -> float:
+    """Logarithm of the likelihood ratio of two explanations of ``contradicting`` ones among ``count`` comparisons.
+
+    By the explanations, these shares of all comparisons contradict the map.
+    """
+    fitting = count - contradicting
+    return contradicting * math.log(share / other) + fitting * math.log((1.0 - share) / (1.0 - other))
 
 
 class Sight(NamedTuple):

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.contradictions import KnownMap, Sight, compared
+from limslam_agent.status.contradictions import KnownMap, Sight, compared, log_likelihood_ratio
 from limslam_agent.status.late_beams import LateBeams
 from limslam_agent.status.status import LEVELS, Level, Status
 from limslam_agent.status.sudden_changes import LASTING, UNSURE, Moment, SuddenChanges, Suspicion
@@ -356,8 +356,7 @@ def _contradiction_evidence(check: _Check) -> float:
     """Logarithm of the likelihood ratio of the contradictions of a comparison: of a wrong pose and of the right one."""
     count, contradicting, _, _ = check.counts
     right, wrong = _RATES
-    fitting = (count - contradicting) * math.log((1.0 - wrong) / (1.0 - right))
-    return contradicting * math.log(wrong / right) + fitting
+    return log_likelihood_ratio(contradicting, count, wrong, right)
 
 
 def _has_places(points: FloatArray, apart: float) -> bool:
