@@ -217,11 +217,14 @@ def made_up_logs(
         typer.Option("--variation", help="As log-variations takes it; may be repeated.", show_default="none"),
     ] = None,
     length: Annotated[float | None, typer.Option(min=10.0, help="Driven, m.", show_default="100 to 220")] = None,
+    sparse: Annotated[
+        bool, typer.Option("--sparse", help="4 to 11 beams, 5 to 40 points a metre; few revisits in half of the logs.")
+    ] = False,
 ) -> None:
     """Make up CARMEN logs with relations, smooth them with six beams, and print their errors."""
     from benchmarks.made_up_logs import smoothing_table
 
-    for line in smoothing_table(_seeds(seeds), variations or [""], out, length):
+    for line in smoothing_table(_seeds(seeds), variations or [""], out, length, sparse=sparse):
         typer.echo(line)
 
 

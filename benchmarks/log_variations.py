@@ -5,6 +5,7 @@ list of settings in one argument, such as ``"mirrored beams=90,45,0,-45,-90 nois
 settings are the fields of :class:`Variation`. Only the smoothing is done, without the filter in front of it.
 """
 
+import math
 import sys
 import time
 from dataclasses import asdict, dataclass, replace
@@ -20,9 +21,10 @@ from limslam_agent.replay.local_views import moves_of
 from limslam_agent.replay.reversing import with_reversing
 from limslam_agent.replay.smoothing import log_data, trusted_path
 from limslam_agent.replay.trust import PathSignals
+from limslam_agent.slam.graph.agreement import distances_after_alignment
 from limslam_agent.slam.graph.key_poses import LogData, integrate
 from limslam_agent.slam.graph.smooth import GraphResult
-from limslam_env.geometry import FloatArray, se2
+from limslam_env.geometry import BoolArray, FloatArray, se2
 
 _ABOUT = np.array([0.0, 0.0, np.pi])
 _POSITION_NOISE = 0.02  # m per square root of a metre
@@ -52,6 +54,8 @@ class Variation:
     drop_outs, slips
         Share of the readings that are lost; and number of places where the robot turns without odometry noticing it,
         by 15 deg (standard deviation).
+    points
+        Readings of walls that are left in a metre of driving, by leaving out whole scans; 0 for all.
     begin, end
         The part of the log that is used, as shares of its time.
     """
@@ -71,6 +75,7 @@ class Variation:
     seed: int = 1
     drop_outs: float = 0.0
     slips: int = 0
+    points: float = 0.0
     begin: float = 0.0
     end: float = 1.0
 
@@ -98,19 +103,33 @@ def variation(text: str) -> Variation:
 
 def varied(data: LogData, relations: Relations, how: Variation) -> tuple[LogData, Relations]:
     """The log and its relations in a variation."""
-    data = _part(data, how.begin, how.end)
-    if how.backwards:
-        data, relations = _backwards(data, relations)
-    if how.mirrored:
-        data, relations = _mirrored(data, relations)
+    data, relations = _driven(data, relations, how)
     generator = np.random.default_rng(how.seed)
     moves = _with_errors(data, how, generator)
     ranges = np.where(
         data.hit, data.ranges + how.range_noise * generator.standard_normal(data.ranges.shape), data.ranges
     )
     hit = data.hit & (generator.random(data.hit.shape) >= how.drop_outs) if how.drop_outs else data.hit
+    hit = _thinned(hit, moves, how.points) if how.points else hit
     odometry = integrate(np.zeros(3), moves)
     return replace(data, odometry=odometry, ranges=ranges, hit=hit, range_std=how.noise), relations
+
+
+def _driven(data: LogData, relations: Relations, how: Variation) -> tuple[LogData, Relations]:
+    """The part of the log that is used, in the direction in which it is driven, and its relations."""
+    data = _part(data, how.begin, how.end)
+    if how.backwards:
+        data, relations = _backwards(data, relations)
+    if how.mirrored:
+        data, relations = _mirrored(data, relations)
+    return data, relations
+
+
+def _thinned(hit: BoolArray, moves: FloatArray, most: float) -> BoolArray:
+    """The hits (n, b) of so many scans, evenly spread, that ``most`` of them are left in a metre of driving."""
+    share = min(1.0, most * float(np.hypot(moves[:, 0], moves[:, 1]).sum()) / max(1, int(hit.sum())))
+    number = np.cumsum(hit.any(axis=1))
+    return np.asarray(hit & (np.floor(share * number) > np.floor(share * (number - 1)))[:, None])
 
 
 def _with_errors(data: LogData, how: Variation, generator: np.random.Generator) -> FloatArray:
@@ -181,12 +200,17 @@ def _turned_about(motions: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """What came out of a variation: the smoothed log, its signals, its errors, and the processor time, s."""
+    """What came out of a variation: the smoothed log, its signals, its errors, and the processor time, s.
+
+    ``aligned`` has the root mean square errors of the positions by odometry and of the smoothed path after rigid
+    alignment, m. They are not numbers where the true path is not known.
+    """
 
     found: GraphResult
     signals: PathSignals
     errors: dict[str, Any]
     seconds: float
+    aligned: tuple[float, float] = (math.nan, math.nan)
 
     @property
     def words(self) -> str:
@@ -195,24 +219,38 @@ class Outcome:
             np.nan if (value := self.errors[f"{name}"]) is None else value
             for name in ("relation_error_m", "relation_error_deg", "loop_relation_error_m")
         )
-        share, status = self.signals.contradicted_share, self.signals.status
-        signs = f"{self.signals.crossings_per_100_m:.1f} crossings in 100 m, {share:.3f} contradicted"
+        signals = self.signals
+        signs = f"{signals.position_std:.2f} m expected, {signals.contradicted_share:.3f} contradicted"
         where = f"{signs}, G {self.found.score:.3f}, {self.found.start}, {self.seconds:.0f} s"
-        return f"{metres:.3f} m / {degrees:.2f} deg, loops {loops:.3f} m, {status.level}, {where}"
+        return f"{metres:.3f} m / {degrees:.2f} deg, loops {loops:.3f} m, {signals.status.level}, {where}"
 
 
-def outcome(path: Path, known: Path, how: Variation) -> Outcome:
-    """Smooth a log in a variation, and compare the path with the relations in the file ``known``."""
+def outcome(path: Path, known: Path, how: Variation, truth: tuple[FloatArray, FloatArray] | None = None) -> Outcome:
+    """Smooth a log in a variation, and compare the path with the relations in the file ``known``.
+
+    ``truth`` has times (k,), s, and the true poses (k, 3) at these times, with headings that are not wrapped.
+    """
     log = read_log(path, how.beams, how.max_range)
     assert log.odometry is not None  # noqa: S101 (tables of wheel travel are refused where no robot is given)
-    data, relations = varied(log_data(log, log.odometry, how.noise), read_relations(known), how)
+    recorded, known_relations = log_data(log, log.odometry, how.noise), read_relations(known)
+    data, relations = varied(recorded, known_relations, how)
     config = GraphConfig()
     begin = time.process_time()
     directed = with_reversing(data, config)
     found, _, signals, _ = trusted_path(directed, np.zeros(3), replace(config, maps=replace(config.maps, hop=how.hop)))
     seconds = time.process_time() - begin
     errors = summary(relation_errors(relations, data.time, found.poses, data.odometry))
-    return Outcome(found, signals, errors, seconds)
+    if truth is None:
+        return Outcome(found, signals, errors, seconds)
+    places = np.column_stack([np.interp(recorded.time, truth[0], each) for each in truth[1].T])
+    true = _driven(replace(recorded, odometry=places), known_relations, how)[0].odometry
+    odometry, smoothed = (_aligned_error(true, poses) for poses in (data.odometry, found.poses))
+    return Outcome(found, signals, errors, seconds, (odometry, smoothed))
+
+
+def _aligned_error(true: FloatArray, poses: FloatArray) -> float:
+    """Root mean square error of the positions of poses (n, 3) after rigid alignment, m."""
+    return float(np.sqrt((distances_after_alignment(poses, true) ** 2).mean()))
 
 
 if __name__ == "__main__":

@@ -15,9 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.log_variations import Variation, outcome, variation
+from benchmarks.log_variations import Outcome, outcome, variation
 from benchmarks.suite.work import data_folder
-from limslam_agent.logs.relations import read_relations, relation_errors
 from limslam_agent.slam.graph.key_poses import integrate
 from limslam_env.bounds.roadmap import Roadmap
 from limslam_env.bounds.tours import Speeds, poses_along
@@ -37,7 +36,12 @@ _RECESSES = 0.4  # share of recesses among the details of walls; the others are 
 _LEAST_SIDE, _LARGEST_SIDE = 10.0, 60.0  # m; of real plans
 _LOOP_AFTER, _LOOP_WITHIN = 60.0, 1.5  # s and m between the ends of a relation that is a loop
 _RELATIONS = 300  # of each kind
+_LEAST_DRIVEN, _SEEN_WITHIN = 40.0, 4.0  # m: a drive with few revisits ends after this way, when all places were near
 _BEGIN = 1000.0  # s
+WRONG = 0.6
+"""A path is wrong if the root mean square error of its positions after rigid alignment is larger, m."""
+
+_WORSE, _WORSE_BY = 1.3, 0.1  # a path is worse than odometry if its error is more than so many times larger, plus m
 
 # Constant errors of distances and turns (shares), and of the heading (deg/m), whose signs are drawn; standard
 # deviations of the heading after one metre (deg) and after one radian (rad); and the number of slips.
@@ -127,11 +131,12 @@ WORLDS: dict[str, Callable[[np.random.Generator], World]] = {
 }  # fmt: skip
 
 
-def driven_path(world: World, length: float, generator: np.random.Generator) -> FloatArray:
+def driven_path(world: World, length: float, generator: np.random.Generator, *, revisits: bool = True) -> FloatArray:
     """Poses (n, 3) in each control period of a drive of at least ``length`` m from place to place, with stops there.
 
     Mostly the robot goes to the one of a few places that is farthest from all where it has been, and otherwise to a
-    place that it may have seen before. Headings are not wrapped.
+    place that it may have seen before. Without ``revisits``, it always does the former, and stops when no place is far
+    from where it has been. Headings are not wrapped.
     """
     space = world.free_space(_ROBOT.radius)
     centres = space.centres(starting_cells(world, space))
@@ -142,7 +147,9 @@ def driven_path(world: World, length: float, generator: np.random.Generator) -> 
     while driven < length:
         some = generator.choice(roads.places, 8)
         apart = np.hypot(*(some[:, None] - np.array(been)).transpose(2, 0, 1)).min(axis=1)
-        goal = some[np.argmax(apart)] if generator.random() < 0.6 else some[0]
+        if not revisits and driven > _LEAST_DRIVEN and apart.max() < _SEEN_WITHIN:
+            break
+        goal = some[np.argmax(apart)] if not revisits or generator.random() < 0.6 else some[0]
         way = roads.way(at, goal)
         if way is None or np.hypot(*(goal - at)) < 1.0:
             continue
@@ -177,12 +184,12 @@ def _kind(seed: int) -> str:
     return list(WORLDS)[seed % len(WORLDS)]
 
 
-def made_up_log(seed: int, length: float | None = None) -> MadeUpLog:
+def made_up_log(seed: int, length: float | None = None, *, revisits: bool = True) -> MadeUpLog:
     """The log of a seed; the kinds of buildings take turns. ``length`` is the distance driven, m; None to draw it."""
     generator = np.random.default_rng(seed)
     kind = _kind(seed)
     world = WORLDS[kind](generator)
-    path = driven_path(world, length or generator.uniform(100.0, 220.0), generator)
+    path = driven_path(world, length or generator.uniform(100.0, 220.0), generator, revisits=revisits)
     period, delay = _ROBOT.control_period, generator.uniform(0.0, 0.15)
     time = np.arange(0.0, period * (len(path) - 1) - delay, generator.uniform(0.15, 0.4))
     truth, later = (
@@ -258,37 +265,64 @@ def _pairs(log: MadeUpLog) -> IntArray:
     return np.concatenate((near, loops[:_RELATIONS]))
 
 
+def sparse_sensor(seed: int) -> str:
+    """The variation of a log with few points: 4, 6, 8 or 11 beams in turns, and 5 to 40 points a metre."""
+    count = (4, 6, 8, 11)[seed // 8 % 4]
+    points = 5.0 * 8.0 ** np.random.default_rng([seed, 1]).random()
+    return f"beams={','.join(f'{beam:g}' for beam in np.linspace(90.0, -90.0, count))} points={points:.3g}"
+
+
 def smoothing_table(
-    seeds: Sequence[int], variations: Sequence[str], folder: Path, length: float | None
+    seeds: Sequence[int], variations: Sequence[str], folder: Path, length: float | None, *, sparse: bool = False
 ) -> Iterator[str]:
     """Write the logs of these seeds, and yield the lines of a table of their smoothed paths in all variations.
+
+    With ``sparse``, each log has few points by :func:`sparse_sensor`, to which the variations are added, and every
+    other four logs have few revisits.
 
     Raises
     ------
     ValueError
         Before the first line, if a variation cannot be read, or there are no floor plans for the seeds that need them.
     """
-    known = [(text or "none", variation(text)) for text in variations]
+    for text in variations:
+        variation(text)
     if "real" in {_kind(seed) for seed in seeds}:
         data_folder()
-    yield "| log | driven, m | odometry | its error, m | variation | smoothed, m / deg | loops, m | status | s |"
-    yield "|---|---|---|---|---|---|---|---|---|"
+    yield "| log | driven, m | odometry | its error, m | variation | smoothed, m | m / deg | loops, m | status | s |"
+    yield "|---|---|---|---|---|---|---|---|---|---|"
+    found = list[Outcome]()
     for seed in seeds:
-        log = made_up_log(seed, length)
+        log = made_up_log(seed, length, revisits=not sparse or seed // 4 % 2 == 0)
         path, relations = write_log(log, folder)
         driven = np.hypot(*np.diff(log.truth[:, :2], axis=0).T).sum()
-        error = relation_errors(read_relations(relations), log.time + _BEGIN, log.odometry).translation.mean()
-        for text, meant in known:
-            found = _cells(path, relations, meant)
-            yield f"| {log.name} | {driven:.0f} | {log.errors} | {error:.2f} | {text} | {found} |"
+        for added in variations:
+            text = f"{sparse_sensor(seed)} {added}".strip() if sparse else added
+            row = f"| {log.name} | {driven:.0f} | {log.errors} |"
+            try:
+                each = outcome(path, relations, variation(text), (_BEGIN + log.time, log.truth))
+            except (ValueError, ArithmeticError, LookupError) as error:
+                yield f"{row} | {text or 'none'} | failed: {type(error).__name__}: {error} | | | | |"
+                continue
+            found.append(each)
+            yield f"{row} {each.aligned[0]:.2f} | {text or 'none'} | {_cells(each)} |"
+    yield f"\n{_verdict(found)}"
 
 
-def _cells(path: Path, relations: Path, meant: Variation) -> str:
+def _cells(found: Outcome) -> str:
     """The last cells of a row: errors of the smoothed path in a variation of a log, status, and processor time."""
-    try:
-        found = outcome(path, relations, meant)
-    except (ValueError, ArithmeticError, LookupError) as error:
-        return f"failed: {type(error).__name__}: {error} | | |"
     names = "relation_error_m", "relation_error_deg", "loop_relation_error_m"
     metres, degrees, loops = (math.nan if found.errors[name] is None else found.errors[name] for name in names)
-    return f"{metres:.3f} / {degrees:.2f} | {loops:.3f} | {found.signals.status.level} | {found.seconds:.0f}"
+    errors = f"{found.aligned[1]:.3f} | {metres:.3f} / {degrees:.2f} | {loops:.3f}"
+    return f"{errors} | {found.signals.status.level} | {found.seconds:.0f}"
+
+
+def _verdict(found: Sequence[Outcome]) -> str:
+    """How many paths are wrong although they are called ok, right although they are not, and worse than odometry."""
+    wrong = np.array([each.aligned[1] > WRONG for each in found], dtype=np.bool_)
+    ok = np.array([each.signals.status.level == "ok" for each in found], dtype=np.bool_)
+    worse = sum(each.aligned[1] > _WORSE * each.aligned[0] + _WORSE_BY for each in found)
+    return (
+        f"of {len(found)} paths, {(wrong & ok).sum()} are wrong and ok, {(~wrong & ~ok).sum()} right and not ok, and "
+        f"{worse} worse than odometry"
+    )

@@ -22,8 +22,8 @@ from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import Observation
 
-FAR = 30.0
-"""Distance without a recognised place, m, after which the pose of the online graph is unsure."""
+MOST_STD = 1.0
+"""Standard deviation of the position in its map, m, above which the pose of the online graph is unsure."""
 
 
 class HandedOverEstimate(FilterEstimate):
@@ -87,11 +87,11 @@ class HandedOverEstimate(FilterEstimate):
 
     @property
     def status(self) -> Status:
-        """Whether the pose can be trusted: by the filter, or by the distance since a place was recognised."""
+        """Whether the pose can be trusted: by the filter, or by the covariance of the online graph."""
         if self.handed_over is None:
             return super().status
-        far = self._graph.unrecognised
-        return Status("unsure", f"no place was recognised on the last {far:.0f} m") if far > FAR else Status()
+        std = self._graph.position_std
+        return Status("unsure", f"the position in the map may be {std:.1f} m off") if std > MOST_STD else Status()
 
     @property
     def slam_ms(self) -> float:

@@ -21,25 +21,25 @@ from limslam_agent.replay.replay import Replay
 from limslam_agent.replay.reversing import reversed_distance, with_reversing
 from limslam_agent.replay.trust import (
     MOST_BENT,
-    MOST_CONTRADICTED,
     PathSignals,
-    crossings,
-    odometry_variances,
+    longest_loose,
     reach_of_agreement,
+    spread,
+    variances_times,
 )
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.graph.agreement import VisitCounts, visit_counts
+from limslam_agent.slam.graph.agreement import DOUBTFUL_SHARE, visit_counts
 from limslam_agent.slam.graph.key_poses import LogData
-from limslam_agent.slam.graph.matching import LEAST_POINTS
 from limslam_agent.slam.graph.point_links import PointCloud, point_cloud
+from limslam_agent.slam.graph.posterior import position_std
 from limslam_agent.slam.graph.smooth import GraphResult, saying, smooth_log, without_loops
 from limslam_agent.slam.graph.wall_lines import lines_in
 from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, completed, smooth_run
 from limslam_agent.status.smoothed_status import lost_since, smoothed_status
 from limslam_agent.status.status import LEVELS, Status
-from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 
 # The finished map is searched as one window, so it needs finer bins, and more lines, than a few metres of driving.
@@ -114,11 +114,9 @@ _Judged = tuple[GraphResult, list[Landmark], PathSignals, LogData]
 def trusted_path(
     data: LogData, start: FloatArray, config: GraphConfig, report: Callable[[str], None] | None = None
 ) -> _Judged:
-    """The smoothed log with its walls, signals and data, or odometry alone if its signals are clearly better."""
+    """The smoothed log with its walls, signals and data, or a path without loops whose visits agree better."""
     report = report or (lambda _: None)
     judged = _judged(smooth_log(data, start, config, report), config, data)
-    # Contradicted pieces of walls only make the path doubtful. They are too few to tell at which ranges visits
-    # disagree, and whether a search of all frames mends such a path was not measured.
     if judged[2].contradicts_itself:
         judged = _second_look(start, config, judged, report)
     found, landmarks, signals, used = judged
@@ -126,9 +124,11 @@ def trusted_path(
     judged = replace(found, further=None), landmarks, signals, used
     if signals.status.level == "ok":
         return judged
-    odometry, landmarks, of_odometry, _ = _judged(without_loops(found, start), config, data)
-    plain = odometry, landmarks, replace(of_odometry, reach=signals.reach), used
-    return plain if signals.is_worse_than(of_odometry) else judged
+    for plain in without_loops(found, start, config, used.range_std):
+        other = _judged(plain, config, used)
+        if judged[2].is_worse_than(other[2]):
+            judged = *other[:2], replace(other[2], reach=signals.reach), used
+    return judged
 
 
 def _second_look(start: FloatArray, config: GraphConfig, first: _Judged, report: Callable[[str], None]) -> _Judged:
@@ -140,7 +140,7 @@ def _second_look(start: FloatArray, config: GraphConfig, first: _Judged, report:
     found, _, signals, data = first
     reach = reach_of_agreement(found.keys, found.trajectory, config, data.max_range)
     if reach < data.max_range:
-        noise = odometry_variances(data, found.keys, found.trajectory)
+        noise = variances_times(data, signals.odometry_ratios)
         limited = replace(data, hit=data.hit & (data.ranges < reach), max_range=reach, variances=noise)
         say = saying(f"ranges up to {reach:g} m", report)
         graph, landmarks, better, _ = _in_all_frames(
@@ -163,27 +163,26 @@ def _judged(found: GraphResult, config: GraphConfig, data: LogData) -> _Judged:
     """A path with the walls through its points, and with what speaks for or against it."""
     keys, trajectory = found.keys, found.trajectory
     landmarks = draw_walls(point_cloud(keys, trajectory, data.range_std), data.range_std)
-    loops = sum(verdict.kept for verdict in found.verdicts)
     visits = visit_counts(keys, trajectory, config, data.max_range)
     times = data.time[keys.first_event] - data.time[0]
-    crossed = times[1:][crossings(trajectory.poses[:, :2], ends_of(landmarks))]
     bent = data.time[found.hop_events[found.hop_errors > MOST_BENT]] - data.time[0]
-    doubtful = times[visits.doubtful(MOST_CONTRADICTED)]
-    driven = float(keys.travel[-1])
+    middles = keys.event_key[found.chunk_events]
+    expected, ratios = position_std(keys, trajectory, found.verdicts, middles, config, data.range_std)
+    joined = [(verdict.loop.first, verdict.loop.second) for verdict in found.verdicts if verdict.kept]
+    loose = longest_loose(keys.key_travel, middles[np.array(joined, dtype=np.int64).reshape(-1, 2)])
     signals = PathSignals(
-        driven, tuple(crossed.tolist()), *visits.shares, loops, tuple(bent.tolist()), tuple(doubtful.tolist()),
-        pieces=visits.pieces, blind=config.maps.half * int(_blind(found, visits).sum()),
-    )  # fmt: skip
+        driven=float(keys.travel[-1]),
+        size=spread(trajectory.poses),
+        points=len(keys.point_key),
+        confirmed=visits.shares[0],
+        contradicted=visits.shares[1],
+        position_std=expected,
+        loose=(float(times[loose[0]]), float(times[loose[1]])),
+        bend_times=tuple(bent.tolist()),
+        doubtful_times=tuple(times[visits.doubtful(DOUBTFUL_SHARE)].tolist()),
+        odometry_ratios=tuple(ratios.tolist()),
+    )
     return found, landmarks, signals, data
-
-
-def _blind(found: GraphResult, visits: VisitCounts) -> BoolArray:
-    """Which chunks (c,) show too few points to be recognised, and lie between the ends of no kept loop."""
-    events, few = found.keys.first_event[visits.middles], visits.points < LEAST_POINTS
-    for loop in [verdict.loop for verdict in found.verdicts if verdict.kept]:
-        begin, end = np.sort(found.chunk_events[[loop.first, loop.second]])
-        few &= (events < begin) | (events > end)
-    return few
 
 
 def ends_of(landmarks: list[Landmark]) -> FloatArray:

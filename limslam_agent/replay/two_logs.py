@@ -15,10 +15,11 @@ from limslam_agent.places.revisions import Unplaced
 from limslam_agent.replay.joined_lines import NotJoined, grid_of, joined_by_lines
 from limslam_agent.replay.replay import Replay, replay_log
 from limslam_agent.replay.smoothing import draw_walls, ends_of
-from limslam_agent.replay.trust import MOST_BENT, MOST_CONTRADICTED, PathSignals, crossings
+from limslam_agent.replay.trust import MOST_BENT, PathSignals, spread
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.graph.agreement import visit_counts
+from limslam_agent.slam.graph.agreement import DOUBTFUL_SHARE, visit_counts
 from limslam_agent.slam.graph.point_links import point_cloud
+from limslam_agent.slam.graph.posterior import position_std
 from limslam_agent.slam.graph.smooth import GraphResult, saying
 from limslam_agent.slam.merging.chains import Chain, divided
 from limslam_agent.slam.merging.joint_graph import JointMap
@@ -203,28 +204,33 @@ def _signals(
 ) -> tuple[list[Landmark], PathSignals]:
     """The walls of both logs, and what speaks for or against their paths."""
     std = max(each.config.range_std for each in replays)
-    landmarks = draw_walls(point_cloud(joint.keys, joint.trajectory, std), std)
+    keys, trajectory = joint.keys, joint.trajectory
+    landmarks = draw_walls(point_cloud(keys, trajectory, std), std)
     reaches = joint.first.data.max_range, joint.second.data.max_range
-    visits = visit_counts(joint.keys, joint.trajectory, config, max(reaches))
+    visits = visit_counts(keys, trajectory, config, max(reaches))
     bent = joint.hop_keys[joint.hop_errors > MOST_BENT]
-    doubtful = visits.doubtful(MOST_CONTRADICTED, len(joint.first.keys))
-    times, bends, doubts, driven, first_key = list[float](), list[float](), list[float](), 0.0, 0
+    doubtful = visits.doubtful(DOUBTFUL_SHARE, len(joint.first.keys))
+    bends, doubts, driven, first_key = list[float](), list[float](), 0.0, 0
     for chain in (joint.first, joint.second):
-        keys = slice(first_key, first_key := first_key + len(chain.keys))
-        crossed = crossings(joint.trajectory.poses[keys, :2], ends_of(landmarks))
+        part = slice(first_key, first_key := first_key + len(chain.keys))
         when = chain.data.time[chain.keys.first_event]
-        times += (when[1:][crossed] - when[0]).tolist()
-        bends += (when[bent[(bent >= keys.start) & (bent < keys.stop)] - keys.start] - when[0]).tolist()
-        doubts += (when[doubtful[(doubtful >= keys.start) & (doubtful < keys.stop)] - keys.start] - when[0]).tolist()
+        bends += (when[bent[(bent >= part.start) & (bent < part.stop)] - part.start] - when[0]).tolist()
+        doubts += (when[doubtful[(doubtful >= part.start) & (doubtful < part.stop)] - part.start] - when[0]).tolist()
         driven += float(chain.keys.travel[-1])
-    loops = sum(each.kept for each in joint.verdicts)
     limited = [
         reach for reach, each in zip(reaches, replays, strict=True) if reach < float(each.log.robot.max_ranges.max())
     ]
     return landmarks, PathSignals(
-        driven, tuple(times), *visits.shares, loops, tuple(bends), tuple(doubts), min(limited, default=None),
-        visits.pieces,
-    )  # fmt: skip
+        driven=driven,
+        size=spread(trajectory.poses),
+        points=len(keys.point_key),
+        confirmed=visits.shares[0],
+        contradicted=visits.shares[1],
+        position_std=position_std(keys, trajectory, joint.verdicts, joint.chunk_keys, config, std)[0],
+        bend_times=tuple(bends),
+        doubtful_times=tuple(doubts),
+        reach=min(limited, default=None),
+    )
 
 
 def _loops(joint: JointMap, replays: tuple[Replay, Replay]) -> list[dict[str, Any]]:

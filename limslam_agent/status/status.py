@@ -60,7 +60,7 @@ def final_status_scores(final: Status, online: Status, note: str) -> dict[str, s
 
 
 def status_scores(time: FloatArray, levels: IntArray, final: Status) -> dict[str, Any]:
-    """How long the estimate was unsure and lost, and the status at the end, by their names in ``docs/metrics.md``.
+    """How long the estimate was ok, unsure and lost, and the status at the end, by their names in ``docs/metrics.md``.
 
     Parameters
     ----------
@@ -77,6 +77,7 @@ def status_scores(time: FloatArray, levels: IntArray, final: Status) -> dict[str
     return {
         "status": final.level,
         "status_reason": final.reason,
+        "ok_s": float(lasts[worst_levels == LEVELS.index("ok")].sum()),
         "unsure_s": float(lasts[worst_levels == LEVELS.index("unsure")].sum()),
         "lost_s": float(lasts[lost].sum()),
         "first_lost_s": float(time[lost[0]] - time[0]) if len(lost) else None,

@@ -1,14 +1,20 @@
 """Made-up logs are read as they were driven, and their relations hold for the true path only."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from benchmarks import __main__ as command
 from benchmarks import made_up_logs
+from benchmarks.log_variations import Outcome
 from benchmarks.made_up_logs import made_up_log, smoothing_table, walls_of, write_log
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.relations import read_relations, relation_errors
+from limslam_agent.status.status import Status
 from limslam_env.geometry import se2
+
+ERRORS = "relation_error_m", "relation_error_deg", "loop_relation_error_m"
 
 
 @pytest.fixture(scope="module")
@@ -55,8 +61,25 @@ def test_a_log_that_cannot_be_smoothed_is_a_row_of_the_table(tmp_path, monkeypat
         raise IndexError("index 3 is out of bounds")
 
     monkeypatch.setattr(made_up_logs, "outcome", fails)
-    *_, row = smoothing_table([1], ["", "max_range=4"], tmp_path, 10.0)
+    *_, row, verdict = smoothing_table([1], ["", "max_range=4"], tmp_path, 10.0)
     assert "| max_range=4 | failed: IndexError: index 3 is out of bounds" in row
+    assert verdict == "\nof 0 paths, 0 are wrong and ok, 0 right and not ok, and 0 worse than odometry"
+
+
+def test_the_sparse_table_says_how_many_paths_are_wrong_and_ok(tmp_path, monkeypatch):
+    """Few points, few revisits, and errors after alignment, of a stand-in for the smoothing."""
+    asked = []
+
+    def smoothed(_, __, how, truth):
+        asked.append((len(how.beams), how.points, truth[1].shape))
+        status = SimpleNamespace(status=Status("ok" if len(asked) == 1 else "unsure"))
+        return Outcome(None, status, dict.fromkeys(ERRORS, 0.1), 1.0, (1.0, (0.7, 0.2, 1.5)[len(asked) - 1]))
+
+    monkeypatch.setattr(made_up_logs, "outcome", smoothed)
+    *_, verdict = smoothing_table([5, 9, 13], [""], tmp_path, 50.0, sparse=True)
+    assert [beams for beams, _, _ in asked] == [4, 6, 6]
+    assert all(5.0 <= points <= 40.0 and shape[1] == 3 for _, points, shape in asked)
+    assert verdict == "\nof 3 paths, 1 are wrong and ok, 1 right and not ok, and 1 worse than odometry"
 
 
 @pytest.mark.parametrize("seeds", ["a..b", "0,1", "-1", "5..3", "", "0..", "1.5"])
@@ -77,7 +100,7 @@ def test_what_is_missing_is_refused_before_the_first_log(tmp_path, monkeypatch):
 
 
 def test_ctrl_c_does_not_promise_that_the_same_command_goes_on(tmp_path, monkeypatch, capsys):
-    def stops(*_):
+    def stops(*_, **__):
         raise KeyboardInterrupt
 
     monkeypatch.setattr(made_up_logs, "smoothing_table", stops)

@@ -63,9 +63,6 @@ _LEAST_SEEN = 0.2  # share of the log's points that other visits must have seen,
 _OFTEN_USUAL = 0.04  # what is taken as usual until then; 2 to 8 % in most logs
 _STRETCH = 2  # chunks before and after a chunk
 _USUAL = 0.75  # quantile of the shares of all stretches
-# A piece of wall: the points of a chunk in a square of this side, m, if other visits have seen so many of them. It is
-# contradicted as a whole if they contradict a larger share of these.
-_PIECE, _PIECE_POINTS, _PIECE_SHARE = 1.0, 5, 0.7
 _MOSTLY = 0.5  # a stretch of which a larger share is contradicted is wrong, whatever is usual
 
 
@@ -240,16 +237,12 @@ class Evidence:
 
 @dataclass(frozen=True, eq=False)
 class VisitCounts:
-    """Numbers of all points, of confirmed and of contradicted points (c,) of the chunks with middles ``middles``.
-
-    ``pieces`` has the numbers of all pieces of walls that other visits have seen, and of those that they contradict.
-    """
+    """Numbers of all points, of confirmed and of contradicted points (c,) of the chunks with middles ``middles``."""
 
     middles: IntArray
     points: IntArray
     confirmed: IntArray
     contradicted: IntArray
-    pieces: tuple[int, int] = (0, 0)
 
     @property
     def shares(self) -> tuple[float, float]:
@@ -290,17 +283,7 @@ def visit_counts(keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, ma
     owner = np.repeat(np.arange(len(middles)), points)
     verdicts = score.verdicts(trajectory.poses[middles])
     confirmed, contradicted = (np.bincount(owner[each], minlength=len(middles)) for each in verdicts)
-    pieces = _pieces(np.column_stack((owner, np.floor(score.points / _PIECE))), *verdicts)
-    return VisitCounts(middles, points, confirmed, contradicted, pieces)
-
-
-def _pieces(places: FloatArray, confirmed: BoolArray, contradicted: BoolArray) -> tuple[int, int]:
-    """Numbers of all pieces and of contradicted ones, of points (p,) with the chunks and squares ``places`` (p, 3)."""
-    judged = confirmed | contradicted
-    _, piece = np.unique(places[judged], axis=0, return_inverse=True)
-    seen, against = np.bincount(piece.ravel()), np.bincount(piece.ravel(), contradicted[judged])
-    whole = seen >= _PIECE_POINTS
-    return int(whole.sum()), int((against[whole] > _PIECE_SHARE * seen[whole]).sum())
+    return VisitCounts(middles, points, confirmed, contradicted)
 
 
 @kernel

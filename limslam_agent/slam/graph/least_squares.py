@@ -75,6 +75,12 @@ class NormalEquations:
         step[_FIXED:] = -self.factorise(damping).solve(self.gradient[_FIXED:])
         return step
 
+    def solved(self, factors: SuperLU, right: FloatArray) -> FloatArray:
+        """The inverse of the matrix times ``right`` (size, k). The rows of the fixed first pose are zero."""
+        solved = np.zeros_like(right)
+        solved[_FIXED:] = factors.solve(right[_FIXED:])
+        return solved
+
     def covariances(self, columns: IntArray, jacobian: FloatArray) -> FloatArray:
         """Covariances (f, d, d) of quantities whose Jacobians (f, d, q) refer to the unknowns ``columns`` (f, q)."""
         factors, found = self.factorise(), np.empty((len(jacobian), jacobian.shape[1], jacobian.shape[1]))
@@ -89,8 +95,7 @@ class NormalEquations:
         right = np.zeros((self.size, count * height))
         places = np.arange(count * height).reshape(count, height)
         right[columns[:, :, None], places[:, None, :]] = jacobian.transpose(0, 2, 1)
-        solved = np.zeros_like(right)
-        solved[_FIXED:] = factors.solve(right[_FIXED:])
+        solved = self.solved(factors, right)
         return np.asarray(jacobian @ solved[columns[:, :, None], places[:, None, :]])
 
 

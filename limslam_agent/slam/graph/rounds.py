@@ -45,8 +45,7 @@ from limslam_agent.slam.graph.key_poses import (
 from limslam_agent.slam.graph.local_maps import chunk_middles, cut_chunks
 from limslam_agent.slam.graph.local_smoothing import local_covariances
 from limslam_agent.slam.graph.loop_search import Chunks
-from limslam_agent.slam.graph.union_matching import match_unions
-from limslam_agent.slam.graph.wide_search import search_widely
+from limslam_agent.slam.graph.wide_search import match_unions, search_widely
 from limslam_env.geometry import FloatArray, IntArray
 
 _BENT = 25.0  # chi-square of a hop from which on it follows the local smoothing again at the beginning of a round

@@ -361,16 +361,23 @@ def _placed_at(found: Round, start: FloatArray, turn: float) -> Round:
     return replace(found, trajectory=found.trajectory.moved(motion))
 
 
-def without_loops(found: GraphResult, start: FloatArray) -> GraphResult:
-    """The result by odometry alone, which begins at the pose ``start`` (3,); all loops are rejected."""
+def without_loops(
+    found: GraphResult, start: FloatArray, config: GraphConfig, range_std: float
+) -> tuple[GraphResult, GraphResult]:
+    """The results by odometry alone, and by odometry and the walls along the way, with all loops rejected.
+
+    Both paths begin at the pose ``start`` (3,).
+    """
     verdicts = [replace(each, reason=NOT_ADDED if each.kept else each.reason) for each in found.verdicts]
-    plain = _unlooped(found.keys, "odometry", odometry_trajectory(found.keys, start))
-    return replace(
-        plain,
-        scores=found.scores,
-        verdicts=verdicts,
-        chunk_events=found.chunk_events,
+    odometry = odometry_trajectory(found.keys, start)
+    local = smooth_locally(found.keys, odometry, config, range_std)
+    first, second = (
+        replace(
+            _unlooped(found.keys, name, path), scores=found.scores, verdicts=verdicts, chunk_events=found.chunk_events
+        )
+        for name, path in (("odometry", odometry), ("local", local))
     )
+    return first, second
 
 
 def _unlooped(keys: KeyPoses, name: str, trajectory: Trajectory) -> GraphResult:

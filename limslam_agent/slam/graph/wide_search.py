@@ -3,6 +3,9 @@
 A match in so wide a window may be wrong, since many corridors look alike. The width of the window is therefore the
 uncertainty of the chunk graph plus several standard deviations. A match is accepted only if several neighbouring chunks
 match where it predicts them. These matches and the first match form a group.
+
+A chunk contains only seven metres of driving with six beams. The union of all other visits' chunks nearby describes a
+place much better. It recognises chunks that match no other chunk alone.
 """
 
 import math
@@ -11,6 +14,7 @@ import numpy as np
 
 from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Loop, information_matrix
 from limslam_agent.slam.graph.least_squares import relation_covariances, relation_factor
+from limslam_agent.slam.graph.local_maps import united
 from limslam_agent.slam.graph.loop_search import LEAST_SCORE, Chunks
 from limslam_agent.slam.graph.matching import Match, Window, match, search_grid
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
@@ -28,6 +32,10 @@ _NEAR, _FAR = 2.5, 5.0  # m of driving to the neighbours that must match as well
 _LEEWAY = 0.01
 # Chunks overlap. Grids and chunks at this spacing, m of driving, cover the whole log.
 _GRIDS_APART, _CHUNKS_APART = 4.0, 2.4
+# A union: m between its chunks and the chunk that is matched, and m driven between; the window of the match; and chunks
+# beside the end of a loop, which are not matched.
+_UNION_RADIUS, _UNION_TRAVEL, _UNION_LEEWAY = 8.0, 12.0, 0.02
+_UNION_WINDOW, _BESIDE = Window(2.5, math.radians(20.0), math.radians(3.0)), 1
 
 
 def recognised(loops: list[Loop], count: int, reach: int) -> BoolArray:
@@ -158,3 +166,27 @@ def _neighbours(chunks: Chunks, first: int, second: int) -> list[tuple[int, int]
     near, far = _step(chunks, _NEAR), _step(chunks, _FAR)
     pairs = [(first + a, second + b) for a in (-far, -near, 0, near, far) for b in (-far, far, -near, near)]
     return [(i, j) for i, j in pairs if 0 <= i < len(chunks) and 0 <= j < len(chunks) and i != j]
+
+
+def match_unions(chunks: Chunks, poses: FloatArray, loops: list[Loop]) -> list[Loop]:
+    """Loops from unrecognised chunks to the nearest chunk of other visits, with the chunks at ``poses`` (c, 3)."""
+    known = recognised(loops, len(chunks), _BESIDE)
+    found = [_match_union(chunks, poses, int(number)) for number in np.nonzero(~known)[0]]
+    return [loop for loop in found if loop is not None]
+
+
+def _match_union(chunks: Chunks, poses: FloatArray, second: int) -> Loop | None:
+    distance = np.hypot(*(poses[:, :2] - poses[second, :2]).T)
+    apart = np.abs(chunks.travel - chunks.travel[second]) > _UNION_TRAVEL
+    others = np.nonzero(apart & (distance < _UNION_RADIUS))[0]
+    if not len(others):
+        return None
+    others = others[np.argsort(distance[others], kind="stable")]
+    first = int(others[0])
+    union = united([chunks.maps[each] for each in others], poses[others], len(chunks.maps[0].grid), chunks.config.maps)
+    grid = search_grid(union, _UNION_WINDOW.shift)
+    guess = se2.between(poses[first], poses[second])
+    found = match(grid, chunks.maps[second].points, guess, _UNION_WINDOW, _SCORE - _UNION_LEEWAY)
+    if found.score < _SCORE:
+        return None
+    return chunks.loop(first, second, found, "union", grid)

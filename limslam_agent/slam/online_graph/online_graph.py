@@ -98,6 +98,7 @@ class OnlineGraph:
         self._ridden, self._variances = np.zeros(3), np.zeros(3)
         self._anchor = Anchor(self._ridden, self._variances, self._start, np.zeros((3, 3)), self.errors.mean)
         self._waiting: Anchor | None = None
+        self._chunk_std = 0.0
         self._middles = [0]  # events in the middle of the last chunks
         self._job_at = _remainder(self._config.maps)
         self._key_travel, self._key_turned = 0.0, 0.0
@@ -136,9 +137,12 @@ class OnlineGraph:
         self.covariance = moved_covariance(self._anchor.pose, self._anchor.covariance, motion, own)
 
     @property
-    def unrecognised(self) -> float:
-        """Distance driven since the last place that was recognised, or since the beginning, m."""
-        return self._recent.travel - (0.0 if self.places is None else self.places.recognised_at)
+    def position_std(self) -> float:
+        """Standard deviation of the position in the map, m: that of the last chunk, and of the motion since."""
+        if self.places is None:
+            return float(np.sqrt(np.trace(self.covariance[:2, :2])))
+        moved = self._variances - self._anchor.variances
+        return float(np.sqrt(self._chunk_std**2 + moved[:2].sum()))
 
     def _is_key_pose(self) -> bool:
         driven, turned = self._recent.travel - self._key_travel, self._recent.turned - self._key_turned
@@ -192,6 +196,7 @@ class OnlineGraph:
         else:
             path = np.vstack((frame.poses[np.array(before) - recent.first], pose))
             self.places.add(chunk, between(path[:-1], path[1:]), covariance)
+            self._chunk_std = self.places.position_std
         self._middles.append(event)
 
 

@@ -11,11 +11,12 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.agreement import PRUNE_GAIN, MapScore, accept_groups
-from limslam_agent.slam.graph.chunk_graph import KEPT_WEIGHT, ChunkSolution, Hops, Loop, inflated, solve_annealed
+from limslam_agent.slam.graph.chunk_graph import ChunkSolution, Hops, Loop, inflated, solve_annealed
 from limslam_agent.slam.graph.key_poses import integrate
 from limslam_agent.slam.graph.local_maps import LocalMap
 from limslam_agent.slam.graph.loop_search import Belief, Chunks, loops_of_newest
 from limslam_agent.slam.graph.matching import SearchGrid
+from limslam_agent.slam.graph.posterior import aligned_covariance
 from limslam_agent.slam.graph.wide_search import search_for_newest
 from limslam_env.geometry import FloatArray, se2
 
@@ -68,10 +69,12 @@ class PlaceGraph:
         return np.asarray(self._belief.covariance[-3:, -3:] + turned @ self._of_start @ turned.T)
 
     @property
-    def recognised_at(self) -> float:
-        """Distance driven up to the last chunk with a loop that counts, m; zero if there is none."""
-        strong = np.nonzero(self._belief.weights > KEPT_WEIGHT)[0]
-        return self._maps[max(self._belief.loops[each].second for each in strong)].travel if len(strong) else 0.0
+    def position_std(self) -> float:
+        """Standard deviation of the last chunk's position in the map, m: after the alignment of all chunks."""
+        poses = self._belief.poses
+        columns = (3 * np.arange(len(poses))[:, None] + np.arange(2)).ravel()
+        left = aligned_covariance(self._belief.covariance[np.ix_(columns, columns)], poses[:, :2])
+        return float(np.sqrt(max(np.trace(left[-2:, -2:]), 0.0)))
 
     @property
     def loops(self) -> list[Loop]:

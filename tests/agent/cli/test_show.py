@@ -215,6 +215,10 @@ def test_a_summary_leaves_out_what_is_not_known():
     assert run_summary({**METRICS, "status": "ok", "status_reason": "", "lost_s": 0.0}, {})[3] == "status      ok"
     smoothed = {**METRICS, "status": "ok", "status_reason": "", "ate_smoothed_m": 0.1}
     assert run_summary(smoothed, {})[3] == "status      ok while driving"
+    times = {"ok_s": 812.4, "unsure_s": 120.0, "lost_s": 0.0}
+    assert run_summary({**smoothed, **times}, {})[3] == "status      while driving ok for 812 s, unsure for 120 s"
+    ended = {**smoothed, **times, "status": "unsure", "status_reason": "why"}
+    assert run_summary(ended, {})[3].endswith("unsure for 120 s; at its end unsure: why")
     noted = {**smoothed, "lost_s": 9.0, "status_note": "lost while driving, from 1 s to 10 s"}
     assert run_summary(noted, {})[3] == "status      ok; lost while driving, from 1 s to 10 s"
     assert run_summary({**noted, "status_note": ""}, {})[3] == "status      ok"

@@ -1,7 +1,6 @@
 """Signals of a smoothed path that need no truth, and the status that follows from them."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -9,85 +8,79 @@ from support.corridors import FOUR_BEAMS, corridor_log
 
 from limslam_agent.config.graph import GraphConfig, RoundConfig
 from limslam_agent.output.summary import replay_summary
-from limslam_agent.replay.smoothing import _blind, trusted_path
-from limslam_agent.replay.trust import PathSignals, _reach, crossings, odometry_variances, reach_of_agreement
-from limslam_agent.slam.graph.agreement import KEPT, NO_SUPPORT, LoopVerdict, VisitCounts
-from limslam_agent.slam.graph.chunk_graph import Loop
-from limslam_agent.slam.graph.key_poses import ERRORS, Trajectory, choose_keys, motion_variances
-from limslam_env.geometry import se2
+from limslam_agent.replay.smoothing import trusted_path
+from limslam_agent.replay.trust import PathSignals, _reach, longest_loose, reach_of_agreement
+from limslam_agent.slam.graph.key_poses import ERRORS, Trajectory, choose_keys
 
 BRIEF = GraphConfig(rounds=RoundConfig(hops=(1.0, 0.8), iterations=(6, 6), orientations=(0.0,)))
-
-ROOM = np.array([[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 3.0]])
-
-
-def signals(driven=100.0, times=(), confirmed=0.5, contradicted=0.05, loops=20, bends=(), pieces=(0, 0), blind=0.0):
-    return PathSignals(driven, tuple(times), confirmed, contradicted, loops, tuple(bends), pieces=pieces, blind=blind)
+SURE = PathSignals(driven=100.0, size=8.0, points=3000, confirmed=0.5, contradicted=0.02, position_std=0.3)
 
 
-def test_a_path_crosses_a_wall_only_inside_of_its_ends():
-    along = np.array([[-1.0, -1.0], [-1.0, 1.0], [0.1, -1.0], [2.0, 1.0], [5.0, 1.0], [5.0, 4.0], [3.0, 4.0]])
-    assert crossings(along, ROOM).tolist() == [False, False, True, True, False, False]
-    assert not crossings(along, np.zeros((0, 4))).any()
-    assert not crossings(along[:1], ROOM).any()
-
-
-def test_ground_without_walls_is_blind_unless_a_loop_spans_it():
-    loop = Loop(2, 0, np.zeros(3), np.eye(3), 1.0, "along the way")
-    counts = np.array([3, 3, 50, 3])
-    visits = VisitCounts(np.array([0, 10, 20, 30]), counts, counts, 0 * counts)
-    found = SimpleNamespace(
-        keys=SimpleNamespace(first_event=2 * np.arange(40)), chunk_events=np.array([10, 20, 30]),
-        verdicts=[LoopVerdict(loop, KEPT)],
-    )  # fmt: skip
-    assert _blind(found, visits).tolist() == [True, False, False, True]
-    found.verdicts = [LoopVerdict(loop, NO_SUPPORT)]
-    assert _blind(found, visits).tolist() == [True, True, False, True]
+def test_the_longest_stretch_without_a_loop_is_found():
+    travel = np.array([0.0, 10.0, 20.0, 30.0, 60.0, 70.0, 75.0])
+    assert longest_loose(travel, np.zeros((0, 2), dtype=int)) == (0, 6)
+    assert longest_loose(travel, np.array([[2, 0]])) == (2, 6)
+    assert longest_loose(travel, np.array([[1, 0], [6, 4]])) == (1, 4)
+    assert longest_loose(travel, np.array([[0, 5], [1, 2]])) == (5, 6)
 
 
 @pytest.mark.parametrize(
     ("found", "words"),
     [
-        (signals(), ""),
-        (signals(times=(1.0, 2.0)), ""),
-        (signals(driven=20.0, times=(1.0,)), ""),
-        (signals(times=(1.0, 2.0, 3.0, 4.0)), "the path passes through walls at 4 places"),
-        (signals(contradicted=0.2), "visits of a place contradict each other at 29% of the points"),
-        (signals(confirmed=0.0, contradicted=0.0, loops=0), "no place was recognised again in 100 m"),
-        (signals(blind=40.0), ""),
-        (signals(blind=70.0), "hardly a wall was seen in 70 m that no recognised place holds"),
-        (signals(driven=30.0, confirmed=0.0, contradicted=0.0, loops=0), ""),
-        (signals(pieces=(236, 6)), ""),
-        (signals(pieces=(20, 2)), ""),
-        (signals(pieces=(45, 4)), ""),  # of a moved cupboard in a short log
-        (signals(pieces=(60, 6)), "of 60 pieces of walls, 6 are where other visits saw free space"),
-        (signals(pieces=(152, 15)), "of 152 pieces of walls, 15 are where other visits saw free space"),
-        (signals(bends=(33.2, 91.0)), "the path is bent more than odometry and walls allow after 33, 91 s"),
+        (SURE, ""),
+        (replace(SURE, confirmed=0.0, contradicted=0.0), "no other visit of a place confirms what was seen"),
+        (replace(SURE, contradicted=0.1), "visits of a place contradict each other at 17% of the points"),
+        (
+            replace(SURE, doubtful_times=(12.3, 40.0)),
+            "visits contradict each other much more than elsewhere after 12, 40 s",
+        ),
+        (
+            replace(SURE, bend_times=(33.2, 91.0)),
+            "the path is bent more than odometry and walls allow after 33, 91 s",
+        ),
+        (
+            replace(SURE, position_std=0.7, loose=(3.0, 61.0)),
+            "positions may be 0.7 m off, as no recognised place holds the path from 3 to 61 s",
+        ),
+        (replace(SURE, position_std=0.7, size=20.0), ""),  # of a large building
+        (
+            replace(SURE, position_std=1.3, size=20.0),
+            "positions may be 1.3 m off, as no recognised place holds the path",
+        ),
     ],
 )
 def test_the_status_names_each_reason(found, words):
     assert (found.status.level, found.status.reason) == ("unsure" if words else "ok", words)
 
 
-def test_a_share_of_no_pieces_of_walls_is_not_known():
-    assert signals().figures["smoothed_contradicted_walls"] is None
-    assert signals(pieces=(50, 5)).figures["smoothed_contradicted_walls"] == 0.1
+def test_another_path_is_better_if_its_visits_agree_better_on_as_much():
+    wrong = replace(SURE, confirmed=0.5, contradicted=0.05)
+    assert wrong.is_worse_than(replace(wrong, confirmed=0.4, contradicted=0.03))
+    assert not wrong.is_worse_than(replace(wrong, confirmed=0.4, contradicted=0.05))
+    assert not wrong.is_worse_than(replace(wrong, confirmed=0.02, contradicted=0.0))
 
 
-def test_odometry_is_better_only_if_it_crosses_fewer_walls_and_agrees_better():
-    bent = signals(times=range(6), confirmed=0.3, contradicted=0.2)
-    assert bent.is_worse_than(signals(times=(1.0,), confirmed=0.4, contradicted=0.1))
-    assert not bent.is_worse_than(signals(times=(1.0,), confirmed=0.2, contradicted=0.2))
-    assert not bent.is_worse_than(signals(times=range(5), confirmed=0.4, contradicted=0.1))
-    assert not signals(times=(1.0,)).is_worse_than(signals(confirmed=0.9))
+def test_the_summary_says_that_readings_are_few():
+    assert len(replay_summary(SURE.figures)) == 1
+    _, line = replay_summary(replace(SURE, points=620).figures)
+    assert line.strip() == "6.2 readings of walls in a metre of driving: with fewer than 10, paths were often wrong"
 
 
-def test_the_summary_says_when_a_path_may_be_wrong():
-    lines = replay_summary({"status": "lost", "status_reason": "why", **signals(times=(3.2, 250.0)).figures})
-    assert lines[1:3] == [
-        "            ok at the end",
-        "            may be wrong where the path passes through walls, after 3, 250 s",
-    ]
+def test_a_log_in_which_nothing_was_seen_is_not_trusted():
+    data, truth = corridor_log(bias=0.0)
+    _, _, judged, _ = trusted_path(replace(data, hit=np.zeros_like(data.hit)), truth[0], BRIEF)
+    assert judged.status.level == "unsure"
+    assert "no other visit of a place confirms what was seen" in judged.status.reason
+
+
+def test_a_stretch_that_no_loop_holds_is_named():
+    """The second lap is not driven to its end: nothing of the first lap's end is seen again."""
+    data, truth = corridor_log(laps=1, bias=0.0)
+    count = int(0.7 * len(truth))
+    rows = {name: getattr(data, name)[:count] for name in ("time", "odometry", "ranges", "hit")}
+    _, _, judged, _ = trusted_path(replace(data, **rows), truth[0], BRIEF)
+    assert judged.loose == pytest.approx((0.0, data.time[count - 1] - data.time[0]), abs=3.0)
+    assert judged.status.level == "unsure"
 
 
 def floor_log():
@@ -148,20 +141,16 @@ def test_the_first_look_only_puts_off_the_search_of_all_frames(monkeypatch):
     assert found.further is None
 
 
+def test_ranges_at_which_few_points_were_judged_do_not_limit_the_reach():
+    """Few readings are beyond 2 m, and those at 1.1 m happen to be contradicted."""
+    ranges = np.concatenate((np.full(100, 0.6), np.full(40, 1.1), np.full(20, 2.6)))
+    contradicted = np.zeros(160, dtype=bool)
+    contradicted[100:130] = True
+    assert _reach(ranges, ~contradicted, contradicted, 5.0) == 5.0
+    many = np.concatenate((np.full(100, 1.6), np.full(60, 2.6)))
+    assert _reach(many, many < 2.0, many > 2.0, 5.0) == 1.75
+
+
 def test_a_range_that_rounding_has_made_too_long_is_counted():
     ranges, all_of, none = np.array([2.9, 3.0000000001]), np.array([True, False]), np.array([False, True])
     assert _reach(ranges, all_of, none, 3.0) == 3.0
-
-
-def test_the_variances_of_odometry_follow_its_errors():
-    data, truth = corridor_log(bias=0.0)
-    keys = choose_keys(data, BRIEF.keys)
-    trajectory = Trajectory(truth[keys.first_event], np.zeros(ERRORS))
-    found = odometry_variances(data, keys, trajectory)
-    steps = se2.between(data.odometry[:-1], data.odometry[1:])
-    assumed = motion_variances(np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2]))
-    ratios = found[1:] / assumed
-    assert found.shape == (len(data.time), 3)
-    assert ratios == pytest.approx(np.broadcast_to(ratios[0], ratios.shape))
-    # The odometry of this log errs by 2 cm, 1 cm and 1.1 deg after a metre; 5 cm, 5 cm and 2 deg and more are assumed.
-    assert (ratios[0] < 0.6).all()

@@ -348,6 +348,7 @@ def test_the_scores_say_how_long_each_level_lasted():
     levels = np.array([[0, 0], [1, 0], [1, 0], [0, 2], [0, 2], [0, 1]])
     scores = status_scores(time, levels, Status("unsure", "a doubt"))
     assert scores == {
-        "status": "unsure", "status_reason": "a doubt", "unsure_s": 2.0, "lost_s": 2.0, "first_lost_s": 3.0,
+        "status": "unsure", "status_reason": "a doubt", "ok_s": 1.0, "unsure_s": 2.0, "lost_s": 2.0,
+        "first_lost_s": 3.0,
     }  # fmt: skip
     assert status_scores(time, np.zeros((6, 1), dtype=int), Status())["first_lost_s"] is None

@@ -63,7 +63,19 @@ def test_a_place_is_recognised_and_the_pose_jumps_there(lap):
     assert off[-200:].max() < 1.0
     spread = np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1])
     assert spread[-1] < 0.5 * spread.max()
-    assert graph.unrecognised < 10.0
+    assert graph.position_std < 1.0
+
+
+def test_the_position_becomes_uncertain_until_a_place_is_recognised(lap):
+    data, truth, (_, poses, _, _) = lap
+    graph = OnlineGraph(Beams(data.origins, data.angles, data.max_range, data.range_std), truth[0])
+    stds = np.empty(len(poses))
+    for row in range(len(poses)):
+        graph.step(data.time[row], data.odometry[row], data.ranges[row], data.hit[row])
+        stds[row] = graph.position_std
+    assert stds[0] == 0.0
+    assert stds.max() > 0.5
+    assert stds[-1] < 0.5 * stds.max()
 
 
 def test_the_local_frame_jumps_only_at_the_key_pose_after_a_job(lap):
@@ -92,7 +104,6 @@ def test_a_chunk_has_the_covariance_of_the_first_chunk_about_it(lap):
     # The heading of the first chunk turns the second chunk, 3 m ahead, about it.
     assert places.covariance[1, 1] == pytest.approx(0.04 + 9.0 * 0.09 + own[1, 1])
     assert places.covariance[0, 0] == pytest.approx(0.01 + own[0, 0])
-    assert places.recognised_at == 0.0
 
 
 def test_windows_add_their_information_by_their_share():
@@ -161,5 +172,7 @@ def test_the_graph_goes_on_once_the_filter_is_lost(monkeypatch):
     assert both.handed_over == lost
     np.testing.assert_array_equal(both.covariance, graph.covariance)
     assert both.refused_readings == alone.slam.refused_readings == 1
-    assert both.status.level == ("unsure" if graph.unrecognised > hand_over.FAR else "ok")
+    assert both.status.level == ("unsure" if graph.position_std > hand_over.MOST_STD else "ok")
+    monkeypatch.setattr(OnlineGraph, "position_std", 2.34)
+    assert both.status == Status("unsure", "the position in the map may be 2.3 m off")
     assert not both.places.records

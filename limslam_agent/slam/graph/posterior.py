@@ -1,0 +1,113 @@
+"""How exactly a smoothed path is known, by the posterior covariance of its graph.
+
+A stretch that no loop holds is known as exactly as odometry and the walls along the way say. How good the odometry is
+follows from the path itself: its variances are estimated by expectation maximisation.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from limslam_agent.config.graph import GraphConfig
+from limslam_agent.slam.graph.agreement import LoopVerdict
+from limslam_agent.slam.graph.chunk_graph import LOOP_KERNEL
+from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory
+from limslam_agent.slam.graph.least_squares import NormalEquations, add_relations, odometry_factor, pose_columns
+from limslam_agent.slam.graph.local_smoothing import cautious_equations
+from limslam_env.geometry import FloatArray, IntArray
+
+_SPACING, _MOST_POSES = 2.5, 300  # m between the poses that are judged, and at most so many
+_WINDOW, _MOST_WINDOWS = 14.0, 60  # m over which odometry is judged, since its errors last for seconds; and how many
+_ITERATIONS = 3  # of expectation maximisation; where a path follows odometry alone, nothing changes
+
+
+def position_std(
+    keys: KeyPoses,
+    trajectory: Trajectory,
+    verdicts: Sequence[LoopVerdict],
+    chunk_keys: IntArray,
+    config: GraphConfig,
+    range_std: float,
+) -> tuple[float, FloatArray]:
+    """Expected root mean square error of the positions of a path after rigid alignment, m.
+
+    Also returns the ratios (3,) of the variances of odometry (along, across, heading) to those of ``keys``.
+
+    Parameters
+    ----------
+    keys, trajectory
+        The key poses, and the smoothed path.
+    verdicts, chunk_keys
+        The verdicts on loops between chunks, and the key poses (c,) in the middle of the chunks.
+    range_std
+        Specified standard deviation of a range, m.
+    """
+    if len(keys) < 2:
+        return 0.0, np.ones(3)
+    loops = [verdict.loop for verdict in verdicts if verdict.kept]
+    ends = chunk_keys[np.array([(loop.first, loop.second) for loop in loops], dtype=np.int64).reshape(-1, 2)]
+    relative = np.array([loop.relative for loop in loops]), np.array([loop.information for loop in loops])
+
+    def solvable() -> NormalEquations:
+        """The equations of the path with the variances of odometry that are known so far."""
+        equations = cautious_equations(keys, trajectory, config, range_std)
+        add_relations(equations, trajectory.poses, ends, relative, LOOP_KERNEL)
+        return equations
+
+    all_ratios = np.ones(3)
+    for _ in range(_ITERATIONS):
+        ratios = odometry_ratios(keys, trajectory, solvable())
+        keys, all_ratios = replace(keys, step_variances=keys.step_variances * ratios), all_ratios * ratios
+    numbers = np.unique(np.searchsorted(keys.key_travel, _evenly(keys.key_travel[-1], _SPACING, _MOST_POSES)))
+    equations = solvable()
+    columns = pose_columns(numbers)[:, :2].ravel()
+    rows = np.zeros((equations.size, len(columns)))
+    rows[columns, np.arange(len(columns))] = 1.0
+    covariance = equations.solved(equations.factorise(), rows)[columns]
+    left = aligned_covariance(covariance, trajectory.poses[numbers, :2])
+    return float(np.sqrt(max(np.trace(left), 0.0) / len(numbers))), all_ratios
+
+
+def aligned_covariance(covariance: FloatArray, positions: FloatArray) -> FloatArray:
+    """The joint covariance (2 k, 2 k) of positions (k, 2), m, after their rigid alignment with the true ones.
+
+    The alignment removes what moves and turns all positions together: an orthogonal projection.
+    """
+    centred = positions - positions.mean(axis=0)
+    rigid = np.zeros((2 * len(positions), 3))
+    rigid[0::2, 0] = rigid[1::2, 1] = 1.0
+    rigid[0::2, 2], rigid[1::2, 2] = -centred[:, 1], centred[:, 0]
+    basis, _ = np.linalg.qr(rigid)
+    half = covariance - basis @ (basis.T @ covariance)
+    return np.asarray(half - (half @ basis) @ basis.T)
+
+
+def odometry_ratios(keys: KeyPoses, trajectory: Trajectory, equations: NormalEquations) -> FloatArray:
+    """Ratios (3,) of the variances of odometry (along, across, heading) to those that are assumed.
+
+    One step of expectation maximisation (Dempster, Laird and Rubin, 1977): the squares of the errors of odometry over
+    some metres, and their posterior variances in the ``equations`` of the path.
+    """
+    errors, jacobian = odometry_factor(keys, trajectory)
+    begins = np.searchsorted(keys.key_travel, _evenly(keys.key_travel[-1] - _WINDOW, 0.5 * _WINDOW, _MOST_WINDOWS))
+    ends = np.minimum(np.searchsorted(keys.key_travel, keys.key_travel[begins] + _WINDOW), len(errors))
+    begins = np.minimum(begins, ends - 1)
+    biases = np.arange(3 * len(keys), 3 * len(keys) + jacobian.shape[2] - 6)
+    first = np.arange(len(errors))
+    columns = np.hstack((pose_columns(first), pose_columns(first + 1), np.tile(biases, (len(first), 1))))
+    sums = np.zeros((len(begins), 3, equations.size))
+    squares, assumed = np.zeros((len(begins), 3)), np.zeros((len(begins), 3))
+    for window, (begin, end) in enumerate(zip(begins, ends, strict=True)):
+        squares[window] = errors[begin:end].sum(axis=0) ** 2
+        assumed[window] = keys.step_variances[begin:end].sum(axis=0)
+        for part in range(3):
+            np.add.at(sums[window, part], columns[begin:end], jacobian[begin:end, part])
+    rows = sums.reshape(-1, equations.size).T
+    posterior = (rows * equations.solved(equations.factorise(), rows)).sum(axis=0).reshape(-1, 3)
+    return np.asarray(((squares + posterior) / assumed).mean(axis=0))
+
+
+def _evenly(length: float, spacing: float, most: int) -> FloatArray:
+    """Distances along a path from its begin on, m, with a wider spacing where there would be more than ``most``."""
+    return np.arange(0.0, max(length, 1e-9), max(spacing, length / most))
