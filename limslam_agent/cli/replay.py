@@ -174,6 +174,12 @@ def job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "Robo
 
     recorded = opened(log)
     _check_options(log, options, recorded)
+    # Relations of two logs lie in one of them, or between them.
+    if known is not None and options.other_log is None and (share := float(known.within(recorded.time).mean())) < 0.5:
+        count = f"only {share:.0%}" if share else "none"
+        raise ValueError(
+            f"{options.relations}: {count} of its relations lie in the log's time: are they of another log?"
+        )
     calibration = calibration_run.estimate(recorded, agent.odometry, opened)
     if calibration:
         agent = replace(agent, odometry=calibration.applied_to(agent.odometry))

@@ -32,6 +32,8 @@ from limslam_env.interface import RobotSpec, SensorSpec, side_of
 _SICK_TOP_COUNTS = (8183.0, 8191.5)
 _SICK_UNITS = (0.001, 0.01)
 
+_FIRST_TIMES, _LONGEST_STEP = 10, 60.0  # s between the first times of a clock that begins below 0
+
 _SCAN_TAIL = 9
 _ODOM_FIELDS = 10
 # If the laser's pose relative to the odometry varies by more than this (m, rad), it is not the mount of the laser but
@@ -59,7 +61,8 @@ def read_carmen(
     -------
     RecordedLog
         One event for each line, in the order of the file, at the line's ``ipc_time``. The frame of the estimate is the
-        robot's first pose, because the origin of odometry is arbitrary and may be far away.
+        robot's first pose, because the origin of odometry is arbitrary and may be far away. Times that begin below 0
+        and go on from there are moved so that the first one is 0. Other lines with a negative time are left out.
 
     Raises
     ------
@@ -149,8 +152,6 @@ class _Events:
     def _add_event(self, pose: list[bytes], time: bytes, *, has_scan: bool) -> None:
         odometry = [parse_number(field, "the odometry") for field in pose]
         seconds = parse_number(time, "the time")
-        if seconds < 0.0:
-            raise ValueError(f"the time is negative: {seconds}")
         self.odometry.extend(odometry)
         self.time.append(seconds)
         self.has_scan.append(has_scan)
@@ -179,15 +180,18 @@ class _Events:
 
 
 def _as_log(events: _Events, max_range: float) -> RecordedLog:
-    count = len(events.time)
-    time = np.array(events.time)
-    odometry = np.array(events.odometry).reshape(count, 3)
+    time, has_scan = np.array(events.time), np.frombuffer(events.has_scan, dtype=np.bool_)
+    shifted = -float(time[0]) if _begins_below_zero(time) else 0.0
+    kept = time + shifted >= 0.0
+    if not has_scan[kept].any():
+        raise ValueError("has no scan whose time is not negative")
+    scans = kept[has_scan]
+    time, odometry, has_scan = time[kept] + shifted, np.array(events.odometry).reshape(-1, 3)[kept], has_scan[kept]
     odometry[:, 2] = se2.wrap_angle(odometry[:, 2])
-    has_scan = np.frombuffer(events.has_scan, dtype=np.bool_)
     angles = np.radians(beam_angles_deg(events.beam_count)[np.array(events.columns) - 2])
-    mount = _laser_mount(odometry[has_scan], np.array(events.laser).reshape(-1, 3))
-    ranges = np.full((count, len(angles)), max_range, dtype=np.float32)
-    ranges[has_scan] = _as_readings(np.array(events.ranges).reshape(-1, len(angles)), max_range)
+    mount = _laser_mount(odometry[has_scan], np.array(events.laser).reshape(-1, 3)[scans])
+    ranges = np.full((len(time), len(angles)), max_range, dtype=np.float32)
+    ranges[has_scan] = _as_readings(np.array(events.ranges).reshape(-1, len(angles))[scans], max_range)
     return RecordedLog(
         robot=_robot(angles, mount, max_range, time),
         time=time,
@@ -195,7 +199,15 @@ def _as_log(events: _Events, max_range: float) -> RecordedLog:
         has_scan=has_scan,
         start_pose=np.zeros(3),
         odometry=odometry,
+        shifted=shifted,
+        untimed=int((~kept).sum()),
     )
+
+
+def _begins_below_zero(time: FloatArray) -> bool:
+    """Whether a clock (n,), s, begins below 0 and goes on from there. A single wrong time does not go on."""
+    steps = np.diff(time[:_FIRST_TIMES])
+    return bool(time[0] < 0.0 and len(steps) and (np.abs(steps) < _LONGEST_STEP).all())
 
 
 def _as_readings(ranges: FloatArray, max_range: float) -> FloatArray:

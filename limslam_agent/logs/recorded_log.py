@@ -63,6 +63,11 @@ class RecordedLog:
         True poses (n, 3), m, m, rad, for scoring only, or None.
     restarts
         Times at which the robot was switched on again, as its encoder counters show, s.
+    shifted, untimed
+        How much was added to all times because they began below 0, s; and the number of lines that were left out
+        because their times are impossible.
+    zone_axes
+        Optical axes, deg, along which a table's distances were measured; empty for none. None for other formats.
     negative
         How many ranges were negative when the log was read. They are NaN in ``ranges``.
 
@@ -81,6 +86,9 @@ class RecordedLog:
     wheels: FloatArray | None = None
     true_pose: FloatArray | None = None
     restarts: tuple[float, ...] = ()
+    shifted: float = 0.0
+    untimed: int = 0
+    zone_axes: tuple[float, ...] | None = None
     negative: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:

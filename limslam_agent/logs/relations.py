@@ -38,6 +38,12 @@ class Relations:
     end_time: FloatArray
     relative: FloatArray
 
+    def within(self, time: FloatArray) -> BoolArray:
+        """Which relations (k,) lie within the times (n,), s, of a log."""
+        first, last = time.min() - OUTSIDE_BY, time.max() + OUTSIDE_BY
+        early, late = (by(self.start_time, self.end_time) for by in (np.minimum, np.maximum))
+        return np.asarray((early >= first) & (late <= last))
+
 
 @dataclass(frozen=True, eq=False)
 class RelationErrors:
@@ -106,10 +112,7 @@ def relation_errors(
         Absolute odometry poses at the same times (n, 3), m, m, rad, interpolated linearly. Without odometry the
         trajectory itself is interpolated.
     """
-    first, last = time.min() - OUTSIDE_BY, time.max() + OUTSIDE_BY
-    early = np.minimum(relations.start_time, relations.end_time)
-    late = np.maximum(relations.start_time, relations.end_time)
-    inside = (early >= first) & (late <= last)
+    inside = relations.within(time)
     start_time, end_time = relations.start_time[inside], relations.end_time[inside]
     moves = poses if odometry is None else odometry
     start = _poses_at(start_time, time, poses, moves)

@@ -8,6 +8,7 @@ from limslam_agent.config.graph import GraphConfig
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.replay.replay import Replay
 from limslam_env.geometry import FloatArray, se2
+from limslam_env.messages import counted
 
 MOSTLY_NOTHING = 0.95
 """Above this share of readings that saw nothing, the ranges are probably not in metres."""
@@ -34,6 +35,14 @@ FASTEST = 20.0
 MOST_TURNS = 4.0
 """If a robot turns by more than this on each metre, rad/m, its heading is probably in degrees. Both benchmark logs have
 0.4 to 0.7 rad/m."""
+
+LEAST_ALIGNED = 0.5
+"""A robot with wheels drives along its heading, and this is 1. It is 0 where the heading is in another unit."""
+
+ZONES, ONE_PLACE, EVENLY = 4, 0.005, math.radians(0.5)
+LEAST_ZONE, WIDEST_SENSOR = math.radians(4.0), math.radians(65.0)
+"""So many beams from one place (m), evenly spaced by this at least and over this at most, look like the zones of one
+sensor. Sensors with 4 and 8 zones see 45 to 63 degrees."""
 
 MANY_NEGATIVE = 0.01
 """Above this share of negative readings, a negative number probably says that nothing was seen."""
@@ -63,10 +72,11 @@ FEWEST_READINGS = 200
 
 def log_warnings(log: RecordedLog) -> list[str]:
     """What is unlikely about the times, the ranges and the odometry of a log, one sentence for each finding."""
-    about_times = _about_times(log)
-    about_odometry = [] if about_times else _about_odometry(log)
+    about_clock = _about_clock(log)
+    about_odometry = [] if about_clock else _about_odometry(log)
     about_ranges = [*_about_ranges(log), *_about_zeros(log), *_about_negatives(log), *_about_beams(log)]
-    return [*_about_restarts(log), *about_times, *_about_gaps(log), *about_ranges, *about_odometry]
+    about = [*_about_restarts(log), *_about_times(log), *about_clock, *_about_gaps(log), *about_ranges, *about_odometry]
+    return [*about, *_about_zones(log)]
 
 
 def map_warnings(replay: Replay) -> list[str]:
@@ -86,6 +96,16 @@ def _about_restarts(log: RecordedLog) -> list[str]:
 
 
 def _about_times(log: RecordedLog) -> list[str]:
+    found = []
+    if log.shifted:
+        found.append(f"the times begin at {-log.shifted:g} s; {log.shifted:g} s were added to all of them")
+    if log.untimed:
+        were = "were" if log.untimed > 1 else "was"
+        found.append(f"{counted(log.untimed, 'line')} with a negative time {were} left out")
+    return found
+
+
+def _about_clock(log: RecordedLog) -> list[str]:
     steps = np.diff(log.time)
     if len(steps) > 1 and not (steps > 0.0).any():
         return ["the times never rise: does the clock stand still, or does the log begin with its newest row?"]
@@ -187,9 +207,34 @@ def _about_odometry(log: RecordedLog) -> list[str]:
     if speed > FASTEST:
         return [f"by odometry the robot drives at {speed:.0f} m/s on average: is odometry in metres?"]
     per_metre = float(np.abs(se2.wrap_angle(np.diff(log.odometry[:, 2]))).sum()) / driven
-    if per_metre > MOST_TURNS:
+    if per_metre > MOST_TURNS and _alignment(log.odometry) < LEAST_ALIGNED:
         return [f"by odometry the robot turns by {per_metre:.1f} rad on each metre: is its heading in radians?"]
     return _misread(log, log.odometry)
+
+
+def _alignment(odometry: FloatArray) -> float:
+    """How well the direction of driving follows the heading of poses (n, 3), ahead or back, from 0 to 1."""
+    moves = np.diff(odometry[:, :2], axis=0)
+    turned = np.arctan2(moves[:, 1], moves[:, 0]) - odometry[1:, 2]
+    return float(abs(np.sum(np.hypot(*moves.T) * np.exp(2j * turned))) / max(float(np.hypot(*moves.T).sum()), 1e-9))
+
+
+def _about_zones(log: RecordedLog) -> list[str]:
+    """Whether beams of a table look like the zones of a sensor whose distances are along its optical axis."""
+    if log.zone_axes is None or log.zone_axes:
+        return []
+    order = np.argsort(log.robot.beam_angles)
+    angles, origins = log.robot.beam_angles[order], log.robot.beam_origins[order]
+    steps = np.diff(angles)
+    # A group ends where the next beam is farther away than its beams are from each other, or comes from another place.
+    apart = np.hypot(*np.diff(origins, axis=0).T) > ONE_PLACE
+    ends = apart[1:] | apart[:-1] | (np.abs(np.diff(steps)) > EVENLY)
+    groups = np.split(steps, np.flatnonzero(ends) + 1)
+    for group in groups:
+        if len(group) >= ZONES - 1 and group.mean() * (len(group) + 1) < WIDEST_SENSOR and group.mean() > LEAST_ZONE:
+            text = f"{len(group) + 1} beams look {math.degrees(group.mean()):.3g} deg apart from one place"
+            return [f"{text}: if they are zones of a multi-zone sensor, --zone-axes converts its distances to ranges"]
+    return []
 
 
 def _about_wheels(log: RecordedLog, wheels: FloatArray) -> list[str]:
@@ -262,6 +307,6 @@ def _why_no_walls(replay: Replay) -> str:
     if driven < LEAST_DRIVEN:
         return f"the robot drove only {driven:.2f} m by odometry. Is the odometry in metres?"
     return (
-        "the readings do not lie on lines. Are odometry and ranges in metres, headings in radians, and the beams' "
-        "directions right? A larger --noise accepts more scatter"
+        f"the {1.0 - share:.0%} of the readings that saw something do not lie on lines. Are odometry and ranges in "
+        "metres, and the beams' directions right? A larger --noise accepts more scatter"
     )

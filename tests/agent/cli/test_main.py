@@ -298,6 +298,16 @@ def test_the_calibration_run_may_be_another_log(carmen_log, tmp_path):
     assert metrics["relations"] == 7
 
 
+@pytest.mark.parametrize(("later", "words"), [(1e6, "none of its"), (6.0, "% of its")])
+def test_relations_of_another_log_are_refused(carmen_log, tmp_path, later, words):
+    relations = known_motions(tmp_path / "known.relations", 7, 0.4)
+    rows = [line.split() for line in relations.read_text().splitlines() if not line.startswith("#")]
+    moved = [" ".join([str(float(row[0]) + later), str(float(row[1]) + later), *row[2:]]) for row in rows]
+    relations.write_text("\n".join(moved) + "\n")
+    result = limslam("replay", carmen_log, "--beams", "-90,90", "--relations", relations, "--out", tmp_path / "no")
+    assert_refused(result, f"{words} relations lie in the log's time: are they of another log?")
+
+
 def test_a_calibration_leaves_something_to_score(carmen_log, tmp_path):
     relations = known_motions(tmp_path / "known.relations", 7, 0.525)
     result = limslam("replay", carmen_log, "--calibrate", relations, "--relations", relations, "--out", tmp_path / "no")

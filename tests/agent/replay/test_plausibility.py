@@ -121,7 +121,8 @@ def test_readings_off_every_line_are_explained_by_units_and_directions(tmp_path)
     ]
     path.write_text("\n".join([head, *lines]) + "\n", encoding="utf-8")
     (warning,) = map_warnings(replay_log(read_log(path), preset("consistent")))
-    assert "the readings do not lie on lines" in warning
+    assert "the 100% of the readings that saw something do not lie on lines" in warning
+    assert "headings" not in warning
 
 
 def test_the_command_warns_on_standard_error_and_succeeds(tmp_path):
@@ -162,6 +163,39 @@ def test_a_log_that_is_read_in_a_wrong_way_is_noticed(laps, factors, order, said
     warnings = log_warnings(read)
     assert len(warnings) == bool(said)
     assert all(said in warning for warning in warnings)
+
+
+def test_a_robot_that_often_turns_at_one_place_has_its_heading_in_radians(laps):
+    """A robot that looks around in an open hall turns by much more than 4 rad on each metre."""
+    stay = np.repeat(np.arange(len(laps.time)), 40)
+    odometry = laps.odometry[stay]
+    odometry[:, 2] += np.tile(np.linspace(0.0, 2.0 * np.pi, 41)[:-1], len(laps.time))
+    rows = {"ranges": laps.ranges[stay], "has_scan": laps.has_scan[stay], "time": 0.1 * np.arange(len(stay))}
+    turning = replace(laps, odometry=odometry, **rows)
+    assert not any("radians" in warning for warning in log_warnings(turning))
+
+
+@pytest.mark.parametrize(
+    ("directions", "is_noticed"),
+    [
+        ((16.875, 5.625, -5.625, -16.875, 106.875, 95.625, 84.375, 73.125), True),
+        ((19.6875, 14.0625, 8.4375, 2.8125, -2.8125, -8.4375, -14.0625, -19.6875), True),
+        ((90, 54, 18, -18, -54, -90), False),
+        (np.arange(16) * 22.5, False),
+        (np.arange(11) * 18.0 - 90.0, False),
+        (np.arange(37) * 5.0 - 90.0, False),
+        ((17, 49, 90, 150, -17, -49, -90, -150), False),
+    ],
+)
+def test_zones_that_are_read_as_beams_are_noticed(tmp_path, directions, is_noticed):
+    header = ",".join(["t", "x", "y", "theta", *[f"r_{angle:g}" for angle in directions]])
+    rows = [",".join([f"{0.1 * n}", f"{0.05 * n}", "0", "0", *["1.5"] * len(directions)]) for n in range(40)]
+    path = tmp_path / "zones.csv"
+    path.write_text("\n".join([header, *rows]) + "\n")
+    assert any("--zone-axes" in warning for warning in log_warnings(read_log(path))) == is_noticed
+    if is_noticed:
+        axes = TableOptions(zone_axes=(0.0, 90.0))
+        assert not any("--zone-axes" in warning for warning in log_warnings(read_log(path, table=axes)))
 
 
 def test_a_sensor_that_looks_backwards_is_noticed(laps):
