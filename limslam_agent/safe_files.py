@@ -5,6 +5,7 @@ import stat
 import warnings
 import zipfile
 from collections.abc import Collection
+from io import BytesIO
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Any
 
@@ -25,20 +26,22 @@ class TooLargeError(ValueError):
 def open_regular(path: Path) -> IO[bytes]:
     """Open a file to read its bytes. Pipes and devices, which may never end, are refused before they are opened.
 
+    A file of no bytes is not opened either: files of the kernel such as ``/proc/kmsg`` look like that, and may wait.
+
     Raises
     ------
     OSError
         If the file cannot be opened or is not a regular file.
     """
     try:
-        mode = path.stat().st_mode
+        status = path.stat()
     except ValueError as error:  # a name that no file can have
         raise OSError(errno.EINVAL, str(error), str(path)) from error
-    if stat.S_ISDIR(mode):
+    if stat.S_ISDIR(status.st_mode):
         raise IsADirectoryError(errno.EISDIR, "Is a directory", str(path))
-    if not stat.S_ISREG(mode):
+    if not stat.S_ISREG(status.st_mode):
         raise OSError(errno.EINVAL, "it is not a regular file", str(path))
-    return path.open("rb")
+    return path.open("rb") if status.st_size else BytesIO()
 
 
 def read_limited(path: Path, largest: int = MAX_TEXT_BYTES) -> bytes:

@@ -268,7 +268,7 @@ class RobotSpec:
             values = json.loads(text)
             beams = tuple(SensorSpec(**beam) for beam in values.pop("beams"))
             return cls(**values, beams=beams)
-        except (TypeError, KeyError, AttributeError, json.JSONDecodeError) as error:
+        except (TypeError, KeyError, AttributeError, json.JSONDecodeError, RecursionError) as error:
             raise ValueError(f"not a robot: {error}") from error
 
 

@@ -2,7 +2,6 @@
 
 import itertools
 import re
-import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,6 +16,7 @@ from benchmarks.suite.work import check_log, contents, run_config
 from limslam_agent.config.tables import built
 from limslam_agent.safe_files import read_limited
 from limslam_env.messages import described, one_line
+from limslam_env.toml_text import parse_toml
 
 FOLDER = Path(__file__).parent / "suites"
 NO_ABLATION = "none"
@@ -116,8 +116,8 @@ def parse_suite(text: str, label: str, first_seed: int | None = None) -> Suite:
     """
     with _named(label):
         try:
-            table = tomllib.loads(text)
-        except (ValueError, RecursionError) as error:
+            table = parse_toml(text)
+        except ValueError as error:
             raise ValueError(f"not TOML: {error}") from error
         _check_keys(table, "a suite", {"name", "description"}, {"grid", "log", "train"})
         name, description = (_one(table, key, _TEXT) for key in ("name", "description"))

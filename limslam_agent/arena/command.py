@@ -17,7 +17,7 @@ from typing import IO
 
 import numpy as np
 
-from limslam_agent.arena.processes import environment, last_line
+from limslam_agent.arena.processes import last_line
 from limslam_agent.live.firmware import NM_PER_TICK, Firmware, ranges_in_mm, ticks
 from limslam_agent.live.protocol import LONGEST_LINE, VERSION, BadLineError, Hello, Speeds, Stop, Telemetry, decode
 from limslam_env.geometry import FloatArray
@@ -136,7 +136,7 @@ class _Process:
         try:
             # The words are those of the entry's manifest. No shell reads them.
             self._process = subprocess.Popen(  # noqa: S603
-                list(words), cwd=folder, env=environment(), stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                list(words), cwd=folder, stdin=subprocess.PIPE, stdout=subprocess.PIPE,
                 stderr=self._errors,
             )  # fmt: skip
         except OSError as error:

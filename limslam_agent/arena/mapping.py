@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.arena.entry import Entry
-from limslam_agent.arena.processes import environment, last_line, without_folders
+from limslam_agent.arena.processes import last_line, without_folders
 from limslam_agent.arena.tracks import Plan
 from limslam_agent.config.presets import preset
 from limslam_agent.logs.log_reader import read_log
@@ -150,7 +150,7 @@ def _call(words: Sequence[str], folder: Path) -> None:
         try:
             # The words are those of the entry's manifest. No shell reads them.
             done = subprocess.run(  # noqa: S603
-                words, cwd=folder, env=environment(), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+                words, cwd=folder, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
                 stderr=errors, timeout=ANSWER_WITHIN, check=False,
             )  # fmt: skip
         except OSError as error:

@@ -1,4 +1,4 @@
-"""What processes of workers and entries have in common: environment, end, and the messages of their failures."""
+"""What processes of workers and entries have in common: their end, and the messages of their failures."""
 
 import multiprocessing
 import os
@@ -9,15 +9,7 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import IO
 
-SECRET_SEED = "LIMSLAM_SECRET_SEED"  # noqa: S105 (a name)
-"""Name of the environment variable with the secret seed, which the processes of entries do not inherit."""
-
 _LAST_BYTES = 4096
-
-
-def environment() -> dict[str, str]:
-    """The environment of an entry's process: the arena's own without the secret seed."""
-    return {name: value for name, value in os.environ.items() if name != SECRET_SEED}
 
 
 def begin_group() -> None:

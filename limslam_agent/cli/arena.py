@@ -1,11 +1,14 @@
 """``limslam arena``: enter the benchmark, verify results, and write the leaderboard."""
 
+import os
+import sys
+from contextlib import suppress
+from getpass import getpass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from limslam_agent.arena.processes import SECRET_SEED
 from limslam_agent.cli.terminal import print_table, progress_bar, warn
 
 if TYPE_CHECKING:
@@ -15,12 +18,31 @@ if TYPE_CHECKING:
 arena = typer.Typer(name="arena", no_args_is_help=True, help="A benchmark that anybody can enter: run, verify, page.")
 
 _Secret = Annotated[
-    int | None,
+    bool,
     typer.Option(
-        envvar=SECRET_SEED, help="Seed of plans that nobody has seen, for judging.", show_default="published plans"
+        "--secret-seed", help="Read the seed of plans that nobody has seen from standard input, for judging: a pipe."
     ),
 ]
+_LONGEST_SEED = 1001  # characters, with the end of the line
 _Jobs = Annotated[int, typer.Option(min=1, max=64, help="Number of processes.")]
+
+
+def _read_seed() -> int:
+    """The secret seed from standard input, which is closed then.
+
+    An entry runs as the same user, and can read the command lines and environments of the processes above it.
+
+    Raises
+    ------
+    ValueError
+        If the input is no whole number of 0 or more.
+    """
+    text = getpass("secret seed: ") if sys.stdin.isatty() else sys.stdin.readline(_LONGEST_SEED)
+    with open(os.devnull, "rb") as nothing, suppress(OSError):  # noqa: PTH123 (a device)
+        os.dup2(nothing.fileno(), sys.stdin.fileno())
+    if not text.strip().isdecimal():
+        raise ValueError("--secret-seed reads a whole number of 0 or more from standard input, of 1000 digits at most")
+    return int(text)
 
 
 @arena.command()
@@ -30,9 +52,9 @@ def run(
     plans: Annotated[
         str | None, typer.Option(help="Plans to run: 8 (the first eight), 3-10 or 0,5,7.", show_default="all")
     ] = None,
-    secret_seed: _Secret = None,
     jobs: _Jobs = 2,
     *,
+    secret_seed: _Secret = False,
     keep: Annotated[bool, typer.Option("--keep", help="Keep the folder of each run, for limslam inspect.")] = False,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run plans again that failed.")] = False,
 ) -> None:
@@ -44,7 +66,7 @@ def run(
     from limslam_env.messages import printable
 
     found = read_entry(entry)
-    seed = PUBLIC_SEED if secret_seed is None else secret_seed
+    seed = _read_seed() if secret_seed else PUBLIC_SEED
     wanted = chosen(plans_of(found.manifest.track, seed), plans)
     with progress_bar("arena", len(wanted)) as advance:
         rows = run_entry(
@@ -66,14 +88,15 @@ def verify(
     entry: Annotated[
         Path | None, typer.Option(help="Folder of the entry.", show_default="where it was when it ran")
     ] = None,
-    secret_seed: _Secret = None,
     jobs: _Jobs = 2,
+    *,
+    secret_seed: _Secret = False,
 ) -> None:
     """Run plans again and compare all metrics. Exit code 1 if something differs."""
     from limslam_agent.arena import verify as again
     from limslam_env.messages import counted, one_line
 
-    found, stamp, track = again.opened(folder, entry, secret_seed)
+    found, stamp, track = again.opened(folder, entry, _read_seed() if secret_seed else None)
     if changed := again.other_versions(stamp):
         warn([f"the results are of other versions ({changed})"])
     checks = []

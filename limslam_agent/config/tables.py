@@ -20,7 +20,6 @@ class SettingsError(ValueError):
     """A file of settings that cannot be used; the message names the file and the key."""
 
     def __init__(self, message: str) -> None:
-        # The simulator's package loads numpy, which the options of the command line do without.
         from limslam_env.messages import one_line
 
         super().__init__(one_line(message))
@@ -34,13 +33,14 @@ def read_toml(path: Path) -> dict[str, Any]:
     SettingsError
         If there is no such file, or it is not TOML.
     """
-    import tomllib
+    # The simulator's package loads numpy, which the options of the command line do without.
+    from limslam_env.toml_text import parse_toml
 
     try:
-        return tomllib.loads(read_limited(path, MAX_FILE_BYTES).decode("utf-8-sig").replace("\r\n", "\n"))
+        return parse_toml(read_limited(path, MAX_FILE_BYTES).decode("utf-8-sig").replace("\r\n", "\n"))
     except OSError as error:
         raise SettingsError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except (ValueError, RecursionError) as error:
+    except ValueError as error:
         raise SettingsError(f"{path}: is not TOML: {error}") from error
 
 

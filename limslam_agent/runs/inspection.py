@@ -193,7 +193,7 @@ def _read(path: Path, found: Callable[[Any], Any], otherwise: Any) -> Any:
         return otherwise
     try:
         return found(json.loads(read_limited(path)))
-    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise FolderError(f"{path}: is damaged: {error}") from error
 
 

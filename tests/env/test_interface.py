@@ -46,6 +46,11 @@ def test_an_unknown_side_in_a_file_is_refused():
         RobotSpec.from_json(text.replace('"left"', '"up"'))
 
 
+def test_brackets_in_a_file_that_are_never_closed_are_refused():
+    with pytest.raises(ValueError, match="not a robot"):
+        RobotSpec.from_json("[" * 100_000)
+
+
 def test_beams_given_as_a_list_are_as_good_as_a_tuple():
     beams = list(beams_on_rim((90.0, 0.0, -90.0), 0.1))
     robot = RobotSpec(beams=beams)

@@ -3,9 +3,9 @@
 JSON files may have the same keys.
 """
 
-import tomllib
 from typing import Any
 
+from limslam_env.toml_text import parse_toml
 from limslam_env.worlds.formats.text_files import number_array
 from limslam_env.worlds.world import World, WorldError, named
 
@@ -22,8 +22,8 @@ def parse_world(text: str, label: str) -> World:
         If the text is not a world.
     """
     try:
-        table = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:
+        table = parse_toml(text)
+    except ValueError as error:
         # Besides its own error, tomllib lets through what Python says of numbers with thousands of digits.
         raise WorldError(f"{label}: not TOML: {error}") from error
     with named(label):

@@ -123,12 +123,6 @@ def test_a_process_that_does_not_read_is_killed(started, monkeypatch):
         link.send([b"x" * 10_000_000])
 
 
-def test_a_process_does_not_inherit_the_secret_seed(started, monkeypatch):
-    monkeypatch.setenv("LIMSLAM_SECRET_SEED", "7")
-    with pytest.raises(ValueError, match="its seed is None"):
-        started("import os, sys\nsys.exit(f\"its seed is {os.environ.get('LIMSLAM_SECRET_SEED')}\")").act(SEEN)
-
-
 def test_a_command_that_does_not_exist_is_refused(tmp_path):
     actor = CommandActor(("no-such-program-at-all",), tmp_path, ROBOT)
     with pytest.raises(ValueError, match="no-such-program-at-all: cannot be started"):

@@ -1,7 +1,10 @@
 """Entries that run: results are resumed after a kill, verified to the bit, and failures of an entry are its losses."""
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
+from io import StringIO
 from pathlib import Path
 
 import pytest
@@ -305,16 +308,44 @@ def test_damaged_results_are_refused_in_one_line(tmp_path, line, reason):
     [
         (("run", "nowhere", "--out", "out"), "there is no such folder"),
         (("run", "entry", "--out", "out", "--plans", "500"), "--plans: '500'"),
-        (("run", "entry", "--out", "out", "--secret-seed", "-1"), "a seed is 0 or more"),
+        (("run", "entry", "--out", "out", "--secret-seed"), "a whole number of 0 or more from standard input"),
         (("run", "entry", "--out", "entry/out", "--plans", "1"), "lies in the folder of the entry"),
         (("verify", "nowhere"), "holds no results of the arena"),
         (("page", "nowhere", "--out", "board.html"), "holds no results of the arena"),
         (("page", "nowhere", "--out", "board.txt"), "a page ends in .html"),
     ],
 )
-def test_bad_input_is_refused_with_one_line(tmp_path, entry, words, reason):
+def test_bad_input_is_refused_with_one_line(tmp_path, entry, words, reason, monkeypatch):
     assert entry.folder == tmp_path / "entry"
+    monkeypatch.setattr("sys.stdin", StringIO("-1\n"))
     finished = call(main, "arena", *words, cwd=tmp_path)
     assert finished.returncode == 2
     assert reason in finished.stderr
     assert len(finished.stderr.splitlines()) == 1
+
+
+SPY = """
+import os, sys
+from pathlib import Path
+number, seen = os.getpid(), b""
+while number > 1:
+    place = Path("/proc", str(number))
+    seen += place.joinpath("cmdline").read_bytes() + place.joinpath("environ").read_bytes()
+    number = int(place.joinpath("stat").read_text().rpartition(")")[2].split()[1])
+command = "a command" if b"arena" in seen else "nothing"
+sys.exit("the seed was seen" if b"31415926535" in seen else f"only {command} was seen")
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems have no /proc")
+def test_an_entry_does_not_see_the_secret_seed_in_the_processes_above_it(tmp_path):
+    folder = tmp_path / "spy"
+    folder.mkdir()
+    (folder / "spy.py").write_text(SPY)
+    (folder / "entry.toml").write_text(
+        'name = "Spy"\nauthors = ["A"]\nkind = "command"\ncommand = ["{python}", "spy.py"]\nuses = "readings"\n'
+    )
+    words = [sys.executable, "-m", "limslam_agent", "arena", "run", folder, "--out", tmp_path / "out"]
+    subprocess.run([*words, "--plans", "1", "--jobs", "1", "--secret-seed"], input=b"31415926535\n", check=False)
+    (row,) = read_rows(tmp_path / "out")
+    assert "only a command was seen" in row.error
