@@ -10,8 +10,6 @@ discarded whenever the text of any file changes in the packages that the decorat
 import functools
 import hashlib
 import importlib.util
-import os
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -22,8 +20,7 @@ from numba import njit, types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-QUIET = "LIMSLAM_QUIET"
-"""Name of the environment variable that switches off the messages about compiling, if it is not empty."""
+from limslam_env.messages import announce
 
 _SECONDS = {"advance": 7, "survey": 4, "step_some": 25}
 """Kernels that take long to compile, and about how long on a usual processor, s."""
@@ -149,12 +146,6 @@ def entry_of(*sources: str, allocates: bool = True) -> Callable[[Kernel], Kernel
         return cast(Kernel, kept)
 
     return entry
-
-
-def announce(text: str) -> None:
-    """Say on stderr what is compiled, so that nobody wonders what takes so long."""
-    if not os.environ.get(QUIET):
-        print(f"limslam: {text}", file=sys.stderr, flush=True)  # noqa: T201
 
 
 def _announce(kept: Any, name: str) -> None:

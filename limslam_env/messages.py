@@ -1,5 +1,11 @@
 """Text from files and from users in messages: short, on one line, and without characters that control a terminal."""
 
+import os
+import sys
+
+QUIET = "LIMSLAM_QUIET"
+"""Name of the environment variable that switches off the messages about what takes long, if it is not empty."""
+
 LONGEST_MESSAGE = 500
 """Most characters of a refusal. A longer message keeps its beginning, with the file, and its end, with the reason."""
 
@@ -41,3 +47,9 @@ def counted(number: int, noun: str) -> str:
 
 def _escaped(letter: str) -> str:
     return letter.encode("unicode_escape", "surrogatepass").decode("ascii")
+
+
+def announce(text: str) -> None:
+    """Say on stderr what takes long, so that nobody wonders what is being done."""
+    if not os.environ.get(QUIET):
+        print(f"limslam: {text}", file=sys.stderr, flush=True)  # noqa: T201

@@ -37,7 +37,7 @@ ENV = {
     "limslam_env.worlds.formats": {*WHAT_AN_AGENT_MAY_KNOW, *env("worlds", "worlds.generation", "messages")},
     "limslam_env.worlds.generation": {GEOMETRY, *env("worlds", "config")},
     "limslam_env.linking": set(),
-    "limslam_env.compilation": env("linking"),
+    "limslam_env.compilation": env("linking", "messages"),
     "limslam_env.kernels": {GEOMETRY, *env("compilation")},
     "limslam_env.simulation": {*WHAT_AN_AGENT_MAY_KNOW, *env("config", "worlds", "kernels")},
     "limslam_env.batch": {

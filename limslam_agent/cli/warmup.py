@@ -10,7 +10,7 @@ import typer
 def warmup() -> None:
     """Compile everything that is compiled at its first use, and keep it on disk."""
     from limslam_agent.runs.precompilation import beside, processors
-    from limslam_env.compilation import QUIET
+    from limslam_env.messages import QUIET
 
     # Each step has its own line, which the kernels need not repeat.
     os.environ[QUIET] = "1"

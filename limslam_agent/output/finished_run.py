@@ -17,6 +17,9 @@ from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import driven, wrap_angle
 from limslam_env.messages import counted, one_line
 
+MOST_WALLS = 20_000
+"""Most walls of a map that are read: more take minutes to draw and to score, and no building has so many."""
+
 MAP, LOG, PICTURE, WORLD = "map.json", "log.npz", "map.png", "world.toml"
 COVARIANCES = "covariance_est.npz"
 UNPLACED = "map_unplaced.json"
@@ -237,6 +240,8 @@ def read_walls(path: Path) -> FloatArray:
         segments = None
     if segments is None or not np.isfinite(segments).all():
         raise FolderError(f"{path}: its segments are not rows of four numbers")
+    if len(segments) > MOST_WALLS:
+        raise FolderError(f"{path}: it has {len(segments)} walls; at most {MOST_WALLS} are read")
     return segments
 
 

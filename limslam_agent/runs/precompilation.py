@@ -46,7 +46,8 @@ def kernels_of_smoother() -> list[tuple[Any, str]]:
 @contextmanager
 def smoother_beside() -> Iterator[Callable[[], None]]:
     """Let a second process compile the smoother if it is not on disk; yield a function that waits for the process."""
-    from limslam_env.compilation import announce, is_kept
+    from limslam_env.compilation import is_kept
+    from limslam_env.messages import announce
 
     is_needed = processors() > 1 and not all(is_kept(kernel) for kernel, _ in kernels_of_smoother())
     if is_needed:

@@ -9,7 +9,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from typing import TypeVar
 
-from limslam_env.compilation import QUIET
+from limslam_env.messages import QUIET
 
 _SHOWN_AFTER = 1.0  # s
 _WIDTH = 30

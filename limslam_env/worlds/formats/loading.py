@@ -9,6 +9,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from limslam_env.messages import announce
 from limslam_env.worlds.formats.json_files import read_json
 from limslam_env.worlds.formats.text_files import MAX_FILE_BYTES, read_text
 from limslam_env.worlds.formats.toml import parse_world
@@ -19,6 +20,9 @@ RANDOM = "random:"
 
 # A seed of at most 30 digits, and then, if given, width and height in m.
 _PLAN = re.compile(r"([0-9]{1,30})(?::([0-9]{1,3}(?:\.[0-9]{1,3})?)x([0-9]{1,3}(?:\.[0-9]{1,3})?))?")
+
+LARGE = 1.0
+"""Size of a file, MB, from which on its world takes many seconds to read and to check."""
 
 WorldSource: TypeAlias = str | os.PathLike[str] | World
 
@@ -80,6 +84,9 @@ def _random_world(name: str) -> World:
 
 
 def _load_file(path: Path) -> World:
+    megabytes = path.stat().st_size / 1e6
+    if megabytes > LARGE:
+        announce(f"{path}: a world of {megabytes:.1f} MB is read and checked, up to half a minute")
     if path.suffix == ".toml":
         with named(path):
             text = read_text(path, MAX_FILE_BYTES)

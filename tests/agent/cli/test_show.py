@@ -16,7 +16,7 @@ from limslam_agent.cli.show import show, true_edges
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.output.comparison_picture import draw_comparison, sheet_size
 from limslam_agent.output.export import write_json
-from limslam_agent.output.finished_run import FolderError, heading_error, position_error, read_run
+from limslam_agent.output.finished_run import FolderError, heading_error, position_error, read_run, read_walls
 from limslam_agent.output.run_picture import SIZE, draw_run
 from limslam_agent.output.summary import place_records, record_summary, replay_summary, run_summary
 from limslam_agent.output.tum import write_tum
@@ -462,3 +462,10 @@ def test_the_nees_is_told_with_what_it_means():
 def test_the_times_of_a_lost_robot_count_from_the_start_of_its_log():
     records = place_records(7654.3 + 0.1 * np.arange(50), [{"event": "lost", "step": 30}])
     assert record_summary({"record": {"places": records}})[-1] == "place       lost at 3.0 s"
+
+
+def test_a_map_with_more_walls_than_a_building_is_refused(tmp_path):
+    path = tmp_path / "map.json"
+    path.write_text('{"segments": [' + ", ".join(["[0, 0, 1, 1]"] * 20_001) + "]}")
+    with pytest.raises(FolderError, match="it has 20001 walls; at most 20000 are read"):
+        read_walls(path)

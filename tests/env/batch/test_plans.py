@@ -13,8 +13,8 @@ from limslam_env.batch.places import Places
 from limslam_env.batch.plan_cache import FOLDER, PlanCache, cache_folder
 from limslam_env.batch.progress import work_through
 from limslam_env.batch.worlds import Site, prepare, prepare_plan
-from limslam_env.compilation import QUIET
 from limslam_env.interface import RobotSpec, beams_on_rim
+from limslam_env.messages import QUIET
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
 from limslam_env.worlds.world import World, WorldError

@@ -647,3 +647,13 @@ def test_any_yaml_value_is_a_world_or_refused(folder, key, value):
 def test_the_ways_to_upset_a_yaml_parser_upset_nothing(folder, nasty):
     for content in (nasty, *(yaml_with(f"{key}: {nasty}") for key in MAP), f"{yaml_with('negate: 0')}\n{nasty}"):
         outcome(folder / "map.yaml", content.encode("utf-8", "surrogatepass"))
+
+
+def test_a_large_file_says_what_is_being_done(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("LIMSLAM_QUIET", "")
+    (tmp_path / "plan.json").write_text(json.dumps(PLAN))
+    load_world(tmp_path / "plan.json")
+    assert capsys.readouterr().err == ""
+    (tmp_path / "plan.json").write_text(json.dumps(PLAN) + " " * 1_100_000)
+    load_world(tmp_path / "plan.json")
+    assert "plan.json: a world of 1.1 MB is read and checked" in capsys.readouterr().err
