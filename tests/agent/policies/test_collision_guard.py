@@ -48,6 +48,19 @@ def test_points_that_no_beam_sees_any_more_are_remembered_and_the_turn_is_kept()
     np.testing.assert_array_equal(guard.limit_speed(np.array([0.08, 0.05, math.pi]), AHEAD), AHEAD)
 
 
+def test_a_robot_is_slowed_down_if_it_turns_towards_a_post_and_not_if_it_turns_away() -> None:
+    left, right = np.array([0.1, 0.9]), np.array([0.9, 0.1])
+    for side, beam, towards, away in ((1.0, 1, left, right), (-1.0, 4, right, left)):
+        guard, bearing = CollisionGuard(ROBOT), side * 0.6
+        # The reading is taken by a robot that looks so that the beam meets the post.
+        looking = np.array([0.0, 0.0, bearing - float(ROBOT.beam_angles[beam])])
+        ranges = CLEAR.copy()
+        ranges[beam] = 0.16 - ROBOT.radius
+        guard.add_readings(looking, ranges)
+        assert guard.limit_speed(np.zeros(3), towards).sum() < 0.6 * towards.sum()
+        np.testing.assert_array_equal(guard.limit_speed(np.zeros(3), away), away)
+
+
 def test_points_are_forgotten_after_four_seconds() -> None:
     guard = CollisionGuard(ROBOT)
     guard.add_readings(np.zeros(3), reading_of(POST, 1))

@@ -85,6 +85,9 @@ def test_a_turn_beyond_the_far_gate_is_not_taken_back() -> None:
         ([12.0], {"hole": 0.4}, "wait"),
         # Below the first gate none of this matters.
         ([8.0, 24.0], {"angle_std": math.radians(3.1), "count": 9, "hole": 0.4}, "update"),
+        # Two walls can be meant: the readings are left out.
+        ([4.0, 8.0], {}, "left out"),
+        ([0.1, 8.9], {}, "left out"),
     ],
 )
 def test_only_segments_without_another_meaning_pass_the_first_gate(
@@ -93,6 +96,7 @@ def test_only_segments_without_another_meaning_pass_the_first_gate(
     estimator, done = estimator_after(130), list[str]()
     candidates = [_Candidate(each, 0.0, 20, index) for index, each in enumerate(squared)]
     monkeypatch.setattr(ConsistentEstimator, "_candidates", lambda *_: candidates)
+    monkeypatch.setattr(ConsistentEstimator, "_closes_loop", lambda *_: False)
     monkeypatch.setattr(ConsistentEstimator, "_observe", lambda *_: bool([done.append("update")]))
     monkeypatch.setattr(ConsistentEstimator, "_add", lambda *_: done.append("new"))
     # 10 readings for 2 cm of noise are enough for a new landmark.
@@ -104,7 +108,7 @@ def test_only_segments_without_another_meaning_pass_the_first_gate(
         along,
     )  # fmt: skip
     is_consumed = estimator._incorporate(0, 0, None, segment, is_complete=False)  # type: ignore[arg-type]
-    assert done == ([] if outcome == "wait" else [outcome])
+    assert done == ([] if outcome in {"wait", "left out"} else [outcome])
     assert is_consumed == (outcome != "wait")
 
 
