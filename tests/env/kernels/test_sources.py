@@ -32,7 +32,8 @@ def test_the_sources_import_nothing_beyond_themselves(source):
     known = {module for each in ENV_SOURCES for module in modules_of(each)}
     modules = [module for module in modules_of(source) if not module.endswith("__init__")]
     assert modules
-    assert set().union(*map(project_imports, modules)) - known == set()
+    # What is said while something is compiled changes no code.
+    assert set().union(*map(project_imports, modules)) - known - {"limslam_env.messages"} == set()
 
 
 def test_the_step_of_a_batch_is_in_the_sources():
