@@ -14,7 +14,7 @@ import numpy as np
 from benchmarks.scoreboard.compare import Cell
 from benchmarks.scoreboard.measure import measure
 from benchmarks.scoreboard.rows import Row, Rows
-from benchmarks.scoreboard.sources import Size, digest_of, estimator_files, size_of
+from benchmarks.scoreboard.sources import digest_of, estimator_files, size_of
 from benchmarks.suite.engines import Engine
 from benchmarks.suite.jobs import digest
 from benchmarks.suite.runner import Summary, run_suite
@@ -90,7 +90,7 @@ def board_of(folder: Path, rows: Mapping[str, Row], first_seed: int, jitter: flo
         "commit": commit(), "python": platform.python_version(), "processors": os.cpu_count(), "jitter_m": jitter,
         "first_seed": first_seed,
     }  # fmt: skip
-    return {"provenance": provenance, "size": asdict(size_of(estimator_files())), "cells": cells}
+    return {"provenance": provenance, "size": size_of(estimator_files()), "cells": cells}
 
 
 def written(board: Board) -> bytes:
@@ -112,7 +112,7 @@ def read_board(path: Path) -> Board:
     try:
         board: Board = json.loads(read_limited(path, _MAX_BYTES))
         cells = [{**cell, **{name: cell[name] for name in ("row", "world", "seed")}} for cell in board["cells"]]
-        return {"provenance": board["provenance"], "size": asdict(_size(board)), "cells": cells}
+        return {"provenance": board["provenance"], "size": board["size"], "cells": cells}
     except OSError as error:
         raise ValueError(f"{path}: no scoreboard there: {error.strerror or error}") from error
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
@@ -123,13 +123,8 @@ def table(board: Board) -> list[str]:
     """The lines of a scoreboard: the size of the estimator, and a line for each row, in Markdown."""
     names = dict.fromkeys(str(cell["row"]) for cell in board["cells"])
     rows = [_line(name, [cell for cell in board["cells"] if cell["row"] == name]) for name in names]
-    return [f"estimator   {_size(board).words}", "", f"| {' | '.join(_HEADER)} |", f"|{'---|' * len(_HEADER)}", *rows]
-
-
-def _size(board: Board) -> Size:
-    found: dict[str, Any] = board["size"]
-    (file, lines), (function, length) = found["largest_file"], found["largest_function"]
-    return Size(found["lines"], found["files"], found["constants"], (file, lines), (function, length))
+    size = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in board["size"].items())
+    return [f"estimator: {size}", "", f"| {' | '.join(_HEADER)} |", f"|{'---|' * len(_HEADER)}", *rows]
 
 
 def _line(name: str, all_cells: Sequence[Cell]) -> str:

@@ -1,11 +1,13 @@
 """Two scoreboards compared in pairs of cells, and what counts as worse."""
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+
+from limslam_env.geometry import FloatArray
 
 Cell = Mapping[str, Any]
 """A cell: ``row``, ``world``, ``seed``, and its figures, or ``error``."""
@@ -95,8 +97,9 @@ def difference(row: str, pairs: Sequence[tuple[Cell, Cell]]) -> Difference:
     pairs = [(old, new) for old, new in pairs if "error" not in old and "error" not in new]
     ratios = {}
     for name in (*NOISE, *CPU):
-        adapt = _nees if name.startswith("nees") else _positive
-        values = [(adapt(old[name]), adapt(new[name])) for old, new in _having(pairs, name)]
+        # A covariance that is too large is not worse than a right one.
+        least = 1.0 if name.startswith("nees") else _TINY
+        values = [(max(old[name], least), max(new[name], least)) for old, new in _having(pairs, name)]
         found = paired_ratio([a for a, _ in values], [b for _, b in values], NOISE.get(name, 0.0))
         if found is not None:
             ratios[name] = found
@@ -155,19 +158,11 @@ def _having(pairs: Sequence[tuple[Cell, Cell]], name: str) -> list[tuple[Cell, C
     return [(old, new) for old, new in pairs if old.get(name) is not None and new.get(name) is not None]
 
 
-def _changes(pairs: Sequence[tuple[Cell, Cell]], name: str) -> "np.ndarray[tuple[int], np.dtype[np.float64]]":
+def _changes(pairs: Sequence[tuple[Cell, Cell]], name: str) -> FloatArray:
     return np.array([float(new[name]) - float(old[name]) for old, new in _having(pairs, name)])
 
 
-def _error(values: "np.ndarray[tuple[int], np.dtype[np.float64]]", noise: float) -> float:
+def _error(values: FloatArray, noise: float) -> float:
     """Two standard errors of a mean."""
     scatter = float(values.std(ddof=1)) if len(values) > 1 else 0.0
     return 2.0 * max(scatter, noise) / math.sqrt(len(values))
-
-
-_positive: Callable[[float], float] = lambda value: max(value, _TINY)  # noqa: E731
-
-
-def _nees(value: float) -> float:
-    """A covariance that is too large is not worse than a right one."""
-    return max(value, 1.0)
