@@ -152,14 +152,18 @@ def _exploration(row: Row, job: Job, jitter: float) -> Scores:
     found, placed = score(episode), slice(episode.placed_robots)
     true, estimated = episode.true[:, placed], episode.estimated[:, placed]
     walls = {"f1_5cm": found["wall_f1_5cm"], "f1_aligned_5cm": found["wall_f1_aligned_5cm"]}
-    faults = {} if kidnap_at is None else _kidnapped(fault_scores(episode, kidnap_at))
-    smooth = {} if smoothed is None else path_scores(true, smoothed.poses, smoothed.covariances, "_smoothed")
-    joined = {"placed": int(episode.placed_robots == row.robots)} if row.unknown_starts else {}
+    if kidnap_at is None:
+        paths = path_scores(true, estimated, episode.covariances[:, placed], "")
+        paths |= {} if smoothed is None else path_scores(true, smoothed.poses, smoothed.covariances, "_smoothed")
+        paths |= {"placed": int(episode.placed_robots == row.robots)} if row.unknown_starts else {}
+    else:
+        # Of a lost robot, the filter's path is in another frame, and covariances say nothing.
+        paths = {} if smoothed is None else path_scores(true, smoothed.poses, None, "_smoothed")
+        paths |= _kidnapped(fault_scores(episode, kidnap_at))
     return {
-        **path_scores(true, estimated, episode.covariances[:, placed], ""),
-        **smooth,
+        **paths,
         **while_driving(episode.time, true, estimated, episode.levels[:, placed]),
-        **walls, **faults, **joined,
+        **walls,
         **at_the_end(found["status"], true, estimated if smoothed is None else smoothed.poses),
         "explored": int(episode.is_finished), "driven_s": float(episode.time[-1]),
         "drive_cpu_s": driven - begin, "smoothing_cpu_s": spent,

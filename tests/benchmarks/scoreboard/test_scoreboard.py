@@ -10,7 +10,7 @@ from benchmarks import __main__ as command
 from benchmarks.scoreboard.board import read_board, run_scoreboard, table
 from benchmarks.scoreboard.compare import NOISE, closing, compared, paired_ratio, pooled
 from benchmarks.scoreboard.drives import recorded_drive, world_of
-from benchmarks.scoreboard.measure import at_the_end, while_driving
+from benchmarks.scoreboard.measure import at_the_end, measure, while_driving
 from benchmarks.scoreboard.rows import Fault, Row, read_rows
 from benchmarks.scoreboard.sources import estimator_files, size_of
 from benchmarks.suite.engines import stages
@@ -82,6 +82,16 @@ def test_a_row_is_measured_once_and_compared_with_itself(tiny, tmp_path):
     found = compared(board["cells"], board["cells"])
     assert [each.ratios["ate_m"].mean for each in found] == [1.0, 1.0]
     assert closing(found) == "no row is worse (2 rows compared)"
+
+
+def test_an_exploration_is_measured_with_what_became_of_a_kidnapped_robot():
+    row = Row("lost", "exploration", ("env1",), kidnapped=(20.0, 21.0), seconds=4.0)
+    (job,) = row.cells(3)
+    found = measure({"lost": row}, 0.0, job)
+    assert found.metrics["driven_s"] == pytest.approx(24.5, abs=1.0)
+    assert found.metrics["placed"] in {0, 1}
+    assert "ate_m" not in found.metrics
+    assert found.cost.keys() == {"drive_cpu_s", "smoothing_cpu_s", "job_cpu_s"}
 
 
 def test_a_folder_is_for_one_estimator_and_one_file_of_rows(tiny, tmp_path, monkeypatch):
