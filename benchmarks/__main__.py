@@ -243,7 +243,8 @@ def scoreboard(
         typer.echo(f"left out: {name}: it needs the folder of recorded data: set LIMSLAM_DATA", err=True)
     for title, reason in summary.failures:
         typer.echo(f"failed: {title}: {reason}", err=True)
-    typer.echo(f"\nscoreboard: {summary.words}; {out / FILE}")
+    counts = f"{len(board['cells'])} cells, {len(summary.failures)} failed, {summary.seconds:.0f} s"
+    typer.echo(f"\nscoreboard: {counts}; {out / FILE}")
     return 1 if summary.failures else 0
 
 

@@ -113,7 +113,7 @@ class Row:
     @property
     def needs_data(self) -> bool:
         """Whether the row needs the folder of recorded data."""
-        return self.kind == "log" or any(world.startswith("plan:") for world in self.worlds)
+        return self.kind in {"log", "made-up log"} or any(world.startswith("plan:") for world in self.worlds)
 
 
 @dataclass(frozen=True)

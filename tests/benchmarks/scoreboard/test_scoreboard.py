@@ -180,7 +180,7 @@ def test_wrong_and_ok_at_the_end_false_alarms_and_failures_count():
     for change, words in (
         ({"wrong_ok_end": 1}, "4 more wrong and ok at the end"),
         ({"false_alarm_s": 3.0}, "false_alarm_s +12 s"),
-        ({"f1_5cm": 0.8}, "f1_5cm -0.100"),
+        ({"f1_5cm": 0.7}, "f1_5cm -0.200"),
     ):
         assert compared(old, [{**cell, **change} for cell in old])[0].reasons == (words,)
     # A robot of four that is not placed may be chance, and so may four seconds in one of them.
