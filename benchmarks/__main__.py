@@ -28,7 +28,7 @@ app = typer.Typer(
 
 # How the commands that keep what is done go on after Ctrl-C.
 _GO_ON = {
-    **dict.fromkeys(("run", "dataset", "peers"), "the same command goes on"),
+    **dict.fromkeys(("run", "dataset", "peers", "scoreboard"), "the same command goes on"),
     "train": "--resume goes on from the last checkpoint",
     "made-up-logs": "--seeds chooses the rest",
 }
@@ -206,6 +206,46 @@ def peers(
 
 def _names(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+@app.command()
+def scoreboard(
+    out: Annotated[Path, typer.Argument(help="Folder of the results.")],
+    rows: Annotated[str, typer.Option(help='Names of rows, with commas; "drive*" for all that begin so.')] = "",
+    against: Annotated[
+        Path | None, typer.Option(help="Compare with this scoreboard.json, or the folder of one.", show_default="none")
+    ] = None,
+    jitter: Annotated[float, typer.Option(min=0.0, help="Further noise of recorded ranges, m.")] = 0.0,
+    unused: Annotated[bool, typer.Option("--unused", help="The seeds of figures that are published.")] = False,
+    workers: Annotated[int | None, typer.Option(min=1, help="Cells at once.", show_default="one a core")] = None,
+    rows_file: Annotated[
+        Path | None, typer.Option(help="Rows of your own, a TOML file.", show_default="the shipped ones")
+    ] = None,
+    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Do again what has failed.")] = False,
+) -> int:
+    """Measure whether a change of the estimator is kept. The same command goes on after a kill."""
+    from benchmarks.scoreboard.board import FILE, read_board, run_scoreboard, table
+    from benchmarks.scoreboard.compare import closing, compared, comparison_table, pooled
+    from benchmarks.scoreboard.rows import SHIPPED, read_rows
+
+    before = None if against is None else read_board(against)
+    board, summary, skipped = run_scoreboard(
+        read_rows(rows_file or SHIPPED), _names(rows), out, _engine(EngineName.PROCESS, workers, 3600.0, None),
+        unused=unused, jitter=jitter, retry_failed=retry_failed,
+    )  # fmt: skip
+    for line in table(board):
+        typer.echo(line)
+    if before is not None:
+        found = compared(before["cells"], board["cells"])
+        everything = pooled(before["cells"], board["cells"])
+        typer.echo("\n" + "\n".join(comparison_table([*found, everything])) + f"\n\n{closing(found)}")
+    for name in skipped:
+        typer.echo(f"left out: {name}: it needs the folder of recorded data: set LIMSLAM_DATA", err=True)
+    for title, reason in summary.failures:
+        typer.echo(f"failed: {title}: {reason}", err=True)
+    counts = f"{len(board['cells'])} cells, {len(summary.failures)} failed, {summary.seconds:.0f} s"
+    typer.echo(f"\nscoreboard: {counts}; {out / FILE}")
+    return 1 if summary.failures else 0
 
 
 @app.command("made-up-logs")

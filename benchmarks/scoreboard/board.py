@@ -1,0 +1,187 @@
+"""The scoreboard: what is missing is measured, and the figures are kept in one file."""
+
+import json
+import os
+import platform
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.scoreboard.compare import Cell
+from benchmarks.scoreboard.measure import measure
+from benchmarks.scoreboard.rows import Row, Rows
+from benchmarks.scoreboard.sources import digest_of, estimator_files, size_of
+from benchmarks.suite.engines import Engine
+from benchmarks.suite.jobs import digest
+from benchmarks.suite.runner import Summary, run_suite
+from benchmarks.suite.store import read_rows
+from benchmarks.suite.suite import Suite
+from benchmarks.suite.work import data_folder
+from limslam_agent.output.atomic_write import replace_content
+from limslam_agent.output.provenance import commit
+from limslam_agent.safe_files import read_limited
+
+FILE = "scoreboard.json"
+_MAX_BYTES = 10_000_000
+_DIGITS = 5
+
+_HEADER = (
+    "row", "n", "filter ATE m", "aligned", "smoothed ATE m", "aligned", "NEES/3 filter / smoothed", "F1 5 cm",
+    "wrong and ok s (at the end)", "false alarms s", "status", "CPU s drive / smoothing",
+)  # fmt: skip
+
+Board = dict[str, Any]
+"""``provenance``, ``size`` and ``cells``, as in the file."""
+
+
+def run_scoreboard(
+    rows: Rows, patterns: Sequence[str], folder: Path, engine: Engine, *, unused: bool = False, jitter: float = 0.0,
+    retry_failed: bool = False,
+) -> tuple[Board, Summary, list[str]]:  # fmt: skip
+    """Measure the cells that have no result in a folder yet, and write ``scoreboard.json`` there.
+
+    Parameters
+    ----------
+    rows, patterns
+        The rows, and patterns of the names of those that are measured; all if there are none.
+    folder, engine, retry_failed
+        As in :func:`benchmarks.suite.runner.run_suite`.
+    unused
+        Take the seeds of figures that are published.
+    jitter
+        Standard deviation of further noise of recorded ranges, m.
+
+    Returns
+    -------
+    board, summary, skipped
+        All figures in the folder, the summary of this execution, and the names of rows whose data are absent.
+
+    Raises
+    ------
+    ValueError
+        If a pattern matches nothing, or the folder holds results of another estimator or of other rows.
+    """
+    chosen, has_data = rows.chosen(patterns), _has_data()
+    skipped = [row.name for row in chosen if row.needs_data and not has_data]
+    by_name, first = {row.name: row for row in rows.row}, rows.unused_seed if unused else rows.tuning_seed
+    jobs = [job for row in chosen if row.name not in skipped for job in row.cells(first)]
+    known = digest([[asdict(row) for row in rows.row], first, jitter, digest_of(estimator_files())])
+    suite = Suite("scoreboard", "Cells of the scoreboard.", tuple(jobs), known)
+    summary = run_suite(suite, folder, engine, work=partial(measure, by_name, jitter), retry_failed=retry_failed)
+    board = board_of(folder, by_name, first, jitter)
+    replace_content(folder / FILE, written(board))
+    return board, summary, skipped
+
+
+def board_of(folder: Path, rows: Mapping[str, Row], first_seed: int, jitter: float) -> Board:
+    """The figures in a folder of results, in the order of the rows."""
+    order = {name: number for number, name in enumerate(rows)}
+    cells = []
+    for result in sorted(read_rows(folder), key=lambda each: (order[each.policy], each.seed)):
+        about = {"row": result.policy, "world": result.world, "seed": result.seed}
+        error = {} if result.error is None else {"error": result.error}
+        figures = {name: _rounded(value) for name, value in {**result.metrics, **result.cost}.items()}
+        cells.append({**about, **error, **figures})
+    provenance = {
+        "commit": commit(), "python": platform.python_version(), "processors": os.cpu_count(), "jitter_m": jitter,
+        "first_seed": first_seed,
+    }  # fmt: skip
+    return {"provenance": provenance, "size": size_of(estimator_files()), "cells": cells}
+
+
+def written(board: Board) -> bytes:
+    """The content of a file, with a line for each cell."""
+    cells = ",\n".join(json.dumps(cell, allow_nan=False) for cell in board["cells"])
+    head = ",\n".join(f"{json.dumps(name)}: {json.dumps(board[name])}" for name in ("provenance", "size"))
+    return f'{{{head},\n"cells": [\n{cells}\n]}}\n'.encode()
+
+
+def read_board(path: Path) -> Board:
+    """Read a scoreboard, by its file or by the folder of its results.
+
+    Raises
+    ------
+    ValueError
+        If it cannot be read.
+    """
+    path = path / FILE if path.is_dir() else path
+    try:
+        board: Board = json.loads(read_limited(path, _MAX_BYTES))
+        cells = [{**cell, **{name: cell[name] for name in ("row", "world", "seed")}} for cell in board["cells"]]
+        return {"provenance": board["provenance"], "size": board["size"], "cells": cells}
+    except OSError as error:
+        raise ValueError(f"{path}: no scoreboard there: {error.strerror or error}") from error
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise ValueError(f"{path}: is no scoreboard: {error}") from error
+
+
+def table(board: Board) -> list[str]:
+    """The lines of a scoreboard: the size of the estimator, and a line for each row, in Markdown."""
+    names = dict.fromkeys(str(cell["row"]) for cell in board["cells"])
+    rows = [_line(name, [cell for cell in board["cells"] if cell["row"] == name]) for name in names]
+    size = ", ".join(f"{name.replace('_', ' ')} {value}" for name, value in board["size"].items())
+    return [f"estimator: {size}", "", f"| {' | '.join(_HEADER)} |", f"|{'---|' * len(_HEADER)}", *rows]
+
+
+def _line(name: str, all_cells: Sequence[Cell]) -> str:
+    cells = [cell for cell in all_cells if "error" not in cell]
+    statuses = [str(cell["status"]) for cell in cells]
+    counts = ", ".join(f"{statuses.count(each)} {each}" for each in ("ok", "unsure", "lost") if each in statuses)
+    failed = len(all_cells) - len(cells)
+    placed = [cell["placed"] for cell in cells if "placed" in cell]
+    counts += f", {sum(placed)} of {len(placed)} placed" if placed else ""
+    paths = [_spread(cells, f"ate{kind}_m") for kind in ("", "_aligned", "_smoothed", "_smoothed_aligned")]
+    nees, cpu = (
+        " / ".join(_median(cells, each, digits) for each in names)
+        for names, digits in ((("nees", "nees_smoothed"), 1), (("drive_cpu_s", "smoothing_cpu_s"), 1))
+    )
+    wrong = f"{_total(cells, 'wrong_ok_s')} ({_total(cells, 'wrong_ok_end')})"
+    count = f"{len(cells)} ({failed} failed)" if failed else str(len(cells))
+    figures = (
+        name,
+        count,
+        *paths,
+        nees,
+        _median(cells, "f1_5cm", 2),
+        wrong,
+        _total(cells, "false_alarm_s"),
+        counts,
+        cpu,
+    )
+    return f"| {' | '.join(figures)} |"
+
+
+def _values(cells: Sequence[Cell], name: str) -> list[float]:
+    return [float(cell[name]) for cell in cells if cell.get(name) is not None]
+
+
+def _median(cells: Sequence[Cell], name: str, digits: int) -> str:
+    values = _values(cells, name)
+    return f"{np.median(values):.{digits}f}" if values else "\N{EN DASH}"
+
+
+def _spread(cells: Sequence[Cell], name: str) -> str:
+    """The median and the worst, m."""
+    values = _values(cells, name)
+    return f"{np.median(values):.3f} ({max(values):.3f})" if values else "\N{EN DASH}"
+
+
+def _total(cells: Sequence[Cell], name: str) -> str:
+    values = _values(cells, name)
+    return f"{sum(values):.0f}" if values else "\N{EN DASH}"
+
+
+def _rounded(value: Any) -> Any:
+    return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
+
+
+def _has_data() -> bool:
+    try:
+        data_folder()
+    except ValueError:
+        return False
+    return True

@@ -1,0 +1,158 @@
+"""Drives that depend on the seed and not on the estimator, as logs of wheel travel with the truth."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import cast
+
+import numpy as np
+
+from benchmarks.scoreboard.rows import Fault, Row
+from benchmarks.suite.work import world_source
+from limslam_agent.belief import Belief
+from limslam_agent.logs.recorded_log import RecordedLog
+from limslam_agent.policies.controller import TURN_RATE, wheel_speeds
+from limslam_agent.policies.simple_policies import LAP_SPEED
+from limslam_agent.runs.oracle import Oracle
+from limslam_env.bounds.roadmap import Roadmap
+from limslam_env.bounds.tours import Speeds
+from limslam_env.envs.parallel_env import LimSlamParallelEnv
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.interface import RobotSpec
+from limslam_env.worlds.formats.loading import load_world
+from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
+from limslam_env.worlds.world import World
+
+PILLARS = "pillars:"
+"""Beginning of the names of floor plans with many pillars; the seed follows."""
+
+_PILLARS = FloorPlanConfig(obstacles=6.0, obstacle_size=(0.2, 0.35), slanted=0.0)
+_CANDIDATES = 8  # places of which the next goal is chosen
+_NEW = 0.6  # share of goals that are far from all where the robot has been
+_LEAST_WAY = 1.0  # m
+_BEAM_BEGINS = 0.5  # share of the drive after which one beam is late
+_SLIPS = 3
+_BACK, _TURN = 0.5, 1.5  # s of driving back from an obstacle, and of the longest turn after that
+
+Driver = Callable[[FloatArray, bool], FloatArray]
+"""Wheel speeds (2,) by the true pose (3,) and whether the robot touches something."""
+
+
+def world_of(name: str) -> World:
+    """The world of a cell, by its name."""
+    if not name.startswith(PILLARS):
+        return load_world(world_source(name))
+    generator = np.random.default_rng(int(name.removeprefix(PILLARS)))
+    return replace(floor_plan(_PILLARS, generator, RobotSpec().radius), name=name)
+
+
+def recorded_drive(row: Row, world: World, seed: int, jitter: float) -> RecordedLog:
+    """The drive of a row, with the readings that its robot reports. It is the same for the same arguments.
+
+    Parameters
+    ----------
+    row
+        The conditions.
+    world, seed
+        Where the robot drives, and the seed of all random numbers.
+    jitter
+        Standard deviation of further noise of the ranges, m, by which the noise of the scoreboard itself is measured.
+    """
+    robot, generator = RobotSpec(), np.random.default_rng([seed, 1])
+    beam = seed % len(robot.beams)
+    true_robot = _turned(robot, beam, row.fault.size) if row.fault and row.fault.kind == "turned beam" else robot
+    noise = row.true_noise if row.true_noise.sensor_noise else replace(row.true_noise, sensor_noise=row.noise)
+    env = LimSlamParallelEnv(world, robot=true_robot, noise=noise, num_robots=1, coverage_goal=None, max_cycles=None)
+    observed, infos = env.reset(seed=seed)
+    (name,) = observed
+    drive = _bumps(robot, generator) if row.bumps else _from_place_to_place(env, infos[name]["pose"], generator)
+    rows = [(observed[name], infos[name])]
+    for _ in range(round(row.seconds / robot.control_period)):
+        action = drive(infos[name]["pose"], infos[name]["collision"])
+        observed, _, _, _, infos = env.step({name: action})
+        rows.append((observed[name], infos[name]))
+    ranges, wheels = (np.array([seen[key] for seen, _ in rows], dtype=float) for key in ("ranges", "wheels"))
+    true = np.array([info["pose"] for _, info in rows])
+    if jitter:
+        shaken = ranges + jitter * np.random.default_rng([seed, 2]).standard_normal(ranges.shape)
+        ranges = np.where((ranges > robot.too_near) & (ranges < robot.too_far), shaken, ranges)
+    if row.fault:
+        ranges, wheels = _with_fault(row.fault, robot, beam, ranges, wheels, generator)
+    return RecordedLog(
+        robot=robot, time=robot.control_period * np.arange(float(len(rows))), ranges=ranges.astype(np.float32),
+        has_scan=np.ones(len(rows), dtype=np.bool_), start_pose=true[0], wheels=wheels, true_pose=true,
+    )  # fmt: skip
+
+
+def _turned(robot: RobotSpec, beam: int, degrees: float) -> RobotSpec:
+    beams = list(robot.beams)
+    beams[beam] = replace(beams[beam], angle=beams[beam].angle + math.radians(degrees))
+    return replace(robot, beams=tuple(beams))
+
+
+def _from_place_to_place(env: LimSlamParallelEnv, start: FloatArray, generator: np.random.Generator) -> Driver:
+    """Drive to a place far from all where the robot has been, or to one that it may have seen before, and so on."""
+    roads, been = Roadmap(env.world, env.robot.radius, start[:2]), [start[:2]]
+
+    def plan(pose: FloatArray, seen: BoolArray | None) -> FloatArray:
+        del seen
+        while True:
+            some = generator.choice(roads.places, _CANDIDATES)
+            apart = np.hypot(*(some[:, None] - np.array(been)).transpose(2, 0, 1)).min(axis=1)
+            goal = some[np.argmax(apart)] if generator.random() < _NEW else some[0]
+            way = roads.way(pose[:2], goal) if np.hypot(*(goal - pose[:2])) > _LEAST_WAY else None
+            if way is not None:
+                been.extend(way)
+                return way
+
+    oracle = Oracle(env.robot, Speeds(LAP_SPEED, TURN_RATE), plan, tours=1_000_000)
+
+    def drive(pose: FloatArray, is_touching: bool) -> FloatArray:
+        del is_touching
+        oracle.observe_truth(env, pose, 0.0)
+        return oracle.act(cast("Belief", None))
+
+    return drive
+
+
+def _bumps(robot: RobotSpec, generator: np.random.Generator) -> Driver:
+    """Drive straight on, push what is in the way for a moment, drive back, and turn by chance."""
+    period, plan = robot.control_period, list[FloatArray]()
+
+    def drive(pose: FloatArray, is_touching: bool) -> FloatArray:
+        del pose
+        if is_touching and not plan:
+            pushing = int(generator.integers(1, 8))
+            turning = int(generator.integers(3, round(_TURN / period)))
+            turn = float(generator.choice((-TURN_RATE, TURN_RATE)))
+            plan.extend([wheel_speeds(LAP_SPEED, 0.0, robot)] * pushing)
+            plan.extend([wheel_speeds(-LAP_SPEED, 0.0, robot)] * round(_BACK / period))
+            plan.extend([wheel_speeds(0.0, turn, robot)] * turning)
+        return plan.pop(0) if plan else wheel_speeds(LAP_SPEED, 0.0, robot)
+
+    return drive
+
+
+def _with_fault(
+    fault: Fault, robot: RobotSpec, beam: int, ranges: FloatArray, wheels: FloatArray, generator: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Ranges (t, n_beams) and wheel travel (t, 2) as a robot with a fault reports them."""
+    ranges, wheels, steps = ranges.copy(), wheels.copy(), round(fault.size / robot.control_period)
+    before = ranges.copy()
+    if fault.kind == "late":
+        ranges[steps:] = before[: len(before) - steps]
+    elif fault.kind == "late beam":
+        begin = round(_BEAM_BEGINS * len(ranges))
+        ranges[begin:, beam] = before[begin - steps : len(before) - steps, beam]
+    elif fault.kind == "dead beam":
+        ranges[:, beam] = robot.max_ranges[beam]
+    elif fault.kind == "stuck beam":
+        ranges[:, beam] = fault.size
+    elif fault.kind == "offset":
+        ranges = np.where(ranges < robot.too_far, ranges + fault.size, ranges)
+    elif fault.kind == "slips":
+        turns = math.radians(fault.size) * generator.choice((-1.0, 1.0), _SLIPS)
+        # Turning to the left without notice means that the wheels report a turn to the right too little.
+        places = np.linspace(0.0, len(wheels), _SLIPS + 2)[1:-1].astype(int)
+        wheels[places + generator.integers(-50, 50, _SLIPS)] += 0.5 * robot.axle * turns[:, None] * [1.0, -1.0]
+    return ranges, wheels

@@ -1,0 +1,224 @@
+"""What is measured in a cell of the scoreboard. Only the truth, the log and what the estimator says are used."""
+
+import functools
+import tempfile
+import time
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.scoreboard.compare import CPU
+from benchmarks.scoreboard.drives import recorded_drive, world_of
+from benchmarks.scoreboard.rows import Row
+from benchmarks.suite.faults import fault_scores
+from benchmarks.suite.jobs import Job, Outcome
+from benchmarks.suite.work import data_file
+from limslam_agent.config.presets import preset
+from limslam_agent.logs.recorded_log import RecordedLog
+from limslam_agent.output.export import plain
+from limslam_agent.replay.replay import Replay, relation_scores, replay_log
+from limslam_agent.runs.episode import run_episode
+from limslam_agent.runs.results import score
+from limslam_agent.runs.run_config import RunConfig
+from limslam_agent.status.status import LEVELS
+from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.interface import NominalNoise
+from limslam_env.metrics import metrics
+from limslam_env.worlds.world import World
+
+WRONG = 0.5
+"""A pose is wrong if it is farther off, m. While the status is ok, this is never right."""
+WRONG_PATH = 0.6
+"""A smoothed path is wrong if the root mean square of its aligned position errors is larger, m."""
+RIGHT = 0.2
+"""An alarm is false while the pose is not farther off, m."""
+
+Scores = dict[str, Any]
+
+
+def measure(rows: Mapping[str, Row], jitter: float, job: Job) -> Outcome:
+    """Measure a cell. ``rows`` has the row of the job, and ``jitter`` is further noise of recorded ranges, m."""
+    row = rows[job.policy]
+    warm_up()
+    begin = time.process_time()
+    scores = _KINDS[row.kind](row, job, jitter)
+    cost: dict[str, float] = {name: scores.pop(name) for name in CPU if name in scores}
+    return Outcome(plain(scores), {**cost, "job_cpu_s": time.process_time() - begin}, {}, "")
+
+
+@functools.cache
+def warm_up() -> None:
+    """Load or compile what each cell needs, so that no cell's time contains it."""
+    row = Row("warm-up", "drive", ("env1",), seconds=20.0)
+    _drive(row, Job("env1", row.noise, policy=row.name), 0.0)
+
+
+def _drive(row: Row, job: Job, jitter: float) -> Scores:
+    """A recorded drive, replayed as ``limslam replay`` does."""
+    world = world_of(job.world)
+    log = recorded_drive(row, world, job.seed, jitter)
+    begin = time.process_time()
+    found = replay_log(log, preset(job.preset, NominalNoise(row.noise)))
+    spent = time.process_time() - begin
+    assert log.true_pose is not None  # noqa: S101 (drives are recorded with the truth)
+    true, smoothed = log.true_pose[:, None], found.smoothed
+    poses = None if smoothed is None else smoothed.poses[:, None]
+    covariances = None if smoothed is None or smoothed.covariances is None else smoothed.covariances[:, None]
+    return {
+        **path_scores(true, found.estimated[:, None], found.covariances[:, None], ""),
+        **({} if poses is None else path_scores(true, poses, covariances, "_smoothed")),
+        **while_driving(log.time, true, found.estimated[:, None], found.levels[:, None]),
+        **_wall_scores(world, log, found, true[:, 0] if poses is None else poses[:, 0]),
+        **at_the_end(_final_level(found), true, found.estimated[:, None] if poses is None else poses),
+        **_times(found, spent),
+    }
+
+
+def _times(found: Replay, spent: float) -> Scores:
+    smoothing = 0.0 if found.smoothed is None else found.smoothed.seconds
+    return {"drive_cpu_s": spent - smoothing, "smoothing_cpu_s": smoothing}
+
+
+def _final_level(found: Replay) -> str:
+    """The status of the smoothed path, or of the filter where nothing was smoothed."""
+    smoothed = found.smoothed
+    filtered = found.status.level if smoothed is None or smoothed.status is None else smoothed.status.level
+    return str(filtered if smoothed is None else smoothed.figures.get("smoothed_status", filtered))
+
+
+def _wall_scores(world: World, log: RecordedLog, found: Replay, drawn_from: FloatArray) -> Scores:
+    assert log.true_pose is not None  # noqa: S101 (drives are recorded with the truth)
+    visible = metrics.visible_samples(world, log.robot.radius, log.robot.reach)
+    alignment = metrics.rigid_alignment(log.true_pose[:, :2], drawn_from[:, :2])
+    walls = metrics.wall_metrics(visible, world.edges, found.segments, alignment)
+    return {"f1_5cm": walls["wall_f1_5cm"], "f1_aligned_5cm": walls["wall_f1_aligned_5cm"]}
+
+
+def path_scores(true: FloatArray, poses: FloatArray, covariances: FloatArray | None, suffix: str) -> Scores:
+    """Errors of paths (t, n, 3) of n robots with covariances (t, n, 3, 3), as means over the robots."""
+    robots = range(true.shape[1])
+    errors = [metrics.trajectory_metrics(true[:, one], poses[:, one]) for one in robots]
+    found = {f"ate{suffix}_m": _mean([each["ate_m"] for each in errors])}
+    found[f"ate{suffix}_aligned_m"] = _mean([each["ate_aligned_m"] for each in errors])
+    if covariances is not None:
+        each = [metrics.consistency_metrics(true[:, one], poses[:, one], covariances[:, one]) for one in robots]
+        found[f"nees{suffix}"] = _mean([one["anees"] for one in each])
+    return found
+
+
+def _mean(values: list[float | None]) -> float | None:
+    known = [value for value in values if value is not None and np.isfinite(value)]
+    return float(np.mean(known)) if len(known) == len(values) else None
+
+
+def while_driving(time_s: FloatArray, true: FloatArray, estimated: FloatArray, levels: IntArray) -> Scores:
+    """How long poses (t, n, 3) were wrong although the status (t, n) was ok, and right although it was not, s.
+
+    The times of several robots are added.
+    """
+    errors = np.hypot(*(estimated - true)[..., :2].transpose(2, 0, 1))
+    lasts, is_ok = np.append(np.diff(time_s), 0.0)[:, None], levels == LEVELS.index("ok")
+    return {
+        "wrong_ok_s": float((lasts * (is_ok & (errors > WRONG))).sum()),
+        "false_alarm_s": float((lasts * (~is_ok & (errors < RIGHT))).sum()),
+    }
+
+
+def at_the_end(level: str, true: FloatArray, poses: FloatArray) -> Scores:
+    """The final status, and whether it is ok although a path (t, n, 3) is wrong."""
+    errors = [metrics.trajectory_metrics(true[:, one], poses[:, one])["ate_aligned_m"] for one in range(true.shape[1])]
+    return {"status": level, "wrong_ok_end": int(level == "ok" and max(each or 0.0 for each in errors) > WRONG_PATH)}
+
+
+def _exploration(row: Row, job: Job, jitter: float) -> Scores:
+    """An exploration as ``limslam run`` does it. Jitter does not apply: it would lead to another drive."""
+    del jitter
+    kidnap_at, longest = None, row.seconds
+    if row.kidnapped is not None:
+        kidnap_at = round(float(np.random.default_rng(job.seed).uniform(*row.kidnapped)), 1)
+        longest += kidnap_at
+    config = RunConfig(
+        world_of(job.world), row.noise, job.preset, job.seed, longest, robots=row.robots, until="walls",
+        unknown_starts=row.unknown_starts, kidnap_at=kidnap_at,
+        true_noise=row.true_noise,
+    )  # fmt: skip
+    begin = time.process_time()
+    episode = run_episode(config)
+    driven = time.process_time()
+    smoothed = episode.smoothed
+    spent = time.process_time() - driven
+    found, placed = score(episode), slice(episode.placed_robots)
+    true, estimated = episode.true[:, placed], episode.estimated[:, placed]
+    walls = {"f1_5cm": found["wall_f1_5cm"], "f1_aligned_5cm": found["wall_f1_aligned_5cm"]}
+    if kidnap_at is None:
+        paths = path_scores(true, estimated, episode.covariances[:, placed], "")
+        paths |= {} if smoothed is None else path_scores(true, smoothed.poses, smoothed.covariances, "_smoothed")
+        paths |= {"placed": int(episode.placed_robots == row.robots)} if row.unknown_starts else {}
+    else:
+        # Of a lost robot, the filter's path is in another frame, and covariances say nothing.
+        paths = {} if smoothed is None else path_scores(true, smoothed.poses, None, "_smoothed")
+        paths |= _kidnapped(fault_scores(episode, kidnap_at))
+    return {
+        **paths,
+        **while_driving(episode.time, true, estimated, episode.levels[:, placed]),
+        **walls,
+        **at_the_end(found["status"], true, estimated if smoothed is None else smoothed.poses),
+        "explored": int(episode.is_finished), "driven_s": float(episode.time[-1]),
+        "drive_cpu_s": driven - begin, "smoothing_cpu_s": spent,
+    }  # fmt: skip
+
+
+def _kidnapped(found: Mapping[str, Any]) -> Scores:
+    return {
+        "placed": int(found["fault_placed_s"] is not None),
+        "placed_s": found["fault_placed_s"],
+        "wrong_place_s": found["fault_wrong_place_s"],
+    }
+
+
+def _log(row: Row, job: Job, jitter: float) -> Scores:
+    """A recorded log, replayed as ``limslam replay`` does. The errors are those of relations, in place of an ATE."""
+    from limslam_agent.logs.log_reader import read_log
+    from limslam_agent.logs.relations import read_relations
+
+    log = read_log(data_file(row.file), row.beams, row.max_range)
+    if jitter:
+        shaken = log.ranges + jitter * np.random.default_rng([job.seed, 2]).standard_normal(log.ranges.shape)
+        is_free = ~((log.ranges > log.robot.too_near) & (log.ranges < log.robot.too_far))
+        object.__setattr__(log, "ranges", np.where(is_free, log.ranges, shaken).astype(np.float32))
+    begin = time.process_time()
+    found = replay_log(log, preset(job.preset, NominalNoise(row.noise)))
+    spent = time.process_time() - begin
+    errors = relation_scores(found, read_relations(data_file(row.relations)))
+    scores = {
+        f"ate{suffix}{kind}_m": errors.get(f"{prefix}{name}")
+        for prefix, suffix in (("", ""), ("smoothed_", "_smoothed"))
+        for kind, name in (("", "relation_error_m"), ("_aligned", "loop_relation_error_m"))
+    }
+    level, loops = _final_level(found), scores["ate_smoothed_aligned_m"]
+    end = {"status": level, "wrong_ok_end": int(level == "ok" and loops is not None and loops > WRONG_PATH)}
+    return {**scores, **end, **_times(found, spent)}
+
+
+def _made_up_log(row: Row, job: Job, jitter: float) -> Scores:
+    """A log of few points, smoothed without the filter in front of it."""
+    from benchmarks.log_variations import outcome, variation
+    from benchmarks.made_up_logs import made_up_log, sparse_sensor, write_log
+
+    del row
+    log = made_up_log(job.seed, revisits=job.seed // 4 % 2 == 0)
+    with tempfile.TemporaryDirectory() as folder:
+        path, relations = write_log(log, Path(folder))
+        how = variation(f"{sparse_sensor(job.seed)} range_noise={jitter!r}")
+        found = outcome(path, relations, how, (1000.0 + log.time, log.truth))
+    level, aligned = found.signals.status.level, found.aligned[1]
+    end = {"status": level, "wrong_ok_end": int(level == "ok" and aligned > WRONG_PATH)}
+    errors = {"ate_smoothed_m": found.errors["relation_error_m"], "ate_smoothed_aligned_m": aligned}
+    return {**errors, **end, "smoothing_cpu_s": found.seconds}
+
+
+_KINDS: dict[str, Callable[[Row, Job, float], Scores]] = {
+    "drive": _drive, "exploration": _exploration, "log": _log, "made-up log": _made_up_log
+}  # fmt: skip

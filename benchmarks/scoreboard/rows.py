@@ -1,0 +1,167 @@
+"""The rows of the scoreboard, read from a TOML file. A row is a condition, and its cells are drives under it."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import Literal
+
+from benchmarks.suite.jobs import Job
+from limslam_agent.config import DEFAULT_PRESET
+from limslam_agent.config.tables import SettingsError, built, read_toml
+from limslam_env.config import NoiseConfig
+
+SHIPPED = Path(__file__).parent / "rows.toml"
+
+Kind = Literal["drive", "exploration", "log", "made-up log"]
+
+
+@dataclass(frozen=True)
+class Fault:
+    """An error of a sensor that nobody is told of.
+
+    Attributes
+    ----------
+    kind
+        ``late``: all ranges come ``size`` s late. ``late beam``: one beam comes ``size`` s late in the second half of
+        the drive. ``dead beam``: one beam sees nothing, ever. ``stuck beam``: one beam always reads ``size`` m.
+        ``turned beam``: one beam is mounted ``size`` deg to the left. ``offset``: all ranges are ``size`` m too long.
+        ``slips``: three times the robot turns by ``size`` deg, to either side, and its wheels do not notice.
+    size
+        How large the error is.
+
+    The seed chooses the beam, and where slips happen.
+    """
+
+    kind: Literal["late", "late beam", "dead beam", "stuck beam", "turned beam", "offset", "slips"]
+    size: float = 0.0
+
+
+@dataclass(frozen=True)
+class Row:
+    """A row of the scoreboard.
+
+    Attributes
+    ----------
+    name
+        Name of the row.
+    kind
+        ``drive``: a drive that depends on the seed alone, replayed. ``exploration``: in closed loop. ``log``: a log in
+        the folder of recorded data, replayed. ``made-up log``: a log of few points, of those of
+        :mod:`benchmarks.made_up_logs`, smoothed.
+    worlds, seeds
+        Worlds as in a suite, or ``pillars:seed``; and the number of seeds for each of them.
+    noise
+        Standard deviation of the ranges that the estimator is told, m.
+    true_noise
+        The simulator's noise. Its ``sensor_noise`` is ``noise`` unless it is given here.
+    seconds
+        How long a drive lasts, or the longest time of an exploration, s; after it was kidnapped, if it is.
+    bumps
+        Whether the robot of a drive drives straight on until it hits something, instead of from place to place.
+    fault
+        An error of a sensor that the estimator is not told of.
+    robots, unknown_starts, kidnapped
+        Number of robots of an exploration, whether the second one's start is unknown, and the earliest and the latest
+        time at which the robot is kidnapped, s.
+    file, relations, beams, max_range
+        A log and its relations in the folder of recorded data, the directions of its beams, deg, and their longest
+        range, m.
+    """
+
+    name: str
+    kind: Kind
+    worlds: tuple[str, ...] = ("",)
+    seeds: int = 1
+    noise: float = 0.02
+    true_noise: NoiseConfig = field(default_factory=NoiseConfig)
+    seconds: float = 150.0
+    bumps: bool = False
+    fault: Fault | None = None
+    robots: int = 1
+    unknown_starts: bool = False
+    kidnapped: tuple[float, float] | None = None
+    file: str = ""
+    relations: str = ""
+    beams: tuple[float, ...] = ()
+    max_range: float = 5.0
+
+    def __post_init__(self) -> None:
+        if self.seeds < 1 or not self.worlds:
+            raise ValueError("a row needs at least one seed and one world")
+        if not (self.noise >= 0.0 and self.seconds > 0.0):
+            raise ValueError("the noise is 0 m or more, and the time is above 0 s")
+        if self.kind == "log" and not (self.file and self.relations and self.beams):
+            raise ValueError("a log needs its file, relations and beams")
+        if self.kind != "drive" and (self.fault or self.bumps):
+            raise ValueError("fault and bumps go with the kind drive")
+        if self.kind != "exploration" and (self.robots > 1 or self.kidnapped):
+            raise ValueError("robots and kidnapped go with the kind exploration")
+
+    def cells(self, first_seed: int) -> list[Job]:
+        """A job for each world and seed. The policy of the job is the name of the row."""
+        return [
+            Job(
+                world.replace(":seed", f":{seed}") or self.file or self.kind,
+                self.noise, self.robots, DEFAULT_PRESET, self.name, seed=seed,
+            )
+            for seed in range(first_seed, first_seed + self.seeds)
+            for world in self.worlds
+        ]  # fmt: skip
+
+    @property
+    def needs_data(self) -> bool:
+        """Whether the row needs the folder of recorded data."""
+        return self.kind in {"log", "made-up log"} or any(world.startswith("plan:") for world in self.worlds)
+
+
+@dataclass(frozen=True)
+class Rows:
+    """A file of rows.
+
+    Attributes
+    ----------
+    tuning_seed, unused_seed
+        First seed of development, and first seed of figures that are published.
+    row
+        The rows.
+    """
+
+    tuning_seed: int
+    unused_seed: int
+    row: tuple[Row, ...]
+
+    def __post_init__(self) -> None:
+        repeated = [name for name, count in Counter(row.name for row in self.row).items() if count > 1]
+        if repeated or not self.row:
+            raise ValueError(f"each row has a name of its own, unlike {', '.join(repeated) or 'no row'}")
+
+    def chosen(self, patterns: Sequence[str]) -> list[Row]:
+        """The rows whose names match one of the patterns (``*`` stands for any text); all without patterns.
+
+        Raises
+        ------
+        ValueError
+            If a pattern matches no row.
+        """
+        for pattern in patterns:
+            if not any(fnmatchcase(row.name, pattern) for row in self.row):
+                raise ValueError(
+                    f"--rows: no row is called {pattern!r}; there are {', '.join(r.name for r in self.row)}"
+                )
+        return [row for row in self.row if not patterns or any(fnmatchcase(row.name, each) for each in patterns)]
+
+
+def read_rows(path: Path = SHIPPED) -> Rows:
+    """Read a file of rows.
+
+    Raises
+    ------
+    ValueError
+        If the file cannot be used; the message is one line that names file and key.
+    """
+    try:
+        return built(Rows, read_toml(path), path.name)
+    except SettingsError as error:
+        raise ValueError(str(error)) from error

@@ -1,0 +1,264 @@
+"""The scoreboard measures each cell once, compares in pairs, and counts what it says."""
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+
+from benchmarks import __main__ as command
+from benchmarks.scoreboard.board import read_board, run_scoreboard, table
+from benchmarks.scoreboard.compare import NOISE, closing, compared, paired_ratio, pooled
+from benchmarks.scoreboard.drives import recorded_drive, world_of
+from benchmarks.scoreboard.measure import at_the_end, measure, while_driving
+from benchmarks.scoreboard.rows import Fault, Row, read_rows
+from benchmarks.scoreboard.sources import estimator_files, size_of
+from benchmarks.suite.engines import stages
+from limslam_env.config import NoiseConfig
+
+TINY = """
+tuning_seed = 3
+unused_seed = 5
+
+[[row]]
+name = "nominal"
+kind = "drive"
+worlds = ["square"]
+seeds = 2
+seconds = 12
+
+[[row]]
+name = "late"
+kind = "drive"
+worlds = ["square"]
+seconds = 12
+fault = { kind = "late", size = 0.1 }
+"""
+
+
+class OneAfterAnother:
+    """An engine without processes, which counts its jobs."""
+
+    def __init__(self):
+        self.titles = []
+
+    def run(self, jobs, work):
+        for job in jobs:
+            self.titles.append(job.title)
+            *_, result = stages(work, job)
+            yield job, result
+
+
+@pytest.fixture
+def tiny(tmp_path):
+    path = tmp_path / "tiny.toml"
+    path.write_text(TINY)
+    return path
+
+
+def drive(fault=None, *, jitter=0.0, **settings):
+    row = Row("one", "drive", ("env1",), seconds=20.0, fault=fault, **settings)
+    return recorded_drive(row, world_of("env1"), 3, jitter)
+
+
+def cells(row, values, **others):
+    return [{"row": row, "world": "w", "seed": seed, "ate_m": each, **others} for seed, each in enumerate(values)]
+
+
+def test_a_row_is_measured_once_and_compared_with_itself(tiny, tmp_path):
+    rows, engine, folder = read_rows(tiny), OneAfterAnother(), tmp_path / "out"
+    first, summary, skipped = run_scoreboard(rows, ["nom*"], folder, engine)
+    assert (summary.failures, skipped, len(engine.titles)) == ((), [], 2)
+    board, _, _ = run_scoreboard(rows, [], folder, engine)
+    assert len(engine.titles) == 3
+    assert [cell["row"] for cell in board["cells"]] == ["nominal", "nominal", "late"]
+    assert read_board(folder)["cells"] == board["cells"]
+    assert board["cells"][:2] == first["cells"]
+    for cell in board["cells"]:
+        assert 0.0 < cell["ate_smoothed_m"] < 0.3
+        assert cell["status"] == "ok"
+    lines = table(board)
+    assert sum(line.startswith(("| nominal | 2 |", "| late | 1 |")) for line in lines) == 2
+    found = compared(board["cells"], board["cells"])
+    assert [each.ratios["ate_m"].mean for each in found] == [1.0, 1.0]
+    assert closing(found) == "no row is worse (2 rows compared)"
+
+
+def test_an_exploration_is_measured_with_what_became_of_a_kidnapped_robot():
+    row = Row("lost", "exploration", ("env1",), kidnapped=(20.0, 21.0), seconds=4.0)
+    (job,) = row.cells(3)
+    found = measure({"lost": row}, 0.0, job)
+    assert found.metrics["driven_s"] == pytest.approx(24.5, abs=1.0)
+    assert found.metrics["placed"] in {0, 1}
+    assert "ate_m" not in found.metrics
+    assert found.cost.keys() == {"drive_cpu_s", "smoothing_cpu_s", "job_cpu_s"}
+
+
+def test_a_folder_is_for_one_estimator_and_one_file_of_rows(tiny, tmp_path, monkeypatch):
+    rows = read_rows(tiny)
+    run_scoreboard(rows, ["late"], tmp_path / "out", OneAfterAnother())
+    with pytest.raises(ValueError, match="choose another folder"):
+        run_scoreboard(rows, ["late"], tmp_path / "out", OneAfterAnother(), jitter=1e-4)
+    monkeypatch.setattr("benchmarks.scoreboard.board.digest_of", lambda _: "another")
+    with pytest.raises(ValueError, match="choose another folder"):
+        run_scoreboard(rows, ["late"], tmp_path / "out", OneAfterAnother())
+
+
+def test_rows_without_data_are_left_out(tmp_path, monkeypatch, tiny):
+    monkeypatch.setenv("LIMSLAM_DATA", str(tmp_path / "absent"))
+    log = Row("a log", "log", file="a.gz", relations="b.gz", beams=(0.0,))
+    rows = dataclasses.replace(read_rows(tiny), row=(log,))
+    board, summary, skipped = run_scoreboard(rows, [], tmp_path / "out", OneAfterAnother())
+    assert (board["cells"], summary.jobs, skipped) == ([], 0, ["a log"])
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", "tuning_seed"),
+        ('tuning_seed = 1\nunused_seed = 2\n[[row]]\nname = "a"\nkind = "flight"', "kind"),
+        ('tuning_seed = 1\nunused_seed = 2\n[[row]]\nname = "a"\nkind = "drive"\nwheels = 3', "wheels"),
+        ('tuning_seed = 1\nunused_seed = 2\n[[row]]\nname = "a"\nkind = "log"', "a log needs"),
+        ('tuning_seed = 1\nunused_seed = 2\n[[row]]\nname = "a"\nkind = "made-up log"\nrobots = 2', "robots"),
+        (TINY.replace('"late"\nkind', '"nominal"\nkind'), "a name of its own"),
+    ],
+)
+def test_bad_rows_are_refused_in_one_line(text, words, tmp_path):
+    path = tmp_path / "bad.toml"
+    path.write_text(text)
+    with pytest.raises(ValueError, match=words) as error:
+        read_rows(path)
+    assert "\n" not in str(error.value)
+    assert "bad.toml" in str(error.value)
+
+
+def test_a_pattern_that_matches_nothing_and_a_board_that_is_none_are_refused(tmp_path, monkeypatch, capsys):
+    (tmp_path / "no.json").write_text('{"cells": [{"row": "a"}]}')
+    for arguments, words in (
+        (["--rows", "drive*,zzz"], "'zzz'"),
+        (["--against", str(tmp_path / "no.json")], "is no scoreboard"),
+        (["--against", str(tmp_path / "absent")], "no scoreboard there"),
+    ):
+        monkeypatch.setattr("sys.argv", ["benchmarks", "scoreboard", str(tmp_path / "out"), *arguments])
+        with pytest.raises(SystemExit, match="2"):
+            command.main()
+        lines = capsys.readouterr().err.splitlines()
+        assert len(lines) == 1
+        assert words in lines[0]
+
+
+def test_the_shipped_rows_differ_between_the_seeds():
+    rows = read_rows()
+    jobs = [job.key for first in (rows.tuning_seed, rows.unused_seed) for row in rows.row for job in row.cells(first)]
+    # Recorded logs have no seed that could be another one, but their names say which seeds were chosen.
+    assert len(set(jobs)) == len(jobs)
+
+
+def test_ratios_are_geometric_means_with_two_standard_errors():
+    found = paired_ratio([1.0, 2.0], [2.0, 2.0], 0.0)
+    # The logarithms are ln 2 and 0, so their standard deviation is ln 2 / sqrt(2), and two standard errors are ln 2.
+    assert np.allclose([found.mean, found.low, found.high], [math.sqrt(2.0), math.sqrt(0.5), 2.0 * math.sqrt(2.0)])
+    alone = paired_ratio([1.0], [1.5], 0.1)
+    assert np.allclose([alone.mean, alone.low, alone.high], [1.5, 1.5 * math.exp(-0.2), 1.5 * math.exp(0.2)])
+    assert paired_ratio([], [], 0.1) is None
+
+
+def test_worse_rows_are_named_and_better_ones_are_not():
+    old = [*cells("a", [0.1, 0.1, 0.1, 0.1]), *cells("b", [0.1, 0.2, 0.1, 0.2]), *cells("c", [0.1])]
+    new = [*cells("a", [0.2, 0.21, 0.19, 0.2]), *cells("b", [0.05, 0.1, 0.05, 0.1]), *cells("c", [0.1])]
+    found = {each.row: each for each in compared(old, new)}
+    assert [bool(found[name].reasons) for name in "abc"] == [True, False, False]
+    assert closing(list(found.values())).startswith("worse beyond noise: a (ate_m 2.00 [")
+    assert pooled(old, new).pairs == 9
+    # Noise of the scoreboard itself is no reason.
+    assert not compared(old[:4], cells("a", [0.1 * math.exp(NOISE["ate_m"])] + 3 * [0.1]))[0].reasons
+
+
+def test_wrong_and_ok_at_the_end_false_alarms_and_failures_count():
+    old = cells("a", [0.1] * 4, wrong_ok_end=0, false_alarm_s=0.0, placed=1, f1_5cm=0.9)
+    assert "1 failed" in compared(old, [*old[:3], {"row": "a", "world": "w", "seed": 3, "error": "no"}])[0].reasons
+    for change, words in (
+        ({"wrong_ok_end": 1}, "4 more wrong and ok at the end"),
+        ({"false_alarm_s": 3.0}, "false_alarm_s +12 s"),
+        ({"f1_5cm": 0.7}, "f1_5cm -0.200"),
+    ):
+        assert compared(old, [{**cell, **change} for cell in old])[0].reasons == (words,)
+    # A robot of four that is not placed may be chance, and so may four seconds in one of them.
+    assert not compared(old, [{**old[0], "placed": 0, "false_alarm_s": 4.0}, *old[1:]])[0].reasons
+
+
+def test_a_covariance_that_is_too_large_is_not_worse():
+    old, new = cells("a", [0.1] * 3, nees=0.9), cells("a", [0.1] * 3, nees=0.2)
+    assert not compared(old, new)[0].reasons
+    assert compared(old, cells("a", [0.1] * 3, nees=3.0))[0].reasons
+
+
+def test_seconds_are_counted_by_hand_made_errors():
+    time, true = np.arange(5.0), np.zeros((5, 1, 3))
+    estimated = np.zeros((5, 1, 3))
+    estimated[1:3, 0, 0] = 0.6
+    levels = np.array([[1], [0], [1], [2], [0]])
+    assert while_driving(time, true, estimated, levels) == {"wrong_ok_s": 1.0, "false_alarm_s": 2.0}
+    line = np.column_stack((np.linspace(0.0, 9.0, 5), np.zeros(5), np.zeros(5)))[:, None]
+    bent = line + np.array([0.0, 3.0, 0.0]) * (np.arange(5) == 2)[:, None, None]
+    assert at_the_end("ok", line, bent)["wrong_ok_end"] == 1
+    assert at_the_end("unsure", line, bent)["wrong_ok_end"] == 0
+    assert at_the_end("ok", line, line + np.array([5.0, 0.0, 0.0]))["wrong_ok_end"] == 0
+
+
+def test_a_drive_depends_on_the_seed_and_not_on_the_noise():
+    first, again, noisy = drive(), drive(), drive(noise=0.04, true_noise=NoiseConfig(dropout=0.1))
+    assert np.array_equal(first.ranges, again.ranges)
+    assert np.array_equal(first.true_pose, noisy.true_pose)
+    assert not np.array_equal(first.ranges, noisy.ranges)
+
+
+def test_jitter_moves_readings_of_walls_only():
+    plain, shaken = drive(), drive(jitter=1e-4)
+    free = plain.ranges >= plain.robot.too_far.astype(np.float32)
+    assert np.array_equal(plain.ranges[free], shaken.ranges[free])
+    assert np.isclose((shaken.ranges - plain.ranges)[~free].std(), 1e-4, rtol=0.2)
+
+
+def test_faults_do_what_they_say():
+    plain, beam = drive(), 3
+    late = drive(Fault("late", 0.2)).ranges
+    assert np.array_equal(late[2:], plain.ranges[:-2])
+    one = drive(Fault("late beam", 1.0)).ranges
+    half = len(one) // 2
+    assert np.array_equal(one[half + 1 :, beam], plain.ranges[half - 9 : -10, beam])
+    assert np.array_equal(np.delete(one, beam, axis=1), np.delete(plain.ranges, beam, axis=1))
+    assert set(drive(Fault("dead beam")).ranges[:, beam]) == {1.5}
+    assert set(drive(Fault("stuck beam", 0.4)).ranges[:, beam].round(6)) == {np.float32(0.4)}
+    longer = drive(Fault("offset", 0.03)).ranges
+    assert np.allclose((longer - plain.ranges)[plain.ranges < 1.4], 0.03, atol=1e-6)
+    slips = drive(Fault("slips", 14.0))
+    turns = (slips.wheels - plain.wheels)[:, 1] - (slips.wheels - plain.wheels)[:, 0]
+    assert np.count_nonzero(np.abs(turns) > 1e-9) == 3
+    assert np.allclose(np.abs(turns).max() / slips.robot.axle, math.radians(14.0))
+    turned = drive(Fault("turned beam", 5.0))
+    assert turned.robot == plain.robot
+    assert not np.array_equal(turned.ranges[:, beam], plain.ranges[:, beam])
+
+
+def test_a_bumping_robot_touches_walls():
+    log = drive(bumps=True)
+    assert np.hypot(*np.diff(log.true_pose[:, :2], axis=0).T).sum() > 2.0
+    assert np.abs(log.wheels).sum() > np.hypot(*np.diff(log.true_pose[:, :2], axis=0).T).sum()
+
+
+def test_the_size_of_sources_is_counted(tmp_path):
+    path = tmp_path / "part.py"
+    path.write_text(
+        '"""A part."""\n\nONE = 1\nNAME = "a"\nPAIR = (2, "b")\n\n\ndef f(x):\n    """F."""\n    y = 3\n    return y\n'
+    )
+    assert size_of([path]) == {
+        "lines": 11, "files": 1, "constants": 2, "largest_file": f"{tmp_path.name}/part.py (11)",
+        "largest_function": f"{tmp_path.name}/part.py:f (2)",
+    }  # fmt: skip
+
+
+def test_the_estimator_is_the_one_that_is_imported():
+    found = size_of(estimator_files())
+    assert found["files"] > 30
+    assert found["lines"] > 5000
