@@ -19,27 +19,13 @@ _LONGEST_WAIT = 120.0
 
 def kernels_of_smoother() -> list[tuple[Any, str]]:
     """The kernels that each smoothing calls, with their arguments in the letters of ``compile_for``."""
-    from limslam_agent.slam.line_graph import chain_kernels, line_kernels, line_merging
+    from limslam_agent.slam.line_graph import line_kernels
 
     return [
-        (line_merging.merge_lines, "f2 f2 f2 f3 f2 f1 f1 f1 i1"),
-        (line_merging.wall_kinds, "f2 f2 f2 f3 f2 f1"),
-        (chain_kernels.drive, "f1 f2 f f2"),
-        (chain_kernels.motions_between, "f2 f f2"),
-        (chain_kernels.motion_jacobians, "f2 f f3 f3"),
-        (chain_kernels.expected_readings, "f2 i1 f2 i1 f2 f2 f2"),
-        (chain_kernels.add_motions, "f3 f3 f3 f2 f3 f3 f3 f2 f2 f1"),
-        (chain_kernels.add_motions, "f3 f3 f3 f2 f3 f3 f3 f2 F2 f1"),
-        (chain_kernels.add_readings, "i1 i1 f2 f1 f1 i1 i1 f1 i f3 f3 f2 f2 f1"),
-        (chain_kernels.eliminate, "f3 f3 f3 f2 i1 i1 f2 f1 f3 f3 f3 f2"),
-        (chain_kernels.substitute, "f3 f3 f3 f2 f1 f2"),
-        (chain_kernels.pose_marginals, "f3 f3 f3 f2 f2 f3"),
-        (line_kernels.hit_points, "f2 i1 f2 f1 f2"),
         (line_kernels.fit_lines, "f2 i1 f f2 f2"),
-        (line_kernels.places_along, "f2 i1 f2 i1 f2 f2 f1"),
         (line_kernels.best_lines, "f2 i1 f2 f1 f2 f2 f3 f f i1 f2"),
         (line_kernels.one_sided_runs, "f1 i1 f i b1"),
-        (line_kernels.count_crossings, "f2 i1 f2 f1 f2 f2 i1 i2 f i2 i1"),
+        (line_kernels.count_crossings, "f2 i1 f2 f1 f2 f2 i1 i2 f i2"),
     ]
 
 
