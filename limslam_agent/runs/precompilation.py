@@ -19,9 +19,11 @@ _LONGEST_WAIT = 120.0
 
 def kernels_of_smoother() -> list[tuple[Any, str]]:
     """The kernels that each smoothing calls, with their arguments in the letters of ``compile_for``."""
+    from limslam_agent.slam.least_squares.selected_inverse import selected_inverse
     from limslam_agent.slam.line_graph import line_kernels
 
     return [
+        (selected_inverse, "i1 i1 f1 f1 f1"),
         (line_kernels.fit_lines, "f2 i1 f f2 f2"),
         (line_kernels.best_lines, "f2 i1 f2 f1 f2 f2 f3 f f i1 f2"),
         (line_kernels.one_sided_runs, "f1 i1 f i b1"),

@@ -131,7 +131,7 @@ class NormalEquations:
         lower, pivots = csc_matrix(factors.L), factors.U.diagonal()
         lower.sort_indices()
         values = np.empty(lower.nnz)
-        selected_inverse(lower.indptr, lower.indices, lower.data, pivots, values)
+        selected_inverse(lower.indptr.astype(np.int64), lower.indices.astype(np.int64), lower.data, pivots, values)
         inverse = csc_matrix((values, lower.indices, lower.indptr), shape=lower.shape)
         places = self._places[columns]
         is_free = (places < len(pivots)).all(axis=1)

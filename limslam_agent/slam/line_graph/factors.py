@@ -14,8 +14,10 @@ import numpy as np
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import angle_between
 
-_SMALL_TURN = 1e-4
-_PARALLEL = 1e-9
+GRAZING = 0.2
+"""Cosine between beam and normal; below this value a reading depends mostly on the beam's angle error."""
+
+_SMALL_TURN, _PARALLEL = 1e-4, 1e-9  # rad, and a cosine: numbers that nothing is divided by
 
 
 def drive(start: FloatArray, motions: FloatArray, axle: float) -> FloatArray:
@@ -64,8 +66,7 @@ def _chords(poses: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray, Floa
 
 def _arc_over_chord(half: FloatArray) -> FloatArray:
     """Ratio of the length of an arc to that of its chord; ``half`` is half the turn, rad."""
-    is_small = np.abs(half) < _SMALL_TURN
-    return np.where(is_small, 1.0 + half * half / 6.0, half / np.where(is_small, 1.0, np.sin(half)))
+    return np.asarray(1.0 / np.sinc(half / math.pi))
 
 
 def _arc_over_chord_derivative(half: FloatArray) -> FloatArray:

@@ -12,11 +12,9 @@ import numpy as np
 from scipy.sparse.linalg import SuperLU
 
 from limslam_agent.slam.least_squares.normal_equations import DegenerateError, NormalEquations
-from limslam_agent.slam.line_graph.factors import Expected, motion_jacobians
+from limslam_agent.slam.line_graph.factors import GRAZING, Expected, motion_jacobians
 from limslam_agent.slam.line_graph.problem import Problem, State, expected, moved
 from limslam_env.geometry import FloatArray, IntArray
-
-GRAZING = 0.2  # cosine between beam and normal; below this value a reading depends mostly on the beam's angle error
 
 _LINE_STD = np.array([100.0, 10.0])  # m and rad: keeps the equations of a line regular if it was read only once
 _MOST_HALVINGS, _CHOOSING = 6, 2  # of a step; iterations after which the set of grazing readings is fixed

@@ -26,7 +26,6 @@ GATE = 3.5
 BEYOND = 0.10
 """How far beyond a line's ends a beam may meet it, m."""
 _MARGIN = 3.0  # standard deviations by which the second-best line must predict a reading worse
-_MOST_MERGES = 30
 _FEWEST_OF_SIDE = 4  # readings
 
 
@@ -232,14 +231,11 @@ def merge(problem: Problem, found: Association, limits: OneWall = ONE_WALL) -> t
     Each merge updates all lines through their joint covariance. Poses and lines are solved for again when a line has
     moved far. This repeats until no pair can merge.
     """
-    has_merged = False
-    for _ in range(_MOST_MERGES):
-        lines = lines_of(problem, found)
-        if not merge_lines(lines, limits, problem.kinds):
-            break
-        has_merged = True
+    has_merged, lines = False, lines_of(problem, found)
+    while merge_lines(lines, limits, problem.kinds):
         labels = np.where(found.labels >= 0, rooted(lines.merged_into)[found.labels], -1)
-        found = solve_again(problem, found.state, labels)
+        found, has_merged = solve_again(problem, found.state, labels), True
+        lines = lines_of(problem, found)
     return found, has_merged
 
 
