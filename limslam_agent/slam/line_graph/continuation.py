@@ -70,7 +70,7 @@ def _with_stretch(part: Problem, found: Association) -> Association:
     labels[: len(found.labels)] = found.labels
     pieces = straight_runs(part, state, labels < 0, _FEWEST_OF_PIECE)
     labels = np.where(pieces >= 0, pieces + int(labels.max(initial=-1)) + 1, labels)
-    merged, _ = merge(part, solve_labels(part, state, labels), _FAR_LIMITS)
+    merged, _, _ = merge(part, solve_labels(part, state, labels), _FAR_LIMITS)
     return reassociate_from(part, merged, _STRETCH_ROUNDS)
 
 

@@ -82,8 +82,6 @@ class Problem:
         The readings of walls, and the beams that met no wall, each with the length of its free path.
     prior, beam_width
         Inverse covariance of a robot's calibration, or None; and half the opening angle of all beams, rad.
-    kinds
-        Lengths of the boards and of the walls with two faces that are known, m.
     bias
         By what all ranges are too long as far as that is known, m. A calibration estimates it from there on.
     jumps
@@ -101,7 +99,6 @@ class Problem:
     range_std: float
     prior: FloatArray | None = None
     beam_width: float = 0.0
-    kinds: tuple[float, float] = (0.0, 0.0)
     growth: float = 0.0
     bias: float = 0.0
     jumps: FloatArray | None = None

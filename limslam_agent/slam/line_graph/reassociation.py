@@ -59,34 +59,26 @@ def reassociate(problem: Problem, state: State, labels: IntArray, rounds: int = 
     DegenerateError
         If the readings do not determine the poses.
     """
-    return reassociate_from(problem, solve_labels(problem, state, labels), rounds)
+    return reassociate_from(problem, solve_labels(problem, state, sided(problem, state, labels)), rounds)
 
 
-def with_kinds(problem: Problem, state: State, labels: IntArray) -> tuple[Problem, IntArray]:
-    """The problem with the kinds of walls by first associations, and these associations.
-
-    Unless the walls are boards for sure, each side of a line is a line of its own. Merging decides about it anew.
-    """
-    found = solve_labels(problem, state, labels)
-    kinds = wall_kinds(lines_of(problem, found), ONE_WALL)
-    if are_boards(kinds):
-        return replace(problem, kinds=kinds), labels
-    sided = 2 * found.labels + sides_of(problem, found.state, found.labels)
-    return replace(problem, kinds=kinds), np.where(found.labels >= 0, sided, -1)
-
-
-def are_boards(kinds: tuple[float, float]) -> bool:
-    """Whether the walls are boards for sure, by the lengths of known boards and walls, m."""
-    return board_odds(0.0, *kinds) > SURE
+def sided(problem: Problem, state: State, labels: IntArray) -> IntArray:
+    """Labels in which each side of a line is a line of its own: merging decides anew which lines are boards."""
+    labels, _ = renumbered(labels)
+    fitted = with_lines(problem, without_lines(state), labels)
+    return np.where(labels >= 0, 2 * labels + sides_of(problem, fitted, labels), -1)
 
 
 def reassociate_from(problem: Problem, found: Association, rounds: int) -> Association:
     """Merge lines, re-associate readings, solve and divide bent lines, for at most ``rounds`` rounds."""
     for _ in range(rounds):
         before = found.state.poses
-        merged, has_merged = merge(problem, found)
-        labels = assigned(problem, merged.state, faces_of(problem, merged.state, merged.labels))
-        found = solve_again(problem, merged.state, labels)
+        merged, has_merged, kinds = merge(problem, found)
+        seen = seen_ends(problem, merged.state, merged.labels)
+        if board_odds(0.0, *kinds) > SURE:
+            # The walls are boards for sure: what was read from one side can be read from the other side.
+            seen[..., 0], seen[..., 1] = seen[..., 0].min(axis=1)[:, None], seen[..., 1].max(axis=1)[:, None]
+        found = solve_again(problem, merged.state, assigned(problem, merged.state, seen))
         found = straightened(problem, found)
         if np.abs(found.state.poses - before)[..., :2].max() < _SETTLED and not has_merged:
             break
@@ -185,14 +177,6 @@ def seen_ends(problem: Problem, state: State, labels: IntArray) -> FloatArray:
     return ends.reshape(-1, 2, 2)
 
 
-def faces_of(problem: Problem, state: State, labels: IntArray) -> FloatArray:
-    """The ends of each line from each side (m, 2, 2), m. Both sides of a line are equal where all walls are boards."""
-    seen = seen_ends(problem, state, labels)
-    if are_boards(problem.kinds):
-        seen[..., 0], seen[..., 1] = seen[..., 0].min(axis=1)[:, None], seen[..., 1].max(axis=1)[:, None]
-    return seen
-
-
 def assigned(problem: Problem, state: State, ends: FloatArray) -> IntArray:
     """For each reading, the line that predicts it, or -1 if no line or two lines predict it."""
     best, misfits = best_lines(problem, state, ends)
@@ -225,18 +209,22 @@ def straightened(problem: Problem, found: Association) -> Association:
     return solve_again(problem, with_lines(problem, found.state, labels), labels)
 
 
-def merge(problem: Problem, found: Association, limits: OneWall = ONE_WALL) -> tuple[Association, bool]:
-    """Merge the lines that may be one wall, and return whether there were such lines.
+def merge(
+    problem: Problem, found: Association, limits: OneWall = ONE_WALL
+) -> tuple[Association, bool, tuple[float, float]]:
+    """Merge the lines that may be one wall; whether there were such lines, and the lengths of boards and walls, m.
 
     Each merge updates all lines through their joint covariance. Poses and lines are solved for again when a line has
     moved far. This repeats until no pair can merge.
     """
     has_merged, lines = False, lines_of(problem, found)
-    while merge_lines(lines, limits, problem.kinds):
+    kinds = wall_kinds(lines, ONE_WALL)
+    while merge_lines(lines, limits, kinds):
         labels = np.where(found.labels >= 0, rooted(lines.merged_into)[found.labels], -1)
         found, has_merged = solve_again(problem, found.state, labels), True
         lines = lines_of(problem, found)
-    return found, has_merged
+        kinds = wall_kinds(lines, ONE_WALL)
+    return found, has_merged, kinds
 
 
 def lines_of(problem: Problem, found: Association) -> Lines:

@@ -24,7 +24,7 @@ from limslam_agent.slam.line_graph.problem import (
     make_problem,
     state_from_poses,
 )
-from limslam_agent.slam.line_graph.reassociation import Association, reassociate, with_kinds
+from limslam_agent.slam.line_graph.reassociation import Association, reassociate
 from limslam_agent.slam.line_graph.smoothed_map import contradictions, is_contradicted, smoothed_map
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
@@ -188,7 +188,6 @@ def _continued(best: Settled, run: FilteredRun) -> Settled | None:
     if len(run.poses) <= steps:
         return None
     whole = _problem_of(replace(run, breaks=run.until(steps).breaks), best.problem.prior)
-    whole = replace(whole, kinds=best.problem.kinds)
     found = continued(whole, best.association.state, best.association.labels)
     return None if found is None else Settled(whole, found, steps)
 
@@ -210,7 +209,6 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Settled | None:
     if np.count_nonzero(labels >= 0) < FEWEST_READINGS:
         return None
     try:
-        problem, labels = with_kinds(problem, state_from_poses(problem, run.poses), labels)
         best = Settled(problem, reassociate(problem, state_from_poses(problem, run.poses), labels))
         if config.calibrate == "if_needed":
             best = _calibrated_if_needed(best, run, labels)
