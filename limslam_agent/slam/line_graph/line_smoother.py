@@ -143,23 +143,23 @@ def solve(problem: Problem, state: State, labels: IntArray) -> Solution:
         raise DegenerateError("no line has enough readings")
     calibrated = 0 if problem.prior is None else state.calibration.shape[1]
     unknowns = Unknowns(len(problem.starts), problem.steps, calibrated, len(state.lines))
-    equations, weights = NormalEquations(unknowns.size, unknowns.order), np.zeros(len(labels))
+    graph, weights = _Graph(problem, labels, unknowns), np.zeros(len(labels))
     for iteration in range(_MOST_ITERATIONS + 1):
         readings = expected(problem, state, labels)
         if iteration < _CHOOSING:
             weights = _not_grazing(readings, labels) / problem.noise**2
-        _linearise(equations, problem, state, labels, readings, weights, unknowns)
-        factors = equations.factorise()
+        graph.linearise(state, readings, weights)
+        factors = graph.equations.factorise()
         if iteration == _MOST_ITERATIONS:
             break
-        step = -equations.solved(factors, equations.gradient)
+        step = -graph.equations.solved(factors, graph.equations.gradient)
         if not np.isfinite(step).all():
             raise DegenerateError("the readings do not determine the poses")
-        state, change = _descend(problem, state, step, labels, readings, weights, unknowns)
+        state, change = graph.descend(state, step, readings, weights)
         if change < _CONVERGED:
             # The equations of this step are as accurate as those of the next step would be.
             break
-    return Solution(state, weights, unknowns, equations, factors)
+    return Solution(state, weights, unknowns, graph.equations, factors)
 
 
 def chi_square(problem: Problem, state: State, readings: Expected, weights: FloatArray) -> float:
@@ -184,97 +184,93 @@ def _not_grazing(readings: Expected, labels: IntArray) -> FloatArray:
     return ((labels >= 0) & (np.abs(readings.cosines) >= GRAZING) & (readings.ranges > 0.0)).astype(float)
 
 
-def _descend(
-    problem: Problem, state: State, step: FloatArray, labels: IntArray, readings: Expected, weights: FloatArray,
-    unknowns: Unknowns,
-) -> tuple[State, float]:  # fmt: skip
-    """The state after a step, which is halved until the residuals do not grow, and the largest change of a pose.
+class _Graph:
+    """The factors of a problem, which are linearised about one state after the other."""
 
-    The motions are changed, and the poses follow from them: so the wheels still drive arcs after a large step.
-    """
-    moves = step[: unknowns.first_calibration].reshape(state.poses.shape)
-    lines = step[unknowns.first_line :].reshape(-1, 2)
-    calibration = np.zeros_like(state.calibration)
-    motions = np.einsum("ntij,ntj->nti", _by_poses(problem, state), np.concatenate((moves[:, :-1], moves[:, 1:]), -1))
-    if unknowns.calibrated:
-        calibration = step[unknowns.first_calibration : unknowns.first_line].reshape(calibration.shape)
-        motions += _by_axle(problem, state) * calibration[:, 2, None, None]
-    largest, before, share = float(np.abs(moves).max()), chi_square(problem, state, readings, weights), 1.0
-    for _ in range(_MOST_HALVINGS):
-        new = moved(
-            problem,
-            state.motions + share * motions,
-            state.lines + share * lines,
-            state.anchors,
-            state.calibration + share * calibration,
+    def __init__(self, problem: Problem, labels: IntArray, unknowns: Unknowns) -> None:
+        self._problem, self._labels, self._unknowns = problem, labels, unknowns
+        self.equations = NormalEquations(unknowns.size, unknowns.order)
+
+    def linearise(self, state: State, readings: Expected, weights: FloatArray) -> None:
+        """Sum up the factors, linearised about a state."""
+        unknowns, equations = self._unknowns, self.equations
+        equations.restart()
+        self._add_motions(state)
+        self._add_readings(state, readings, weights)
+        lines = np.arange(unknowns.first_line, unknowns.size).reshape(-1, 2)
+        equations.add(lines, np.tile(np.diag(1.0 / _LINE_STD), (len(lines), 1, 1)), np.zeros(lines.shape))
+        # The unknowns that are eliminated last get an entry for each pair, since their joint covariance is asked for.
+        count = len(unknowns.kept)
+        equations.add_blocks(unknowns.kept[None], np.zeros((1, count, count)), np.zeros((1, count)))
+
+    def descend(self, state: State, step: FloatArray, readings: Expected, weights: FloatArray) -> tuple[State, float]:
+        """The state after a step, which is halved until the residuals do not grow, and the largest change of a pose.
+
+        The motions are changed, and the poses follow from them: so the wheels still drive arcs after a large step.
+        """
+        problem, unknowns = self._problem, self._unknowns
+        moves = step[: unknowns.first_calibration].reshape(state.poses.shape)
+        lines = step[unknowns.first_line :].reshape(-1, 2)
+        calibration, pairs = np.zeros_like(state.calibration), np.concatenate((moves[:, :-1], moves[:, 1:]), axis=-1)
+        motions = np.einsum("ntij,ntj->nti", self._by_poses(state), pairs)
+        if unknowns.calibrated:
+            calibration = step[unknowns.first_calibration : unknowns.first_line].reshape(calibration.shape)
+            motions += self._by_axle(state) * calibration[:, 2, None, None]
+        largest, before, share = float(np.abs(moves).max()), chi_square(problem, state, readings, weights), 1.0
+        for _ in range(_MOST_HALVINGS):
+            new = moved(
+                problem,
+                state.motions + share * motions,
+                state.lines + share * lines,
+                state.anchors,
+                state.calibration + share * calibration,
+            )
+            after = chi_square(problem, new, expected(problem, new, self._labels), weights)
+            if share * largest < _CONVERGED or after <= before * (1.0 + 1e-6) + 1e-3:
+                break
+            share *= 0.5
+        return new, share * largest
+
+    def _add_motions(self, state: State) -> None:
+        """Add the motions, and the prior of the calibrations, if these are estimated."""
+        problem, unknowns = self._problem, self._unknowns
+        errors, jacobian = state.motions - problem.motions(state.calibration), self._by_poses(state)
+        columns = pose_columns(np.arange(unknowns.robots * unknowns.steps)).reshape(state.poses.shape)
+        columns = np.concatenate((columns[:, :-1], columns[:, 1:]), axis=-1)
+        if problem.prior is not None:
+            by_calibration = np.zeros((*problem.wheels.shape, unknowns.calibrated))
+            by_calibration[:, :, 0, 0], by_calibration[:, :, 1, 1] = -problem.wheels[..., 0], -problem.wheels[..., 1]
+            by_calibration[..., 2] = self._by_axle(state)
+            jacobian = np.concatenate((jacobian, by_calibration), axis=-1)
+            own = np.arange(unknowns.first_calibration, unknowns.first_line).reshape(state.calibration.shape)
+            columns = np.concatenate((columns, np.repeat(own[:, None], columns.shape[1], axis=1)), axis=-1)
+            off, count = state.calibration - problem.assumed_calibration, len(own)
+            identity = np.tile(np.eye(unknowns.calibrated), (count, 1, 1))
+            self.equations.add(own, identity, off, np.tile(problem.prior, (count, 1, 1)))
+        white, width = problem.whitened(jacobian), columns.shape[-1]
+        self.equations.add(
+            columns.reshape(-1, width), white.reshape(-1, 3, width), problem.whitened(errors).reshape(-1, 3)
         )
-        after = chi_square(problem, new, expected(problem, new, labels), weights)
-        if share * largest < _CONVERGED or after <= before * (1.0 + 1e-6) + 1e-3:
-            break
-        share *= 0.5
-    return new, share * largest
 
+    def _add_readings(self, state: State, readings: Expected, weights: FloatArray) -> None:
+        """Add the readings of lines."""
+        problem, unknowns, used = self._problem, self._unknowns, np.flatnonzero(self._labels >= 0)
+        places, roots = problem.readings.places[used], np.sqrt(weights[used]) / problem.range_std
+        lines = unknowns.first_line + 2 * self._labels[used, None] + np.arange(2)
+        columns, jacobian = [pose_columns(places), lines], [readings.by_pose[used], readings.by_line[used]]
+        if unknowns.calibrated:
+            robots = places[:, None] // problem.steps
+            columns.append(unknowns.first_calibration + unknowns.calibrated * robots + 3)
+            jacobian.append(np.ones((len(used), 1)))
+        errors = -range_residuals(problem, state, readings)[used] * roots
+        self.equations.add(np.hstack(columns), (np.hstack(jacobian) * roots[:, None])[:, None], errors[:, None])
 
-def _linearise(
-    equations: NormalEquations, problem: Problem, state: State, labels: IntArray, readings: Expected,
-    weights: FloatArray, unknowns: Unknowns,
-) -> None:  # fmt: skip
-    """Linearise all factors about a state."""
-    equations.restart()
-    _add_motions(equations, problem, state, unknowns)
-    _add_readings(equations, problem, state, labels, readings, weights, unknowns)
-    lines = np.arange(unknowns.first_line, unknowns.size).reshape(-1, 2)
-    equations.add(lines, np.tile(np.diag(1.0 / _LINE_STD), (len(lines), 1, 1)), np.zeros(lines.shape))
-    # The unknowns that are eliminated last get an entry for each pair, since their joint covariance is asked for.
-    count = len(unknowns.kept)
-    equations.add_blocks(unknowns.kept[None], np.zeros((1, count, count)), np.zeros((1, count)))
+    def _by_poses(self, state: State) -> FloatArray:
+        """Derivatives (n, t - 1, 3, 6) of the motions by the pose before and the pose after each."""
+        pairs = zip(state.poses, state.calibration, strict=True)
+        return np.array([motion_jacobians(poses, self._problem.axle(sizes)) for poses, sizes in pairs])
 
-
-def _add_motions(equations: NormalEquations, problem: Problem, state: State, unknowns: Unknowns) -> None:
-    """Add the motions, and the prior of the calibrations, if these are estimated."""
-    errors, jacobian = state.motions - problem.motions(state.calibration), _by_poses(problem, state)
-    robots, poses = np.arange(unknowns.robots), np.arange(unknowns.robots * unknowns.steps)
-    columns = pose_columns(poses).reshape(*state.poses.shape)
-    columns = np.concatenate((columns[:, :-1], columns[:, 1:]), axis=-1)
-    if problem.prior is not None:
-        by_calibration = np.zeros((*problem.wheels.shape, unknowns.calibrated))
-        by_calibration[:, :, 0, 0], by_calibration[:, :, 1, 1] = -problem.wheels[..., 0], -problem.wheels[..., 1]
-        by_calibration[..., 2] = _by_axle(problem, state)
-        jacobian = np.concatenate((jacobian, by_calibration), axis=-1)
-        own = unknowns.first_calibration + unknowns.calibrated * robots[:, None] + np.arange(unknowns.calibrated)
-        columns = np.concatenate((columns, np.repeat(own[:, None], columns.shape[1], axis=1)), axis=-1)
-        off = state.calibration - problem.assumed_calibration
-        count = unknowns.calibrated
-        equations.add(own, np.tile(np.eye(count), (len(own), 1, 1)), off, np.tile(problem.prior, (len(own), 1, 1)))
-    width = columns.shape[-1]
-    white, by_unknowns = problem.whitened(errors).reshape(-1, 3), problem.whitened(jacobian).reshape(-1, 3, width)
-    equations.add(columns.reshape(-1, width), by_unknowns, white)
-
-
-def _add_readings(
-    equations: NormalEquations, problem: Problem, state: State, labels: IntArray, readings: Expected,
-    weights: FloatArray, unknowns: Unknowns,
-) -> None:  # fmt: skip
-    """Add the readings of lines."""
-    used = np.flatnonzero(labels >= 0)
-    places, roots = problem.readings.places[used], np.sqrt(weights[used]) / problem.range_std
-    lines = unknowns.first_line + 2 * labels[used, None] + np.arange(2)
-    columns, jacobian = [pose_columns(places), lines], [readings.by_pose[used], readings.by_line[used]]
-    if unknowns.calibrated:
-        robots = places[:, None] // problem.steps
-        columns.append(unknowns.first_calibration + unknowns.calibrated * robots + 3)
-        jacobian.append(np.ones((len(used), 1)))
-    errors = -range_residuals(problem, state, readings)[used] * roots
-    equations.add(np.hstack(columns), (np.hstack(jacobian) * roots[:, None])[:, None], errors[:, None])
-
-
-def _by_poses(problem: Problem, state: State) -> FloatArray:
-    """Derivatives (n, t - 1, 3, 6) of the motions by the pose before and the pose after each."""
-    pairs = zip(state.poses, state.calibration, strict=True)
-    return np.array([motion_jacobians(poses, problem.axle(sizes)) for poses, sizes in pairs])
-
-
-def _by_axle(problem: Problem, state: State) -> FloatArray:
-    """Derivatives (n, t - 1, 3) of the motions by the relative excess of the axle."""
-    turned = 0.5 * np.diff(state.poses[..., 2], axis=1) * problem.robot.axle
-    return np.stack((-turned, turned, np.zeros_like(turned)), axis=-1)
+    def _by_axle(self, state: State) -> FloatArray:
+        """Derivatives (n, t - 1, 3) of the motions by the relative excess of the axle."""
+        turned = 0.5 * np.diff(state.poses[..., 2], axis=1) * self._problem.robot.axle
+        return np.stack((-turned, turned, np.zeros_like(turned)), axis=-1)

@@ -178,14 +178,7 @@ def seen_ends(problem: Problem, state: State, labels: IntArray) -> FloatArray:
 
 
 def assigned(problem: Problem, state: State, ends: FloatArray) -> IntArray:
-    """For each reading, the line that predicts it, or -1 if no line or two lines predict it."""
-    best, misfits = best_lines(problem, state, ends)
-    is_clear = (misfits[:, 0] < GATE) & (misfits[:, 1] - misfits[:, 0] > _MARGIN)
-    return np.where(is_clear, best, -1)
-
-
-def best_lines(problem: Problem, state: State, ends: FloatArray) -> tuple[IntArray, FloatArray]:
-    """The best line (k,) of each reading, or -1, and the misfits of the best and second line (k, 2), in deviations.
+    """For each reading, the line that predicts it, or -1 if no line or two lines predict it.
 
     A line can explain the readings from a side between the ends (m, 2, 2) on this side, and up to ``BEYOND``
     outside.
@@ -197,7 +190,9 @@ def best_lines(problem: Problem, state: State, ends: FloatArray) -> tuple[IntArr
         state.flat_poses, readings.places, problem.beams, readings.distances - biases, state.lines, state.anchors,
         ends, BEYOND, problem.beam_width, best, misfits,
     )  # fmt: skip
-    return best, misfits / problem.range_std / problem.noise[:, None]
+    misfits /= problem.range_std * problem.noise[:, None]
+    is_clear = (misfits[:, 0] < GATE) & (misfits[:, 1] - misfits[:, 0] > _MARGIN)
+    return np.where(is_clear, best, -1)
 
 
 def straightened(problem: Problem, found: Association) -> Association:
