@@ -132,17 +132,13 @@ class FrameMapper:
             monitor.check(slam.covariances[number], KnownMap(slam.segments, self.grid.view))
 
     def _renew(self, observation: Observation, *, may_renew: bool) -> bool:
-        """Smooth the last minutes, if that is due; whether that has moved the path far.
-
-        A robot that goes on in a local frame when it is lost counts as ok.
-        """
+        """Smooth the last minutes, if that is due; whether that has moved the path far."""
         renewal = self._renewal
         if not renewal.is_possible or "wheels" not in observation:
             return False
         begin = time.perf_counter()
         renewal.note(observation)
-        is_recovered = self._config.can_recover and len(self.monitors) == 1
-        is_renewed = may_renew and renewal.renew_if_due("ok" if is_recovered else self.monitors[0].status.level)
+        is_renewed = may_renew and renewal.renew_if_due()
         if is_renewed:
             self.grid = renewal.grid
             if renewal.has_jumped:

@@ -14,13 +14,12 @@ from limslam_agent.places.rays import rays_of
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.status import Level
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose, inverse, wrap_angle
 from limslam_env.interface import Observation
 
 LEAST_PERIOD = 30.0
-"""Least time between two renewals, s, if the robot is lost and does not go on in a local frame."""
+"""Least time since the last renewal, s, after which the estimate of a lost robot is renewed."""
 
 LEAST_DRIVEN = 1.0
 """A robot that has hardly moved since the last renewal has nothing to smooth, m."""
@@ -50,9 +49,8 @@ class Renewal:
     """The observations of a robot since its estimate was last renewed, and the estimate at that time.
 
     The filter cannot take back a wrong association, and a wrong one is only a matter of time. The smoother can. So the
-    stretch since the last renewal is smoothed every few minutes, and early when a robot is lost that does not go on in
-    a local frame. Then only the map remains of the stretch, so that memory and time do not grow with the length of a
-    drive.
+    stretch since the last renewal is smoothed every few minutes, and early when a robot is lost. Then only the map
+    remains of the stretch, so that memory and time do not grow with the length of a drive.
 
     The occupancy grid stays where it was drawn when the filter corrects poses and walls. A renewal draws it again.
 
@@ -85,9 +83,7 @@ class Renewal:
         self._rows: list[tuple[FloatArray, FloatArray, BoolArray, FloatArray, FloatArray]] = []
         self._associations: list[AssociationRecord] = []
         self._start: MapState | None = None
-        self._closures = self._first_step = self._tried = 0
-        self._level: Level = "ok"
-        self._is_wanted = self._began_lost = False
+        self._closures = self._first_step = 0
         wanted = config.renewal is not None and config.run_smoothing is not None
         self.is_possible = wanted and slam.is_renewable
 
@@ -99,25 +95,13 @@ class Renewal:
         travel = np.asarray(observation["wheels"], dtype=float)
         self._rows.append((travel, front.ranges, front.measured, self._slam.pose, self._slam.covariance))
 
-    def renew_if_due(self, level: Level) -> bool:
-        """Renew the estimate if that is due, by the level of its status; whether it was renewed.
-
-        It is due after some minutes, and once when the robot gets lost. A robot that is only unsure gains nothing by a
-        short stretch that knows little. The pose of a robot that was lost at the beginning of a stretch is no place to
-        smooth from. A robot that is no longer lost may have been placed anew, and a new stretch begins.
-        """
+    def renew_if_due(self) -> bool:
+        """Renew the estimate some minutes after the last time; whether it was renewed."""
         settings, waited = self._config.renewal, len(self._rows) * self._slam.robot.control_period
-        if settings is None or not self._rows:
+        if settings is None or not self._rows or waited < settings.period:
             return False
-        is_found = self._level == "lost" and level != "lost"
-        is_worse = self._level != "lost" and level == "lost"
-        self._is_wanted, self._level = (self._is_wanted or is_worse) and level != "ok", level
-        is_over = waited >= settings.period
-        # A stretch that could not be smoothed is tried again when it is twice as long.
-        is_early = self._is_wanted and waited >= LEAST_PERIOD and len(self._rows) >= 2 * self._tried
-        is_renewed = (is_over or is_early) and not (is_found or self._began_lost) and self._renew()
-        if is_over or is_renewed or is_found:
-            self._begin_at_last_row()
+        is_renewed = self._renew()
+        self._begin_at_last_row()
         return is_renewed
 
     def renew_lost(self) -> bool:
@@ -133,7 +117,7 @@ class Renewal:
 
     def _renew(self, *, is_expected: bool = True) -> bool:
         """Renew the estimate and the grid, if the stretch can be smoothed and fits the map; whether it was done."""
-        found, self._tried = self._smoothed(), len(self._rows)
+        found = self._smoothed()
         if found is None:
             return False
         state, smoothed = found
@@ -148,7 +132,7 @@ class Renewal:
         if gain < (-GAIN if is_expected and self._expects(trial.pose) else GAIN):
             return False
         self._slam.renew(state)
-        self._is_wanted, self.grid, self.poses = False, grid, poses
+        self.grid, self.poses = grid, poses
         self.covariances = [row[4] for row in self._rows[1:]]
         self.has_jumped = bool(np.hypot(*(np.array(poses) - np.array(believed))[:, :2].T).max() > FAR)
         return True
@@ -190,7 +174,6 @@ class Renewal:
         self._start, self._associations = self._slam.map_state, list[AssociationRecord]()
         self._slam.recent_associations = self._associations
         self._closures, self._first_step = len(self._slam.closures), self._slam.robots[0].step
-        self._tried, self._began_lost = 0, self._level == "lost"
         self._first_grid = self.grid.copied()
 
     def _smoothed(self) -> tuple[MapState, FloatArray] | None:

@@ -175,32 +175,6 @@ def _announce_the_first() -> None:
     announce("compiling small kernels, once, a few seconds; `limslam warmup` compiles all of them beforehand")
 
 
-def is_kept(kernel: Any) -> bool:
-    """Whether code of a kernel is on disk, made of the present sources. Always if this version of numba cannot tell."""
-    file = getattr(getattr(kernel, "_cache", None), "_cache_file", None)
-    return not hasattr(file, "_load_index") or bool(file._load_index())  # type: ignore[union-attr]  # noqa: SLF001
-
-
-_NUMBERS = {"f": types.float64, "i": types.int64, "b": types.boolean}
-
-
-def compile_for(kernel: Any, arguments: str) -> None:
-    """Compile a kernel before it is called, or load its code from disk.
-
-    Parameters
-    ----------
-    arguments
-        A word for each argument: ``f`` for a float, ``i`` for an integer and ``b`` for a bool, and the number of axes
-        if it is an array of them. Capitals are arrays whose elements may have gaps between them.
-    """
-    kernel.compile(tuple(_type_of(word) for word in arguments.split()))
-
-
-def _type_of(word: str) -> Any:
-    number = _NUMBERS[word[0].lower()]
-    return types.Array(number, int(word[1:]), "A" if word[0].isupper() else "C") if word[1:] else number
-
-
 @functools.cache
 def source_stamp(*sources: str) -> str:
     """A digest of the text of modules and packages, given by their dotted names.

@@ -66,12 +66,14 @@ AGENT = {
         *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"),
         *agent("config", "kernels", "readings", "slam.core", "slam.consistent"),
     },
+    "limslam_agent.slam.least_squares": {GEOMETRY, *env("compilation")},
     "limslam_agent.slam.line_graph": {
-        *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config", "kernels", "slam.core", "slam.consistent"),
+        *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"),
+        *agent("config", "kernels", "slam.core", "slam.consistent", "slam.least_squares"),
     },
-    "limslam_agent.slam.graph": {*WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config")},
+    "limslam_agent.slam.graph": {*WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config", "slam.least_squares")},
     "limslam_agent.slam.merging": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.graph")},
-    "limslam_agent.slam.online_graph": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.graph")},
+    "limslam_agent.slam.online_graph": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.graph", "slam.least_squares")},
     "limslam_agent.slam": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core"), *ESTIMATORS},
     "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "dropouts", "kernels")},
     "limslam_agent.status": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid", "kernels", "slam.core")},
@@ -174,6 +176,7 @@ COMPILED = {
     "limslam_agent.kernels",
     "limslam_agent.slam.batch",
     "limslam_agent.slam.graph",
+    "limslam_agent.slam.least_squares",
     "limslam_agent.slam.line_graph",
 }
 SEEDED = {"default_rng", "Generator", "SeedSequence", "BitGenerator", "PCG64", "PCG64DXSM", "Philox", "SFC64"}

@@ -2,7 +2,7 @@
 
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -67,7 +67,6 @@ def carry_out(given: Given, options: RunOptions) -> None:
     """
     from limslam_agent.output.run_folder import new_folder
     from limslam_agent.output.summary import record_summary, run_summary
-    from limslam_agent.runs.precompilation import smoother_beside
     from limslam_agent.runs.results import write_episode
     from limslam_env.messages import printable
 
@@ -78,13 +77,11 @@ def carry_out(given: Given, options: RunOptions) -> None:
     task, total = ("driving", options.max_time) if options.laps else ("exploring", 1.0)
     with (
         new_folder(target, force=options.force, numbered=options.out is None) as folder,
-        smoother_beside() if config.agent.run_smoothing else nullcontext(lambda: None) as wait_for_smoother,
         progress_bar(task, total) as advance,
     ):
         episode = _filmed_run(config, advance, options)
         if config.agent.run_smoothing is not None:
             advance(options.max_time if options.laps else 1.0, "smoothing, and writing the map")
-        wait_for_smoother()
         result = write_episode(folder.beside, episode)
         write_run_settings(folder.beside, options, config)
     for line in record_summary(result) + run_summary(result["metrics"], result["cost"]):

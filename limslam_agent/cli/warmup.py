@@ -67,8 +67,10 @@ def _smoothers() -> None:
     from limslam_agent.replay.replay import replay_log
     from limslam_agent.runs.episode import run_episode
     from limslam_agent.runs.run_config import RunConfig
+    from limslam_agent.runs.smoothing import smooth_episode
 
     lap = run_episode(RunConfig("square", 0.02, laps=1))
+    smooth_episode(lap)
     log = RecordedLog(
         robot=lap.config.robot,
         time=lap.time,
@@ -83,7 +85,7 @@ def _smoothers() -> None:
 STEPS: dict[str, tuple[int, Callable[[], None]]] = {
     "simulator": (10, _single),
     "batch": (10, _batch),
-    "smoothers": (20, _smoothers),
+    "smoothers": (10, _smoothers),
     "BatchSlam": (25, _batch_slam),
 }
 LAST = "BatchSlam"

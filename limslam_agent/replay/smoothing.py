@@ -287,9 +287,7 @@ def smoothed_by_lines(
     basis = run if found.is_continued else run.until(placed)
     smoothed = Smoothed(poses, _line_figures(found), None, seconds, found.covariances[:, 0], status, basis)
     grid = draw_grid(replay, drawn, found.robot)
-    return replace(
-        replay, landmarks=found.landmarks, segments=found.segments, grid=grid, smoothed=smoothed, beam_turns=found.turns
-    )
+    return replace(replay, landmarks=found.landmarks, segments=found.segments, grid=grid, smoothed=smoothed)
 
 
 def draw_grid(replay: Replay, poses: FloatArray, robot: RobotSpec | None = None) -> GridView:
@@ -305,7 +303,7 @@ def _line_figures(found: SmoothedRun) -> dict[str, Any]:
     values = [1.0, 1.0, 1.0] if found.calibration is None else (1.0 + found.calibration[0, :3]).tolist()
     bias = 0.0 if found.calibration is None else float(found.calibration[0, 3])
     sizes = {f"smoothed_{name}": value for name, value in zip(names, values, strict=True)}
-    return {**sizes, "smoothed_range_bias_m": bias, "smoothed_moves": list(found.moves)}
+    return {**sizes, "smoothed_range_bias_m": bias}
 
 
 def _figures(found: GraphResult) -> dict[str, Any]:

@@ -1,7 +1,7 @@
-"""Kernels are compiled by a second process, where there are two processors: the line smoother while a robot drives.
+"""Kernels are compiled by a second process, where there are two processors.
 
-A run needs the smoother at its end only, so nobody waits for it. If the second process fails, even by a crash of the
-compiler, the first one finds nothing on disk and compiles the kernels itself.
+If the second process fails, even by a crash of the compiler, the first one finds nothing on disk and compiles the
+kernels itself.
 """
 
 import os
@@ -9,51 +9,9 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import Any
 
-_SECONDS = 10
-"""About how long the kernels take to compile on a usual processor, s."""
 _LONGEST_WAIT = 120.0
-"""How long a run waits for the second process, s, before it compiles the kernels itself."""
-
-
-def kernels_of_smoother() -> list[tuple[Any, str]]:
-    """The kernels that each smoothing calls, with their arguments in the letters of ``compile_for``."""
-    from limslam_agent.slam.line_graph import chain_kernels, line_kernels, line_merging
-
-    return [
-        (line_merging.merge_lines, "f2 f2 f2 f3 f2 f1 f1 f1 i1"),
-        (line_merging.wall_kinds, "f2 f2 f2 f3 f2 f1"),
-        (chain_kernels.drive, "f1 f2 f f2"),
-        (chain_kernels.motions_between, "f2 f f2"),
-        (chain_kernels.motion_jacobians, "f2 f f3 f3"),
-        (chain_kernels.expected_readings, "f2 i1 f2 i1 f2 f2 f2"),
-        (chain_kernels.add_motions, "f3 f3 f3 f2 f3 f3 f3 f2 f2 f1"),
-        (chain_kernels.add_motions, "f3 f3 f3 f2 f3 f3 f3 f2 F2 f1"),
-        (chain_kernels.add_readings, "i1 i1 f2 f1 f1 i1 i1 f1 i f3 f3 f2 f2 f1"),
-        (chain_kernels.eliminate, "f3 f3 f3 f2 i1 i1 f2 f1 f3 f3 f3 f2"),
-        (chain_kernels.substitute, "f3 f3 f3 f2 f1 f2"),
-        (chain_kernels.pose_marginals, "f3 f3 f3 f2 f2 f3"),
-        (line_kernels.hit_points, "f2 i1 f2 f1 f2"),
-        (line_kernels.fit_lines, "f2 i1 f f2 f2"),
-        (line_kernels.places_along, "f2 i1 f2 i1 f2 f2 f1"),
-        (line_kernels.best_lines, "f2 i1 f2 f1 f2 f2 f3 f f i1 f2"),
-        (line_kernels.one_sided_runs, "f1 i1 f i b1"),
-        (line_kernels.count_crossings, "f2 i1 f2 f1 f2 f2 i1 i2 f i2 i1"),
-    ]
-
-
-@contextmanager
-def smoother_beside() -> Iterator[Callable[[], None]]:
-    """Let a second process compile the smoother if it is not on disk; yield a function that waits for the process."""
-    from limslam_env.compilation import is_kept
-    from limslam_env.messages import announce
-
-    is_needed = processors() > 1 and not all(is_kept(kernel) for kernel, _ in kernels_of_smoother())
-    if is_needed:
-        announce(f"a second process compiles the smoother, once, about {_SECONDS} s, while the robot drives")
-    with beside(f"from {__name__} import main; main()" if is_needed else None) as wait:
-        yield wait
+"""How long the first process waits for the second process, s, before it compiles the kernels itself."""
 
 
 @contextmanager
@@ -91,11 +49,3 @@ def _wait(child: "subprocess.Popen[bytes]") -> None:
         child.wait(_LONGEST_WAIT)
     except subprocess.TimeoutExpired:
         child.terminate()
-
-
-def main() -> None:
-    """Compile the kernels of the smoother, and keep them on disk."""
-    from limslam_env.compilation import compile_for
-
-    for kernel, arguments in kernels_of_smoother():
-        compile_for(kernel, arguments)

@@ -244,12 +244,11 @@ def _config(episode: Episode) -> dict[str, Any]:
 
 
 def _record(episode: Episode) -> dict[str, Any]:
-    smoothed = episode.smoothed
     record = record_of(episode.time, list(episode.true.swapaxes(0, 1)), list(episode.odometry.swapaxes(0, 1)))
     return {
         **record,
         "places": place_records(episode.time, episode.places.records),
-        "beam_turns": turn_records(episode.beam_turns if smoothed is None else smoothed.turns),
+        "beam_turns": turn_records(episode.beam_turns),
         "calibration": [found and calibration_record(*found) for found in episode.calibrations],
     }
 

@@ -11,7 +11,7 @@ from support.drives import along, drive, room
 from limslam_agent import LineSlam, Mapper, preset
 from limslam_agent.config.smoother import RenewalConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.renewal import LEAST_PERIOD, Renewal
+from limslam_agent.renewal import Renewal
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.wall_extent import WallExtent
 from limslam_agent.slam.consistent.wall_map import NEW, Wall
@@ -51,7 +51,7 @@ def driven(settings, told):
         slam.step(observation)
         if renewal.is_possible:
             renewal.note(observation)
-            if renewal.renew_if_due("ok"):
+            if renewal.renew_if_due():
                 renewed.append(step)
         poses.append(slam.pose)
         covariances.append(slam.covariance)
@@ -138,18 +138,6 @@ def test_a_stretch_that_contradicts_itself_is_not_used():
     assert len(slam.all_landmarks) > 0
 
 
-def renewed_at(settings, lost):
-    """The steps of two rounds after which an estimate is renewed, if the robot is lost in some of the steps."""
-    slam = LineSlam(ROBOT, settings, START)
-    renewal, steps = Renewal(slam, settings, OccupancyGrid(settings.grid)), []
-    for step, observation in enumerate(rounds(2)[0]):
-        slam.step(observation)
-        renewal.note(observation)
-        if renewal.renew_if_due("lost" if step in lost else "ok"):
-            steps.append(step)
-    return steps
-
-
 def test_a_renewal_draws_the_grid_at_the_smoothed_poses():
     settings = config(ROUND_S)
     slam, grid = LineSlam(ROBOT, settings, START), OccupancyGrid(settings.grid)
@@ -159,7 +147,7 @@ def test_a_renewal_draws_the_grid_at_the_smoothed_poses():
         front, wrong = slam.robots[0], np.array([5.0 if number else 0.0, 0.0, 0.0])
         grid.update(slam.pose + wrong, ROBOT, front.ranges, front.measured)
         renewal.note(observation)
-        if renewal.renew_if_due("ok"):
+        if renewal.renew_if_due():
             break
     assert not renewal.has_jumped
     view = renewal.grid.view
@@ -181,16 +169,6 @@ def test_a_renewal_that_moves_the_path_far_begins_a_new_frame(monkeypatch):
         assert mapper.belief.status.level == "ok"
     assert frames[0] == 0
     assert frames[1] >= 1
-
-
-def test_a_robot_that_gets_lost_is_renewed_once():
-    settings = config(1000.0)
-    assert renewed_at(settings, range(1000)) == [round(LEAST_PERIOD / ROBOT.control_period) - 1]
-
-
-def test_a_robot_that_is_lost_is_renewed_only_from_a_pose_that_was_known():
-    # The stretch from 99 to 198 began before the robot was lost. A new stretch begins when it is found, at 450.
-    assert renewed_at(config(10.0), range(150, 450)) == [99, 198, 549]
 
 
 def test_a_robot_that_stands_still_is_not_renewed():

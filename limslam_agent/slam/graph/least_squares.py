@@ -1,102 +1,19 @@
-"""Factors of the graph with their Jacobians, and the sparse normal equations to which the factors are added.
+"""Factors of the graph with their Jacobians, which are added to normal equations.
 
 The unknowns have this order: three for each key pose, the five constant errors of odometry, two for each line (turn
 about its centre, offset). A step is added to the parameters of a pose directly.
 """
 
-from dataclasses import dataclass, field
-
 import numpy as np
-from scipy.sparse import csc_matrix, diags_array
-from scipy.sparse.linalg import SuperLU, splu
 
 from limslam_agent.config.graph import OdometryErrorConfig
 from limslam_agent.slam.graph.key_poses import ERRORS, KeyPoses, Trajectory, calibrated_rates, calibrated_steps
+from limslam_agent.slam.least_squares.normal_equations import NormalEquations
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import FloatArray, IntArray, se2
 
 # A kernel calls only kernels of its own file.
 kernel = entry_of(__name__)
-
-_FIXED = 3
-_AT_ONCE = 32
-
-
-@dataclass(eq=False)
-class NormalEquations:
-    """Sums of J^T W J and J^T W e over factors.
-
-    Attributes
-    ----------
-    size
-        Number of unknowns.
-    gradient
-        (size,) the sum of J^T W e.
-    """
-
-    size: int
-    gradient: FloatArray = field(init=False)
-    _rows: list[IntArray] = field(init=False, default_factory=list)
-    _columns: list[IntArray] = field(init=False, default_factory=list)
-    _values: list[FloatArray] = field(init=False, default_factory=list)
-
-    def __post_init__(self) -> None:
-        self.gradient = np.zeros(self.size)
-
-    def add(self, columns: IntArray, jacobian: FloatArray, error: FloatArray, information: FloatArray) -> None:
-        """Add factors with columns (f, q), Jacobians (f, d, q), errors (f, d) and information matrices (f, d, d)."""
-        weighted = information @ jacobian
-        self.add_blocks(columns, jacobian.transpose(0, 2, 1) @ weighted, np.einsum("fdq,fd->fq", weighted, error))
-
-    def add_blocks(self, columns: IntArray, hessian: FloatArray, gradient: FloatArray) -> None:
-        """Add given sums: columns (f, q), J^T W J (f, q, q) and J^T W e (f, q)."""
-        width = columns.shape[1]
-        self._rows.append(np.repeat(columns, width, axis=1).ravel())
-        self._columns.append(np.tile(columns, (1, width)).ravel())
-        self._values.append(hessian.ravel())
-        np.add.at(self.gradient, columns.ravel(), gradient.ravel())
-
-    def factorise(self, damping: float = 0.0) -> SuperLU:
-        """Factorise the matrix without the first pose, which is fixed.
-
-        ``damping`` times the diagonal is added to the matrix.
-        """
-        rows, columns = np.concatenate(self._rows), np.concatenate(self._columns)
-        matrix = csc_matrix((np.concatenate(self._values), (rows, columns)), shape=(self.size, self.size))
-        matrix = matrix[_FIXED:, _FIXED:]
-        if damping:
-            matrix = csc_matrix(matrix + diags_array(damping * matrix.diagonal()))
-        options = {"SymmetricMode": True}
-        return splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options=options)
-
-    def solve(self, damping: float = 0.0) -> FloatArray:
-        """The Gauss-Newton step (size,)."""
-        step = np.zeros(self.size)
-        step[_FIXED:] = -self.factorise(damping).solve(self.gradient[_FIXED:])
-        return step
-
-    def solved(self, factors: SuperLU, right: FloatArray) -> FloatArray:
-        """The inverse of the matrix times ``right`` (size, k). The rows of the fixed first pose are zero."""
-        solved = np.zeros_like(right)
-        solved[_FIXED:] = factors.solve(right[_FIXED:])
-        return solved
-
-    def covariances(self, columns: IntArray, jacobian: FloatArray) -> FloatArray:
-        """Covariances (f, d, d) of quantities whose Jacobians (f, d, q) refer to the unknowns ``columns`` (f, q)."""
-        factors, found = self.factorise(), np.empty((len(jacobian), jacobian.shape[1], jacobian.shape[1]))
-        # A few at a time, since each needs dense columns of all unknowns.
-        for begin in range(0, len(jacobian), _AT_ONCE):
-            part = slice(begin, begin + _AT_ONCE)
-            found[part] = self._covariances(factors, columns[part], jacobian[part])
-        return found
-
-    def _covariances(self, factors: SuperLU, columns: IntArray, jacobian: FloatArray) -> FloatArray:
-        count, height, _ = jacobian.shape
-        right = np.zeros((self.size, count * height))
-        places = np.arange(count * height).reshape(count, height)
-        right[columns[:, :, None], places[:, None, :]] = jacobian.transpose(0, 2, 1)
-        solved = self.solved(factors, right)
-        return np.asarray(jacobian @ solved[columns[:, :, None], places[:, None, :]])
 
 
 def pose_columns(keys: IntArray) -> IntArray:

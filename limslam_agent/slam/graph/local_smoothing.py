@@ -11,15 +11,10 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.key_poses import ERRORS, KeyPoses, Trajectory, integrate
-from limslam_agent.slam.graph.least_squares import (
-    NormalEquations,
-    add_links,
-    add_odometry,
-    pose_columns,
-    relation_factor,
-)
+from limslam_agent.slam.graph.least_squares import add_links, add_odometry, pose_columns, relation_factor
 from limslam_agent.slam.graph.point_links import PointCloud, links_along, point_cloud
 from limslam_agent.slam.graph.wall_lines import add_lines, find_lines
+from limslam_agent.slam.least_squares.normal_equations import NormalEquations
 from limslam_env.geometry import FloatArray, IntArray
 
 _LINK_STD, _LINE_STD = 0.08, 0.06  # m

@@ -13,8 +13,9 @@ from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.agreement import LoopVerdict
 from limslam_agent.slam.graph.chunk_graph import LOOP_KERNEL
 from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory
-from limslam_agent.slam.graph.least_squares import NormalEquations, add_relations, odometry_factor, pose_columns
+from limslam_agent.slam.graph.least_squares import add_relations, odometry_factor, pose_columns
 from limslam_agent.slam.graph.local_smoothing import cautious_equations
+from limslam_agent.slam.least_squares.normal_equations import NormalEquations
 from limslam_env.geometry import FloatArray, IntArray
 
 _SPACING, _MOST_POSES = 2.5, 300  # m between the poses that are judged, and at most so many

@@ -12,8 +12,8 @@ import numpy as np
 
 from limslam_agent.config.graph import WallLineConfig
 from limslam_agent.slam.graph.key_poses import ERRORS
-from limslam_agent.slam.graph.least_squares import NormalEquations
 from limslam_agent.slam.graph.point_links import PointCloud
+from limslam_agent.slam.least_squares.normal_equations import NormalEquations
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 

@@ -1,6 +1,6 @@
 """Compiled parts of data association: line fits, line ends, best lines, and crossings of walls.
 
-Lines are (d, alpha) about one anchor each, as in :mod:`limslam_agent.slam.line_graph.chain_kernels`. A place along a
+Lines are (d, alpha) about one anchor each, as in :mod:`limslam_agent.slam.line_graph.factors`. A place along a
 line is its distance from the anchor, m.
 """
 
@@ -11,13 +11,11 @@ import numpy as np
 from limslam_agent.kernels.range_sensor import read_share
 from limslam_agent.slam.consistent.wall_extent import BIN
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
-from limslam_agent.slam.line_graph.chain_kernels import COLUMNS, RANGE, expected_reading
 from limslam_agent.slam.line_graph.compilation import compiled, entry
+from limslam_agent.slam.line_graph.factors import GRAZING
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
-GRAZING = 0.2
 _TRIED_ANGLES = 90
-_FITTED = 40  # largest number of a line's readings that are used to fit it
 _FAR = 1e9
 _OUTLIER = 25.0  # largest squared residual of a reading, divided by the variance; larger residuals are clipped
 
@@ -31,17 +29,6 @@ def ray(pose: FloatArray, beam: FloatArray) -> tuple[float, float, float, float]
 
 
 @entry
-def hit_points(
-    poses: FloatArray, places: IntArray, beams: FloatArray, distances: FloatArray, points: FloatArray
-) -> None:
-    """End points of readings, m, and the unit vectors of their beams, as rows of ``points`` (k, 4)."""
-    for k in range(len(places)):
-        x, y, ux, uy = ray(poses[places[k]], beams[k])
-        points[k, 0], points[k, 1] = x + distances[k] * ux, y + distances[k] * uy
-        points[k, 2], points[k, 3] = ux, uy
-
-
-@entry
 def fit_lines(points: FloatArray, firsts: IntArray, std: float, lines: FloatArray, anchors: FloatArray) -> None:
     """Fit lines (m, 2) and anchors (m, 2) to points (k, 4) in groups; group i begins at ``firsts[i]``.
 
@@ -50,12 +37,13 @@ def fit_lines(points: FloatArray, firsts: IntArray, std: float, lines: FloatArra
     """
     for group in range(len(lines)):
         first, end = firsts[group], firsts[group + 1]
-        stride = 1 + (end - first - 1) // _FITTED
+        if first == end:
+            continue
         anchors[group, 0], anchors[group, 1] = points[first:end, 0].mean(), points[first:end, 1].mean()
         best = np.inf
         for number in range(_TRIED_ANGLES):
             angle = number * math.pi / _TRIED_ANGLES
-            cost, offset = _fit_at(points[first:end:stride], anchors[group], angle, std)
+            cost, offset = _fit_at(points[first:end], anchors[group], angle, std)
             if cost < best:
                 best, lines[group, 0], lines[group, 1] = cost, offset, angle
 
@@ -76,29 +64,6 @@ def _fit_at(points: FloatArray, anchor: FloatArray, angle: float, std: float) ->
         away = (points[k, 0] - anchor[0]) * nx + (points[k, 1] - anchor[1]) * ny - offset
         cost += min((away / (cosine * std)) ** 2, _OUTLIER)
     return cost, offset
-
-
-@entry
-def places_along(
-    poses: FloatArray,
-    places: IntArray,
-    beams: FloatArray,
-    label: IntArray,
-    lines: FloatArray,
-    anchors: FloatArray,
-    along: FloatArray,
-) -> None:
-    """Places (k,) where beams should meet their associated lines, m; readings without a line are left out."""
-    row = np.zeros(COLUMNS)
-    for k in range(len(places)):
-        if label[k] < 0:
-            continue
-        line, anchor = lines[label[k]], anchors[label[k]]
-        expected_reading(poses[places[k]], beams[k], line, anchor, row)
-        x, y, ux, uy = ray(poses[places[k]], beams[k])
-        nx, ny = math.cos(line[1]), math.sin(line[1])
-        hit_x, hit_y = x + row[RANGE] * ux - anchor[0], y + row[RANGE] * uy - anchor[1]
-        along[k] = nx * hit_y - ny * hit_x
 
 
 @entry
@@ -209,7 +174,6 @@ def count_crossings(
     hits: IntArray,
     margin: float,
     misses: IntArray,
-    against: IntArray,
 ) -> int:
     """Count the beams that passed through lines; return the number of beams that passed through a wall.
 
@@ -223,9 +187,8 @@ def count_crossings(
         Length of the free path of each beam (k,), m.
     low, hits
         First bin (m,) of each line, and the number of beams that ended in each bin (m, b), 0 beyond a line's last bin.
-    misses, against
-        Counts that are increased: beams that passed through each bin (m, b), and walls of each line (m,) that were
-        passed through.
+    misses
+        Counts (m, b) of beams that passed through each bin, which are increased.
     """
     count, normals = 0, _normals(lines, anchors)
     for k in range(len(places)):
@@ -242,9 +205,7 @@ def count_crossings(
             if place < 0 or place >= hits.shape[1]:
                 continue
             misses[line, place] += 1
-            if _is_wall(hits[line], place):
-                against[line] += 1
-                is_against = True
+            is_against |= _is_wall(hits[line], place)
         count += is_against
     return count
 
@@ -255,91 +216,3 @@ def _is_wall(hits: IntArray, place: int) -> bool:
     if place < 2 or place >= len(hits) - 2 or hits[place] == 0:
         return False
     return bool(hits[place - 1] + hits[place - 2] > 0 and hits[place + 1] + hits[place + 2] > 0)
-
-
-@entry
-def explain_looks(
-    poses: FloatArray,
-    places: IntArray,
-    beams: FloatArray,
-    reached: FloatArray,
-    has_hit: BoolArray,
-    lines: FloatArray,
-    anchors: FloatArray,
-    low: IntArray,
-    hits: IntArray,
-    margin: float,
-    width: float,
-    misfits: FloatArray,
-    best: IntArray,
-) -> None:
-    """The residual of each look to the walls that its beam meets (k,), m, and the line (k,) that explains it, or -1.
-
-    A beam ends at the first wall that it certainly meets, or before that at the end of a wall that it may just meet.
-    Two walls close behind each other therefore explain no more looks than the first of them. A look that met no wall
-    has no residual, unless it passed through a wall by more than ``margin``, m along the normal.
-    """
-    normals = _normals(lines, anchors)
-    for k in range(len(places)):
-        ray_of_beam = ray(poses[places[k]], beams[k])
-        first, line, cosine = _first_sure(ray_of_beam, normals, low, hits)
-        if has_hit[k]:
-            misfits[k], best[k] = _nearest_before(ray_of_beam, reached[k], first, width, normals, low, hits)
-        else:
-            went = first + margin / max(cosine, GRAZING) < reached[k]
-            misfits[k], best[k] = (_FAR, line) if went else (0.0, -1)
-
-
-@compiled
-def _first_sure(
-    beam: tuple[float, float, float, float], normals: FloatArray, low: IntArray, hits: IntArray
-) -> tuple[float, int, float]:
-    """The distance to the first wall that a beam certainly meets, m, the wall's line, and the cosine."""
-    x, y, ux, uy = beam
-    first, found, its_cosine = _FAR, -1, 1.0
-    for line in range(len(normals)):
-        nx, ny = normals[line, 0], normals[line, 1]
-        cosine = nx * ux + ny * uy
-        distance = (normals[line, 2] - nx * x - ny * y) / cosine
-        if abs(cosine) < GRAZING or distance <= 0.0 or distance >= first:
-            continue
-        along = nx * (y + distance * uy) - ny * (x + distance * ux) - normals[line, 3]
-        place = math.floor(along / BIN) - low[line]
-        if 0 <= place < hits.shape[1] and _is_wall(hits[line], place):
-            first, found, its_cosine = distance, line, abs(cosine)
-    return first, found, its_cosine
-
-
-@compiled
-def _nearest_before(
-    beam: tuple[float, float, float, float],
-    reading: float,
-    first: float,
-    width: float,
-    normals: FloatArray,
-    low: IntArray,
-    hits: IntArray,
-) -> tuple[float, int]:
-    """The residual of a reading to the nearest wall that its beam may meet up to ``first``, m."""
-    x, y, ux, uy = beam
-    misfit, best = _FAR, -1
-    for line in range(len(normals)):
-        nx, ny = normals[line, 0], normals[line, 1]
-        cosine = nx * ux + ny * uy
-        distance = (normals[line, 2] - nx * x - ny * y) / cosine
-        if abs(cosine) < GRAZING or distance <= 0.0 or distance > first:
-            continue
-        away = abs(distance * read_share(cosine, width) - reading)
-        if away >= misfit:
-            continue
-        along = nx * (y + distance * uy) - ny * (x + distance * ux) - normals[line, 3]
-        place = math.floor(along / BIN) - low[line]
-        if -2 < place <= hits.shape[1] and _has_hits(hits[line], place):
-            misfit, best = away, line
-    return misfit, best
-
-
-@compiled
-def _has_hits(hits: IntArray, place: int) -> bool:
-    """Whether beams ended in a bin or in an adjacent bin."""
-    return bool(hits[max(place - 1, 0) : place + 2].sum() > 0)

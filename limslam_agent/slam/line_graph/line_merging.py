@@ -1,323 +1,261 @@
-"""Merging of lines that may be one wall, and which walls are thin boards: compiled.
+"""Merging of lines that may be one wall, and which walls are thin boards.
 
-Lines are (d, alpha) about one anchor each, as in :mod:`limslam_agent.slam.line_graph.chain_kernels`. A place along a
-line is its distance from the anchor, m.
+Lines are (d, alpha) about one anchor each, as in :mod:`limslam_agent.slam.line_graph.factors`. A place along a line is
+its distance from the anchor, m.
 """
 
 import math
+from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.slam.core import wall_faces
-from limslam_agent.slam.core.carried_anchors import KNOWN_PLACE
-from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE
-from limslam_agent.slam.line_graph.compilation import compiled, entry
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, THICKEST, board_evidence, board_odds, is_wall
+from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry.line import angle_between, direction, normal
 
-_REGULAR = (1e-6, 1e-8)  # added to the covariance of the difference of two lines, m^2 and rad^2
-_board_evidence, _board_odds = compiled(wall_faces.board_evidence), compiled(wall_faces.board_odds)
-_is_wall = compiled(wall_faces.is_wall)
+_REGULAR = np.diag([1e-6, 1e-8])  # added to the covariance of the difference of two lines, m^2 and rad^2
+_MOST_MOVED = (0.10, 0.05)  # m and rad: the largest change of a line by merging before the problem is linearised again
 
 
-@entry
-def merge_lines(
-    lines: FloatArray,
-    anchors: FloatArray,
-    ends: FloatArray,
-    seen: FloatArray,
-    covariance: FloatArray,
-    limits: FloatArray,
-    kinds: FloatArray,
-    most_moved: FloatArray,
-    merged_into: IntArray,
-) -> int:
-    """Merge lines that may be one wall, in the order of likelihood; return the number of merges.
+class OneWall(NamedTuple):
+    """Criteria that two lines are one wall: upper bounds of chi-square, offset (m), angle (rad); least overlap (m).
 
-    Every merged pair is a constraint that updates all other lines through their joint covariance. The pair with the
-    greatest likelihood is merged first. A pair with a large covariance passes the chi-square test easily. This is weak
-    evidence, so it has a limit of its own. Two lines that were read from opposite sides only are merged if they are a
-    board.
+    ``weakest`` is an upper bound of chi-square plus the logarithm of the determinant of the covariance (m^2 rad^2) of
+    the lines' difference. Two lines of which little is known pass every other test.
+    """
+
+    gate: float
+    max_offset: float
+    max_angle: float
+    min_overlap: float
+    weakest: float = math.inf
+
+    def wider(self, max_offset: float, max_angle: float, min_overlap: float) -> "OneWall":
+        """Criteria with wider limits, for pairs that are more likely one wall than two walls within these limits.
+
+        The difference of one wall's two lines is normally distributed, and that of two walls is uniform. Both
+        densities are equal where chi-square plus the logarithm of the determinant is ``weakest``.
+        """
+        weakest = 2.0 * math.log(4.0 * max_offset * max_angle / (2.0 * math.pi))
+        return OneWall(self.gate, max_offset, max_angle, min_overlap, weakest)
+
+
+ONE_WALL = OneWall(16.0, 0.15, 0.12, 0.15)
+
+
+class Pairs(NamedTuple):
+    """Pairs of lines (k,) that are near each other.
+
+    Attributes
+    ----------
+    first, second
+        Indices of the lines.
+    seen
+        Ends (k, 2, 2) of the parts of the first line that were read from each side, as sides of the second line and
+        places along it, m.
+    own, opposite
+        The longest stretches that both lines share: read from the same side, and from opposite sides, m.
+    side
+        The side of the second line that the opposite stretch was read from.
+    """
+
+    first: IntArray
+    second: IntArray
+    seen: FloatArray
+    own: FloatArray
+    opposite: FloatArray
+    side: IntArray
+
+
+class Difference(NamedTuple):
+    """The first line of each pair about the second line's anchor, minus the second line.
+
+    Attributes
+    ----------
+    values
+        Offset and angle (k, 2), m and rad.
+    columns, jacobian
+        What they depend on: unknowns (k, 5) of the joint covariance, and derivatives (k, 2, 5).
+    information
+        Inverse covariances (k, 2, 2).
+    """
+
+    values: FloatArray
+    columns: IntArray
+    jacobian: FloatArray
+    information: FloatArray
+
+    @property
+    def squared(self) -> FloatArray:
+        """Squared Mahalanobis distances (k,)."""
+        return np.asarray(np.einsum("ki,kij,kj->k", self.values, self.information, self.values))
+
+    @property
+    def volumes(self) -> FloatArray:
+        """Logarithms (k,) of the determinants of the covariances."""
+        return np.asarray(-np.log(np.linalg.det(self.information)))
+
+
+@dataclass(eq=False)
+class Lines:
+    """Lines with their joint covariance, which are merged one pair after the other.
+
+    Every merged pair is a constraint that updates all other lines through their joint covariance.
+
+    Attributes
+    ----------
+    lines, anchors
+        Lines (m, 2) and their anchors (m, 2).
+    seen
+        Ends (m, 2, 2) of the parts that were read from each side, m; (inf, -inf) where there is no such part.
+    covariance
+        Joint covariance (3 m, 3 m) of the lines, and of the places of their anchors along them.
+    merged_into
+        For each line (m,), the line that it was merged into, or the line itself.
+    """
+
+    lines: FloatArray
+    anchors: FloatArray
+    seen: FloatArray
+    covariance: FloatArray
+    merged_into: IntArray = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.merged_into = np.arange(len(self.lines))
+
+    def near_pairs(self, limits: OneWall) -> Pairs:
+        """The pairs of lines within the limits of offset, angle and overlap."""
+        ends = _ends(self.seen)
+        left = np.flatnonzero((self.merged_into == np.arange(len(ends))) & (ends[:, 0] < ends[:, 1]))
+        first, second = (left[each] for each in np.triu_indices(len(left), 1))
+        is_parallel = np.abs(angle_between(self.lines[first, 1] - self.lines[second, 1])) <= limits.max_angle
+        first, second = first[is_parallel], second[is_parallel]
+        seen, there = self._seen_along(first, second), self.seen[second]
+        middle = self._points(second, ends[second].mean(axis=1))
+        offset = np.sum((middle - self.anchors[first]) * normal(self.lines[first]), axis=1) - self.lines[first, 0]
+        is_near = (np.abs(offset) <= limits.max_offset) & (_shared(_ends(seen), ends[second]) >= limits.min_overlap)
+        first, second, seen, there = first[is_near], second[is_near], seen[is_near], there[is_near]
+        opposite = _shared(seen[:, ::-1], there)
+        return Pairs(
+            first, second, seen, _shared(seen, there).max(axis=1), opposite.max(axis=1),
+            np.where(opposite[:, POSITIVE] >= opposite[:, NEGATIVE], POSITIVE, NEGATIVE),
+        )  # fmt: skip
+
+    def differences(self, pairs: Pairs) -> Difference:
+        """The differences of the lines of each pair."""
+        (one, other), count = (self.lines[pairs.first], self.lines[pairs.second]), len(pairs.first)
+        sign, away = np.where(np.cos(one[:, 1] - other[:, 1]) < 0.0, -1.0, 1.0), self._anchor_to_anchor(pairs)
+        offset = sign * (one[:, 0] - np.sum(away * normal(one), axis=1)) - other[:, 0]
+        jacobian = np.zeros((count, 2, 5))
+        jacobian[:, 0, 0], jacobian[:, 0, 2] = sign, -1.0
+        jacobian[:, 0, 1] = -sign * np.sum(away * direction(one), axis=1)
+        jacobian[:, 0, 4] = -sign * np.sin(one[:, 1] - other[:, 1])
+        jacobian[:, 1, 1], jacobian[:, 1, 3] = 1.0, -1.0
+        lines = 2 * np.column_stack((pairs.first, pairs.first, pairs.second, pairs.second)) + np.array([0, 1, 0, 1])
+        columns = np.column_stack((lines, 2 * len(self.lines) + pairs.second))
+        joint = self.covariance[columns[:, :, None], columns[:, None, :]]
+        covariance = jacobian @ joint @ jacobian.swapaxes(1, 2) + _REGULAR
+        values = np.column_stack((offset, angle_between(one[:, 1] - other[:, 1])))
+        return Difference(values, columns, jacobian, np.linalg.inv(covariance))
+
+    def merge(self, pairs: Pairs, difference: Difference, which: int) -> None:
+        """Make the lines of a pair equal, by a Kalman update of all lines with their difference, which is zero."""
+        crossed = self.covariance[:, difference.columns[which]] @ difference.jacobian[which].T
+        gain = crossed @ difference.information[which]
+        moves = gain @ difference.values[which]
+        self.lines -= moves[: self.lines.size].reshape(-1, 2)
+        self.covariance -= gain @ crossed.T
+        own = self.seen[pairs.second[which]]
+        own[:, 0] = np.minimum(own[:, 0], pairs.seen[which, :, 0])
+        own[:, 1] = np.maximum(own[:, 1], pairs.seen[which, :, 1])
+        self.merged_into[pairs.first[which]] = pairs.second[which]
+
+    def _anchor_to_anchor(self, pairs: Pairs) -> FloatArray:
+        return np.asarray(self.anchors[pairs.second] - self.anchors[pairs.first])
+
+    def _points(self, chosen: IntArray, places: FloatArray) -> FloatArray:
+        """Points (k, 2) at places (k,) along chosen lines (k,)."""
+        lines = self.lines[chosen]
+        return np.asarray(self.anchors[chosen] + lines[:, :1] * normal(lines) + places[:, None] * direction(lines))
+
+    def _seen_along(self, first: IntArray, second: IntArray) -> FloatArray:
+        """Ends (k, 2, 2) of the parts of first lines read from each side, as sides and places of second lines, m."""
+        feet = self._points(first, np.zeros(len(first))) - self.anchors[second]
+        middle = np.sum(feet * direction(self.lines[second]), axis=1)[:, None, None]
+        is_turned = np.cos(self.lines[first, 1] - self.lines[second, 1]) < 0.0
+        turned = middle - self.seen[first][:, ::-1, ::-1]
+        return np.asarray(np.where(is_turned[:, None, None], turned, middle + self.seen[first]))
+
+
+def merge_lines(known: Lines, limits: OneWall, kinds: tuple[float, float]) -> bool:
+    """Merge lines that may be one wall, in the order of likelihood; return whether there were any.
+
+    The pair with the greatest likelihood is merged first. A pair with a large covariance passes the chi-square test
+    easily. This is weak evidence, so it has a limit of its own. Two lines that were read from opposite sides only are
+    merged if they are a board. Merging ends when a line has moved far: the problem must then be linearised again.
 
     Parameters
     ----------
-    lines, anchors, ends, seen, covariance
-        (m, 2), (m, 2), (m, 2), (m, 2, 2) and (2 m, 2 m), or (3 m, 3 m) with the places of the anchors along the lines:
-        ``seen`` has the ends of the part that was read from each side. All but the anchors are changed.
+    known
+        The lines, which are changed.
     limits, kinds
-        The largest chi-square, offset (m) and angle (rad), the least overlap (m), and the largest sum of chi-square and
-        the logarithm of the determinant of the difference's covariance. Lengths of the known boards and walls, m.
-    most_moved
-        Merging stops when the change of a line exceeds this, m and rad, and one standard deviation: the problem must
-        then be linearised again.
-    merged_into
-        Output array (m,): for each line, the line that it was merged into, or the line itself if it was not merged.
+        Criteria that two lines are one wall; and the lengths of the known boards and walls, m.
     """
-    begin, work, count = lines.copy(), np.zeros((2, 8)), 0
-    spread = np.sqrt(np.diag(covariance))[: 2 * len(lines)].reshape(-1, 2)
-    for line in range(len(lines)):
-        merged_into[line] = line
-    loose = np.array([limits[0], limits[1] + 0.3, limits[2] + 0.1, limits[3] - 0.3])
-    pairs = near_pairs(lines, anchors, ends, loose)
+    begin, has_merged = known.lines.copy(), False
+    most = np.array(_MOST_MOVED) + np.sqrt(known.covariance.diagonal()[: begin.size]).reshape(-1, 2)
     while True:
-        best, chosen = np.inf, -1
-        for k in range(len(pairs)):
-            first, second = pairs[k]
-            if merged_into[first] != first or merged_into[second] != second:
-                continue
-            if not _is_near(first, second, lines, anchors, ends, limits):
-                continue
-            squared, volume = _agreement(first, second, lines, anchors, covariance, work)
-            is_better = squared < limits[0] and squared + volume < min(best, limits[4])
-            if is_better and _is_one_line(first, second, lines, anchors, seen, limits[3], kinds, work):
-                best, chosen = squared + volume, k
-        if chosen < 0:
-            return count
-        first, second = pairs[chosen]
-        _agreement(first, second, lines, anchors, covariance, work)
-        _constrain(first, second, lines, covariance, work)
-        _unite_ends(first, second, lines, anchors, ends)
-        seen_there = seen_along(first, second, lines, anchors, seen)
-        for side in range(2):
-            seen[first, side, 0] = min(seen[first, side, 0], seen_there[side, 0])
-            seen[first, side, 1] = max(seen[first, side, 1], seen_there[side, 1])
-        merged_into[second] = first
-        count += 1
-        if _has_moved(lines - begin, spread, merged_into, most_moved):
-            return count
+        pairs = known.near_pairs(limits)
+        difference = known.differences(pairs)
+        squared = difference.squared
+        cost = squared + difference.volumes
+        likely = np.flatnonzero((squared < limits.gate) & (cost < limits.weakest))
+        ordered = likely[np.argsort(cost[likely])].tolist()
+        best = next((k for k in ordered if _is_one_line(pairs, difference, k, limits, kinds)), None)
+        if best is None:
+            return has_merged
+        known.merge(pairs, difference, best)
+        has_merged = True
+        is_left = known.merged_into == np.arange(len(begin))
+        if (np.abs(known.lines - begin) > most)[is_left].any():
+            return has_merged
 
 
-@entry
-def wall_kinds(
-    lines: FloatArray,
-    anchors: FloatArray,
-    ends: FloatArray,
-    seen: FloatArray,
-    covariance: FloatArray,
-    limits: FloatArray,
-) -> tuple[float, float]:
-    """Length of the lines that are boards, and length of the walls with two faces, m.
-
-    The other parameters are as in :func:`merge_lines`.
-    """
-    boards, behind, work = 0.0, np.zeros(len(lines)), np.zeros((2, 8))
-    for line in range(len(lines)):
-        boards += max(seen[line, :, 1].min() - seen[line, :, 0].max(), 0.0)
-    pairs = near_pairs(lines, anchors, ends, limits)
-    for k in range(len(pairs)):
-        first, second = pairs[k]
-        length = _opposite(first, second, lines, anchors, seen)[1]
-        if length > 0.0:
-            _agreement(first, second, lines, anchors, covariance, work)
-            evidence, distance = _compared(first, second, lines, anchors, seen, work)
-            if _is_wall(evidence, distance):
-                behind[first], behind[second] = max(behind[first], length), max(behind[second], length)
-    return boards, 0.5 * behind.sum()
+def wall_kinds(known: Lines, limits: OneWall) -> tuple[float, float]:
+    """Length of the lines that are boards, and length of the walls with two faces, m."""
+    boards = np.maximum(known.seen[..., 1].min(axis=1) - known.seen[..., 0].max(axis=1), 0.0).sum()
+    pairs = known.near_pairs(limits._replace(max_offset=THICKEST))
+    difference, behind = known.differences(pairs), np.zeros(len(known.lines))
+    for k in np.flatnonzero(pairs.opposite > 0.0).tolist():
+        if is_wall(*_compared(pairs, difference, k)):
+            own = [pairs.first[k], pairs.second[k]]
+            behind[own] = np.maximum(behind[own], pairs.opposite[k])
+    return float(boards), 0.5 * float(behind.sum())
 
 
-@compiled
-def seen_along(first: int, second: int, lines: FloatArray, anchors: FloatArray, seen: FloatArray) -> FloatArray:
-    """Ends (2, 2) of the part of the second line that was read from each side, as places and sides of the first, m."""
-    nx, ny = math.cos(lines[second, 1]), math.sin(lines[second, 1])
-    mx, my = math.cos(lines[first, 1]), math.sin(lines[first, 1])
-    x = anchors[second, 0] + lines[second, 0] * nx - anchors[first, 0]
-    y = anchors[second, 1] + lines[second, 0] * ny - anchors[first, 1]
-    middle, result = mx * y - my * x, np.empty((2, 2))
-    is_turned = mx * nx + my * ny < 0.0
-    for side in range(2):
-        low, high = seen[second, side]
-        if is_turned:
-            result[1 - side, 0], result[1 - side, 1] = middle - high, middle - low
-        else:
-            result[side, 0], result[side, 1] = middle + low, middle + high
-    return result
+def _is_one_line(pairs: Pairs, difference: Difference, which: int, limits: OneWall, kinds: tuple[float, float]) -> bool:
+    """Whether the lines of a pair share a stretch that was read from one side, or are a board."""
+    if pairs.own[which] >= min(limits.min_overlap, pairs.opposite[which]):
+        return True
+    return board_odds(_compared(pairs, difference, which)[0], *kinds) > SURE
 
 
-@compiled
-def _shared(first: FloatArray, second: FloatArray) -> float:
-    """Length of the stretch that two parts of a line share, m; below 0 if they share none."""
-    return float(min(first[1], second[1]) - max(first[0], second[0]))
-
-
-@compiled
-def _opposite(
-    first: int, second: int, lines: FloatArray, anchors: FloatArray, seen: FloatArray
-) -> tuple[float, float, int]:
-    """Longest stretches that two lines share, m: read from the same side, and from opposite sides.
-
-    The third number is the side of the second line that the latter was read from.
-    """
-    other = seen_along(second, first, lines, anchors, seen)
-    own = max(_shared(other[0], seen[second, 0]), _shared(other[1], seen[second, 1]))
-    lengths = (_shared(other[1], seen[second, 0]), _shared(other[0], seen[second, 1]))
-    side = POSITIVE if lengths[0] >= lengths[1] else NEGATIVE
-    return own, lengths[side], side
-
-
-@compiled
-def _compared(
-    first: int, second: int, lines: FloatArray, anchors: FloatArray, seen: FloatArray, work: FloatArray
-) -> tuple[float, float]:
+def _compared(pairs: Pairs, difference: Difference, which: int) -> tuple[float, float]:
     """Evidence of a board in two lines that were read from opposite sides, and how far behind the first one lies, m.
 
-    ``work`` is as :func:`_agreement` leaves it. The two lines are taken to be parallel.
+    The two lines are taken to be parallel.
     """
-    side = _opposite(first, second, lines, anchors, seen)[2]
-    offset = work[0, 4] + work[0, 6] / work[0, 5] * work[1, 4]
-    behind = -offset if side == POSITIVE else offset
-    return _board_evidence(behind, 1.0 / work[0, 5]), behind
+    (offset, angle), information = difference.values[which].tolist(), difference.information[which]
+    offset += float(information[0, 1] / information[0, 0]) * angle
+    behind = -offset if pairs.side[which] == POSITIVE else offset
+    return board_evidence(behind, 1.0 / float(information[0, 0])), behind
 
 
-@entry
-def share_side(pairs: IntArray, lines: FloatArray, anchors: FloatArray, seen: FloatArray) -> BoolArray:
-    """Which of the pairs of lines (k, 2) share a stretch that was read from one side."""
-    result = np.empty(len(pairs), dtype=np.bool_)
-    for k in range(len(pairs)):
-        result[k] = _opposite(pairs[k, 0], pairs[k, 1], lines, anchors, seen)[0] > 0.0
-    return result
+def _ends(seen: FloatArray) -> FloatArray:
+    """Ends (k, 2) of the parts (k, 2, 2) of lines that were read from any side."""
+    return np.column_stack((seen[..., 0].min(axis=1), seen[..., 1].max(axis=1)))
 
 
-@compiled
-def _is_one_line(
-    first: int, second: int, lines: FloatArray, anchors: FloatArray, seen: FloatArray, least: float, kinds: FloatArray,
-    work: FloatArray,
-) -> bool:  # fmt: skip
-    """Whether two lines share a stretch that was read from one side, or are a board."""
-    own, opposite, _ = _opposite(first, second, lines, anchors, seen)
-    if own >= min(least, opposite):
-        return True
-    evidence, _ = _compared(first, second, lines, anchors, seen, work)
-    return bool(_board_odds(evidence, kinds[0], kinds[1]) > SURE)
-
-
-@entry
-def near_pairs(lines: FloatArray, anchors: FloatArray, ends: FloatArray, limits: FloatArray) -> IntArray:
-    """Pairs of lines (k, 2) within limits of offset (m), angle (rad) and overlap (m): ``limits[1:]``."""
-    count, pairs = 0, np.empty((len(lines) * (len(lines) - 1) // 2, 2), dtype=np.int64)
-    for first in range(len(lines)):
-        for second in range(first + 1, len(lines)):
-            if _is_near(first, second, lines, anchors, ends, limits):
-                pairs[count, 0], pairs[count, 1] = first, second
-                count += 1
-    return pairs[:count].copy()
-
-
-@compiled
-def _is_near(
-    first: int, second: int, lines: FloatArray, anchors: FloatArray, ends: FloatArray, limits: FloatArray
-) -> bool:
-    turn = (lines[first, 1] - lines[second, 1] + 0.5 * math.pi) % math.pi - 0.5 * math.pi
-    if abs(turn) > limits[2]:
-        return False
-    off, overlap = _apart(first, second, lines, anchors, ends)
-    return bool(off <= limits[1] and overlap >= limits[3])
-
-
-@compiled
-def _constrain(first: int, second: int, lines: FloatArray, covariance: FloatArray, work: FloatArray) -> None:
-    """Constrain two lines to be equal: a Kalman update of all lines with their difference, which is zero."""
-    size = len(covariance)
-    gain, crossed = np.zeros((size, 2)), np.zeros((size, 2))
-    for row in range(size):
-        for j in range(2):
-            for i in range(4):
-                column = 2 * (first if i < 2 else second) + i % 2
-                crossed[row, j] += covariance[row, column] * work[j, i]
-        if work[0, 7] != 0.0:
-            crossed[row, 0] += covariance[row, 2 * len(lines) + second] * work[0, 7]
-        gain[row, 0] = crossed[row, 0] * work[0, 5] + crossed[row, 1] * work[1, 5]
-        gain[row, 1] = crossed[row, 0] * work[0, 6] + crossed[row, 1] * work[1, 6]
-    for row in range(size):
-        if row < 2 * len(lines):
-            lines[row // 2, row % 2] -= gain[row, 0] * work[0, 4] + gain[row, 1] * work[1, 4]
-        for column in range(size):
-            covariance[row, column] -= gain[row, 0] * crossed[column, 0] + gain[row, 1] * crossed[column, 1]
-
-
-@compiled
-def _unite_ends(first: int, second: int, lines: FloatArray, anchors: FloatArray, ends: FloatArray) -> None:
-    """Extend the first line to the ends of the second line."""
-    nx, ny = math.cos(lines[second, 1]), math.sin(lines[second, 1])
-    mx, my = math.cos(lines[first, 1]), math.sin(lines[first, 1])
-    for end in range(2):
-        x = anchors[second, 0] + lines[second, 0] * nx - ends[second, end] * ny - anchors[first, 0]
-        y = anchors[second, 1] + lines[second, 0] * ny + ends[second, end] * nx - anchors[first, 1]
-        along = mx * y - my * x
-        ends[first, 0], ends[first, 1] = min(ends[first, 0], along), max(ends[first, 1], along)
-
-
-@compiled
-def _has_moved(moves: FloatArray, spread: FloatArray, merged_into: IntArray, most_moved: FloatArray) -> bool:
-    for line in range(len(moves)):
-        if merged_into[line] == line:
-            for part in range(2):
-                if abs(moves[line, part]) > most_moved[part] + spread[line, part]:
-                    return True
-    return False
-
-
-@compiled
-def _difference(
-    first: int, second: int, lines: FloatArray, anchors: FloatArray, jacobian: FloatArray
-) -> tuple[float, float]:
-    """Offset and angle of the first line about the second line's anchor, minus the second line; derivatives (2, 4)."""
-    turn = lines[first, 1] - lines[second, 1]
-    angle = (turn + 0.5 * math.pi) % math.pi - 0.5 * math.pi
-    sign = -1.0 if math.cos(turn) < 0.0 else 1.0
-    nx, ny = math.cos(lines[first, 1]), math.sin(lines[first, 1])
-    x, y = anchors[second, 0] - anchors[first, 0], anchors[second, 1] - anchors[first, 1]
-    jacobian[:] = 0.0
-    jacobian[0, 0], jacobian[0, 1], jacobian[0, 2] = sign, sign * (x * ny - y * nx), -1.0
-    jacobian[1, 1], jacobian[1, 3] = 1.0, -1.0
-    return sign * (lines[first, 0] - x * nx - y * ny) - lines[second, 0], angle
-
-
-@compiled
-def _agreement(
-    first: int, second: int, lines: FloatArray, anchors: FloatArray, covariance: FloatArray, work: FloatArray
-) -> tuple[float, float]:
-    """Squared Mahalanobis distance of two lines, and the logarithm of the determinant of their difference's covariance.
-
-    On return, ``work`` (2, 8) holds the Jacobian, the difference's offset and angle, its information matrix, and the
-    derivative of the offset by the place of the second line's anchor.
-    """
-    work[0, 4], work[1, 4] = _difference(first, second, lines, anchors, work[:, :4])
-    a, b, c = _REGULAR[0], 0.0, _REGULAR[1]
-    work[0, 7], place = 0.0, 2 * len(lines) + second
-    if len(covariance) > 2 * len(lines):
-        by_place = -work[0, 0] * math.sin(lines[first, 1] - lines[second, 1])
-        variance = by_place * by_place * covariance[place, place]
-        if variance >= KNOWN_PLACE:
-            work[0, 7] = by_place
-            a += variance
-            for i in range(4):
-                value = covariance[place, 2 * (first if i < 2 else second) + i % 2]
-                a += 2.0 * by_place * value * work[0, i]
-                b += by_place * value * work[1, i]
-    for i in range(4):
-        row = 2 * (first if i < 2 else second) + i % 2
-        for j in range(4):
-            value = covariance[row, 2 * (first if j < 2 else second) + j % 2]
-            a += work[0, i] * value * work[0, j]
-            b += work[0, i] * value * work[1, j]
-            c += work[1, i] * value * work[1, j]
-    determinant = max(a * c - b * b, 1e-30)
-    work[0, 5], work[0, 6] = c / determinant, -b / determinant
-    work[1, 5], work[1, 6] = -b / determinant, a / determinant
-    offset, angle = work[0, 4], work[1, 4]
-    squared = (c * offset * offset - 2.0 * b * offset * angle + a * angle * angle) / determinant
-    return squared, math.log(determinant)
-
-
-@compiled
-def _apart(first: int, second: int, lines: FloatArray, anchors: FloatArray, ends: FloatArray) -> tuple[float, float]:
-    """Distance of the middle of the second line from the first line, m, and the length of their overlap, m."""
-    nx, ny = math.cos(lines[second, 1]), math.sin(lines[second, 1])
-    mx, my = math.cos(lines[first, 1]), math.sin(lines[first, 1])
-    low, high, off = np.inf, -np.inf, 0.0
-    for end in range(2):
-        x = anchors[second, 0] + lines[second, 0] * nx - ends[second, end] * ny - anchors[first, 0]
-        y = anchors[second, 1] + lines[second, 0] * ny + ends[second, end] * nx - anchors[first, 1]
-        along = mx * y - my * x
-        low, high = min(low, along), max(high, along)
-        off += 0.5 * (mx * x + my * y - lines[first, 0])
-    return abs(off), min(high, ends[first, 1]) - max(low, ends[first, 0])
+def _shared(one: FloatArray, other: FloatArray) -> FloatArray:
+    """Lengths (...) of the stretches that parts (..., 2) of a line share, m; below 0 if they share none."""
+    return np.asarray(np.minimum(one[..., 1], other[..., 1]) - np.maximum(one[..., 0], other[..., 0]))

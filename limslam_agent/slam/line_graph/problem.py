@@ -4,8 +4,6 @@ The variables are the pose of every step, every line, and the calibration of whe
 arcs, so poses follow from motions.
 """
 
-import math
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,10 +13,8 @@ from scipy.linalg import block_diag
 from limslam_agent.config.consistent import SelfCalibrationConfig
 from limslam_agent.slam.core.contact import LooseMotion, slips_of
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.line_graph import chain_kernels as kernels
-from limslam_agent.slam.line_graph.chain_kernels import BY_LINE, BY_POSE, CALIBRATED, COLUMNS, RANGE
+from limslam_agent.slam.line_graph.factors import Expected, drive, expected_readings, motions_between
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.line import angle_between
 from limslam_env.interface import NominalNoise, RobotSpec
 
 LEAST_RANGE_STD = 0.005  # m
@@ -26,9 +22,6 @@ FEWEST_READINGS = 6
 """Least number of readings of a line."""
 
 _ASIDE_STD = 1e-5  # m: keeps the equations regular, and adds up to less than a millimetre in a run
-# Poses of a thinned drive are this far apart, m or rad. By noise, and by another calibration, several arcs in a row
-# lead aside of the single arc that they are taken for, with this standard deviation, m.
-_NODE_SPACING, _NODE_TURN, _THINNED_ASIDE_STD = 0.1, 0.2, 2e-3
 _LEAST_VARIANCE = 1e-12  # m^2
 
 
@@ -81,8 +74,7 @@ class Problem:
     starts
         Known poses (n, 3) of the first step, m and rad.
     wheels, stds
-        Reported motions (n, t - 1, 3), m, and their standard deviations. The last column, the motion aside, is zero
-        unless the drive is thinned.
+        Reported motions (n, t - 1, 3), m, and their standard deviations. The last column is the motion aside.
     readings, range_std, growth
         The readings of walls, and the standard deviation of one of usual length, m. It grows with the range: the part
         that is proportional to the squared range is ``growth``, 1/m^2, times that of short ranges.
@@ -90,12 +82,8 @@ class Problem:
         The readings of walls, and the beams that met no wall, each with the length of its free path.
     prior, beam_width
         Inverse covariance of a robot's calibration, or None; and half the opening angle of all beams, rad.
-    kinds
-        Lengths of the boards and of the walls with two faces that are known, m.
     bias
         By what all ranges are too long as far as that is known, m. A calibration estimates it from there on.
-    turns
-        By what each beam (n_beams,) is turned to the left against the specified robot, rad; None if no beam is.
     jumps
         Motions (n, t - 1, 3) of carried robots, m, of which the wheels say nothing; None if no robot was carried.
     loose
@@ -111,10 +99,8 @@ class Problem:
     range_std: float
     prior: FloatArray | None = None
     beam_width: float = 0.0
-    kinds: tuple[float, float] = (0.0, 0.0)
     growth: float = 0.0
     bias: float = 0.0
-    turns: FloatArray | None = None
     jumps: FloatArray | None = None
     loose: tuple[LooseMotion, ...] = ()
 
@@ -150,10 +136,8 @@ class Problem:
 
     @cached_property
     def assumed_calibration(self) -> FloatArray:
-        """The calibration (n, 4 or more) of robots that are as specified, but for the known bias."""
-        count = 0 if self.prior is None else len(self.prior) - CALIBRATED
-        turns = np.zeros(count) if self.turns is None else -self.turns[:count]
-        return np.tile((0.0, 0.0, 0.0, self.bias, *turns), (len(self.starts), 1))
+        """The calibration (n, 4) of robots that are as specified, but for the known bias."""
+        return np.tile((0.0, 0.0, 0.0, self.bias), (len(self.starts), 1))
 
     def axle(self, calibration: FloatArray) -> float:
         """The distance between the wheels (m) of a robot with a calibration (4,)."""
@@ -194,8 +178,6 @@ class State:
         Lines (m, 2) as (d, alpha) about one anchor point each, m and rad, and the anchors (m, 2), m.
     calibration
         Calibration (n, 4): relative excess of left wheel, right wheel and axle, and the bias of all ranges, m.
-        Where the directions of the beams are estimated, they follow (n, 4 + n_beams): by what each beam is turned to
-        the left against the assumed one, rad.
     """
 
     motions: FloatArray
@@ -259,7 +241,6 @@ def make_problem(
         range_std=max(sensor.usual_std(float(robot.max_ranges.max())), LEAST_RANGE_STD),
         prior=prior, beam_width=sensor.cone,
         growth=sensor.growth / sensor.std if sensor.growth else 0.0, bias=sensor.bias,
-        turns=np.array(sensor.turns) if sensor.turns else None,
         loose=slips_of(robot, contact_std, reported, stds, ranges, measured),
     )  # fmt: skip
 
@@ -270,64 +251,18 @@ def _listed(kept: BoolArray, ranges: FloatArray) -> Readings:
     return Readings(number * len(ranges) + step, beam, ranges[step, number, beam])
 
 
-def thinning_nodes(problem: Problem, forced: Iterable[int]) -> IntArray:
-    """The steps of one robot whose poses are kept by :func:`thinned`: about 0.1 m or 0.2 rad apart.
-
-    A motion cannot be divided, so two of them may be farther apart by one motion. The first and the last step are among
-    them, the steps that are ``forced``, and both steps of each motion of a carried robot.
-    """
-    carried = [] if problem.jumps is None else np.flatnonzero(problem.jumps[0].any(axis=1)).tolist()
-    kept = {problem.steps - 1, *forced, *carried, *(motion + 1 for motion in carried)}
-    nodes, driven, turned = [0], 0.0, 0.0
-    for step, (left, right, _) in enumerate(problem.wheels[0].tolist(), start=1):
-        driven += 0.5 * abs(left + right)
-        turned += abs(right - left) / problem.robot.axle
-        if driven >= _NODE_SPACING or turned >= _NODE_TURN or step in kept:
-            nodes.append(step)
-            driven = turned = 0.0
-    return np.array(nodes)
-
-
-def thinned(problem: Problem, nodes: IntArray, calibration: FloatArray) -> Problem:
-    """One robot's problem with the poses and readings at its :func:`thinning_nodes` alone.
-
-    A motion between two nodes is the single arc, with a motion aside, that leads where all arcs between them lead by a
-    calibration (1, 4 or more).
-    """
-    free = state_from_motions(problem, calibration).poses[0]
-    wheels = np.empty((1, len(nodes) - 1, 3))
-    kernels.motions_between(free[nodes], problem.axle(calibration[0]), wheels[0])
-    wheels[..., :2] /= 1.0 + calibration[0, :2]
-    jumps = None if problem.jumps is None else problem.jumps[:, nodes[:-1]]
-    if jumps is not None:  # both steps of a motion of a carried robot are nodes
-        wheels[jumps.any(axis=2)] = 0.0
-    stds = np.sqrt(np.add.reduceat(problem.stds**2, nodes[:-1], axis=1))
-    stds[..., 2] = _THINNED_ASIDE_STD
-    covariances = dict[int, FloatArray]()
-    for each in problem.loose:
-        motion = int(np.searchsorted(nodes, each.motion, side="right")) - 1
-        covariances.setdefault(motion, np.diag(stds[0, motion] ** 2))
-        covariances[motion] += np.linalg.inv(each.root.T @ each.root)
-    return replace(
-        problem, wheels=wheels, stds=stds, jumps=jumps,
-        readings=_at(problem.readings, nodes), looks=_at(problem.looks, nodes),
-        loose=tuple(LooseMotion.of(0, motion, each) for motion, each in covariances.items()),
-    )  # fmt: skip
-
-
-def _at(readings: Readings, nodes: IntArray) -> Readings:
-    """The readings of some steps, whose numbers are those among these steps."""
-    kept = np.isin(readings.places, nodes)
-    return Readings(np.searchsorted(nodes, readings.places[kept]), readings.beams[kept], readings.distances[kept])
+def _before(readings: Readings, count: int) -> Readings:
+    """The readings of one robot before a step."""
+    last = np.searchsorted(readings.places, count)
+    return Readings(readings.places[:last], readings.beams[:last], readings.distances[:last])
 
 
 def first_steps(problem: Problem, count: int) -> Problem:
     """One robot's problem of its first ``count`` steps."""
-    steps = np.arange(count)
     return replace(
         problem, wheels=problem.wheels[:, : count - 1], stds=problem.stds[:, : count - 1],
         jumps=None if problem.jumps is None else problem.jumps[:, : count - 1],
-        readings=_at(problem.readings, steps), looks=_at(problem.looks, steps),
+        readings=_before(problem.readings, count), looks=_before(problem.looks, count),
         loose=tuple(each for each in problem.loose if each.motion < count - 1),
     )  # fmt: skip
 
@@ -335,21 +270,21 @@ def first_steps(problem: Problem, count: int) -> Problem:
 def state_from_poses(problem: Problem, poses: FloatArray, calibration: FloatArray | None = None) -> State:
     """A state without lines at poses (t, n, 3). The first pose is the known start; headings may be wrapped.
 
-    The calibration (n, 4 or more) is the assumed one if it is None.
+    The calibration (n, 4) is the assumed one if it is None.
     """
     calibration = problem.assumed_calibration if calibration is None else calibration
     chains = np.moveaxis(np.asarray(poses, dtype=float), 0, 1).copy()
     chains[..., 2] = np.unwrap(chains[..., 2], axis=1)
-    motions = np.empty_like(problem.wheels)
-    for chain, motion, sizes in zip(chains, motions, calibration, strict=True):
-        kernels.motions_between(chain, problem.axle(sizes), motion)
+    motions = np.array([
+        motions_between(chain, problem.axle(sizes)) for chain, sizes in zip(chains, calibration, strict=True)
+    ])  # fmt: skip
     return moved(problem, motions, np.zeros((0, 2)), np.zeros((0, 2)), calibration)
 
 
 def state_from_motions(problem: Problem, calibration: FloatArray | None = None) -> State:
     """The state without lines that follows from the reported wheel travel, and from where robots were carried.
 
-    The calibration (n, 4 or more) is the assumed one if it is None.
+    The calibration (n, 4) is the assumed one if it is None.
     """
     nothing, calibration = np.zeros((0, 2)), problem.assumed_calibration if calibration is None else calibration
     return moved(problem, problem.motions(calibration), nothing, nothing, calibration)
@@ -359,61 +294,12 @@ def moved(
     problem: Problem, motions: FloatArray, lines: FloatArray, anchors: FloatArray, calibration: FloatArray
 ) -> State:
     """The state with motions (n, t - 1, 3), and with the poses that follow from these motions."""
-    poses = np.empty((len(motions), problem.steps, 3))
-    for number, chain in enumerate(poses):
-        kernels.drive(problem.starts[number], motions[number], problem.axle(calibration[number]), chain)
+    chains = zip(problem.starts, motions, calibration, strict=True)
+    poses = np.array([drive(start, chain, problem.axle(sizes)) for start, chain, sizes in chains])
     return State(motions, poses, lines, anchors, calibration)
 
 
-def rows_of(problem: Problem, state: State, labels: IntArray) -> FloatArray:
-    """One row (k, 7) for each reading, given its line (k,) or -1, laid out as in :mod:`.chain_kernels`."""
-    rows, beams = np.zeros((len(problem.readings), COLUMNS)), problem.beams
-    if state.calibration.shape[1] > CALIBRATED:
-        beams = beams.copy()
-        beams[:, 2] += state.calibration[problem.readings.places // problem.steps, CALIBRATED + problem.readings.beams]
-    kernels.expected_readings(
-        state.flat_poses, problem.readings.places, beams, labels, state.lines, state.anchors, rows
-    )
-    if problem.beam_width:
-        headings = state.flat_poses[problem.readings.places, 2] + beams[:, 2]
-        widen(rows, state.lines[labels, 1] - headings, problem.beam_width)
-    return rows
-
-
-def by_turns(problem: Problem, state: State, rows: FloatArray) -> FloatArray:
-    """Derivatives (k,) of the expected ranges of :func:`rows_of` by the directions of their beams.
-
-    A robot that turns about its centre turns its beams, and moves their origins.
-    """
-    headings = state.flat_poses[problem.readings.places, 2]
-    x, y = problem.beams[:, :2].T
-    arms = np.cos(headings) * x - np.sin(headings) * y, np.sin(headings) * x + np.cos(headings) * y
-    by_x, by_y, by_heading = rows[:, BY_POSE : BY_POSE + 3].T
-    return np.asarray(by_heading + arms[1] * by_x - arms[0] * by_y)
-
-
-def widen(rows: FloatArray, angles: FloatArray, width: float) -> None:
-    """Change the expected ranges and derivatives (k, 7) of ideal beams to those of beams with half an opening angle.
-
-    The beam of an infrared or ultrasonic sensor is a cone. A sensor that reports the nearest point inside the cone
-    reads a wall under its border ray, or at the foot of the perpendicular if the cone contains it, as in
-    :mod:`limslam_agent.slam.consistent.beam_model`. With half the opening angle c, and the angle phi between the middle
-    ray and the wall's normal, a wall at distance r along the middle ray reads r cos(phi) / cos(max(|phi| - c, 0)). The
-    error grows with the range and with the slant, up to centimetres, and it never averages out.
-
-    Parameters
-    ----------
-    rows
-        Those of :func:`rows_of`. Rows of readings without a line stay zero.
-    angles
-        Angles (k,) of the lines' normals minus those of the beams, rad.
-    width
-        Half the opening angle c, rad.
-    """
-    slants = angle_between(angles)
-    border = np.maximum(np.abs(slants) - width, 0.0)
-    by_slant = np.where(border > 0.0, -np.sign(slants) * math.sin(width) / np.cos(border) ** 2, -np.sin(slants))
-    by_angle = rows[:, RANGE] * by_slant
-    rows[:, : BY_LINE + 2] *= (np.cos(slants) / np.cos(border))[:, None]
-    rows[:, BY_POSE + 2] -= by_angle
-    rows[:, BY_LINE + 1] += by_angle
+def expected(problem: Problem, state: State, labels: IntArray) -> Expected:
+    """What each reading (k,) should be, given its line (k,). Those of readings without a line, -1, mean nothing."""
+    poses, beams = state.flat_poses[problem.readings.places], problem.beams
+    return expected_readings(poses, beams, state.lines[labels], state.anchors[labels], problem.beam_width)

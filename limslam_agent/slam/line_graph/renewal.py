@@ -18,9 +18,9 @@ from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with, poses_moved_with
 from limslam_agent.slam.consistent.wall_map import NEW, Wall
 from limslam_agent.slam.core.ekf import POSE
-from limslam_agent.slam.line_graph.mending import is_contradicted
+from limslam_agent.slam.line_graph.line_smoother import pose_columns
 from limslam_agent.slam.line_graph.reassociation import seen_ends
-from limslam_agent.slam.line_graph.smoothed_map import drawn_pieces, wall_extents
+from limslam_agent.slam.line_graph.smoothed_map import drawn_pieces, is_contradicted, wall_extents
 from limslam_agent.slam.line_graph.smoother import FilteredRun, Settled, filter_labels, settle
 from limslam_env.geometry import FloatArray, IntArray
 
@@ -71,7 +71,7 @@ def _joined(start: MapState, found: Settled, labels: IntArray) -> MapState:
 
     ``labels`` (k,) are the numbers of the landmarks that the filter has taken the readings for, or -1.
     """
-    state, factored = found.association.state, found.association.solution.factored
+    state, solution = found.association.state, found.association.solution
     extents = {
         index: extent
         for index, extent in wall_extents(found.problem, found.association).items()
@@ -80,7 +80,10 @@ def _joined(start: MapState, found: Settled, labels: IntArray) -> MapState:
     kept, counts = np.array(list(extents), dtype=int), np.bincount(found.association.labels + 1)[1:]
     seen = seen_ends(found.problem, state, found.association.labels)
     lines, anchors, last = state.lines[kept], state.anchors[kept], state.poses[0, -1]
-    rows = np.append(factored.last_pose, (factored.first_line + 2 * kept[:, None] + np.arange(2)).ravel())
+    columns = np.append(
+        pose_columns(solution.unknowns.ends[-1:]), solution.unknowns.first_line + 2 * kept[:, None] + np.arange(2)
+    )
+    rows = np.searchsorted(solution.unknowns.kept, columns)
     x, y, _ = start.pose.tolist()
     by_start = np.vstack((poses_moved_with((x, y), last[None]), lines_moved_with((x, y), lines, anchors)))
     size, old = len(rows) + 2 * len(start.lines), np.arange(POSE, POSE + 2 * len(start.lines))
@@ -90,7 +93,7 @@ def _joined(start: MapState, found: Settled, labels: IntArray) -> MapState:
     crossed = by_start @ start.covariance[:POSE, POSE:]
     covariance[np.ix_(new, old)], covariance[np.ix_(old, new)] = crossed, crossed.T
     moved = by_start @ start.covariance[:POSE, :POSE] @ by_start.T
-    covariance[np.ix_(new, new)] = moved + factored.covariance[np.ix_(rows, rows)]
+    covariance[np.ix_(new, new)] = moved + solution.covariance[np.ix_(rows, rows)]
     return MapState(
         pose=last,
         lines=np.vstack((start.lines, lines)),

@@ -1,11 +1,16 @@
-"""The map of a solution: wall segments that are cut at doors and holes, and landmarks with covariances."""
+"""The map of a solution: wall segments that are cut at doors and holes, and landmarks with covariances.
+
+Beams confirm a wall where they end, and contradict it where they pass through.
+"""
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from limslam_agent.slam.consistent.wall_extent import BIN, WallExtent
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.line_graph.map_score import tally
-from limslam_agent.slam.line_graph.problem import Problem, State
+from limslam_agent.slam.line_graph import line_kernels as kernels
+from limslam_agent.slam.line_graph.problem import Problem, Readings, State
 from limslam_agent.slam.line_graph.reassociation import Association, places_along
 from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.geometry.line import direction, normal, normalise
@@ -16,6 +21,67 @@ _MOST_PASSED = 1.0  # beams that passed for each beam that hit, where a wall is 
 _FEWEST_SHOWN = 10  # readings of a line that is drawn
 # The least length of a drawn segment: in m, and in standard deviations of a range.
 _SHORTEST_SHOWN, _SHORTEST_IN_STDS = 0.20, 7.5
+# A beam went through a wall if it reached this far beyond it: in standard deviations of a range, and in m.
+_THROUGH_SIGMAS, _THROUGH_SLACK = 3.0, 0.05
+_CONTRADICTED = 0.01  # share of the beams that go through walls of a wrong map
+
+
+@dataclass(frozen=True, eq=False)
+class Tally:
+    """Counts of the beams that confirm or contradict each line, in bins of 5 cm along the line.
+
+    Attributes
+    ----------
+    low
+        Index of the first bin of each line (m,).
+    hits, misses
+        Numbers (m, b) of beams that ended in each bin, and of beams that passed through it.
+    contradictions
+        Number of beams that passed through any wall.
+    """
+
+    low: IntArray
+    hits: IntArray
+    misses: IntArray
+    contradictions: int
+
+
+def tally(problem: Problem, found: Association) -> Tally:
+    """Count hits and misses along the lines of a solution."""
+    state, labels, looks = found.state, found.labels, problem.looks
+    used = labels >= 0
+    bins = np.floor(places_along(problem, state, labels)[used] / BIN).astype(np.int64)
+    count = len(state.lines)
+    low, high = np.full(count, np.iinfo(np.int64).max), np.full(count, np.iinfo(np.int64).min)
+    np.minimum.at(low, labels[used], bins)
+    np.maximum.at(high, labels[used], bins)
+    hits = np.zeros((count, int((high - low).max(initial=0)) + 1), dtype=np.int64)
+    np.add.at(hits, (labels[used], bins - low[labels[used]]), 1)
+    misses = np.zeros_like(hits)
+    crossed = kernels.count_crossings(
+        state.flat_poses, looks.places, problem.look_beams, looks.distances, state.lines, state.anchors,
+        low, hits, _THROUGH_SIGMAS * problem.range_std + _THROUGH_SLACK, misses,
+    )  # fmt: skip
+    return Tally(low, hits, misses, crossed)
+
+
+def contradictions(problem: Problem, found: Association) -> float:
+    """Share of the looks that pass through walls, without those that saw nothing and may be dropouts of the sensor.
+
+    A beam that saw nothing counts if it also saw nothing in the steps before and after.
+    """
+    looks, steps = problem.looks, len(problem.starts) * problem.steps
+    is_empty = np.zeros((steps + 2, len(problem.robot.beams)), dtype=bool)
+    is_empty[looks.places[~problem.is_hit] + 1, looks.beams[~problem.is_hit]] = True
+    lasts = is_empty[:-2] & is_empty[1:-1] & is_empty[2:]
+    counts = problem.is_hit | lasts[looks.places, looks.beams]
+    kept = Readings(looks.places[counts], looks.beams[counts], looks.distances[counts])
+    return tally(replace(problem, looks=kept), found).contradictions / max(len(kept), 1)
+
+
+def is_contradicted(problem: Problem, found: Association) -> bool:
+    """Whether more beams pass through walls than in a correct map."""
+    return contradictions(problem, found) > _CONTRADICTED
 
 
 def smoothed_map(problem: Problem, found: Association) -> tuple[list[Landmark], FloatArray]:
@@ -37,7 +103,7 @@ def smoothed_map(problem: Problem, found: Association) -> tuple[list[Landmark], 
 
 def world_lines(found: Association) -> tuple[FloatArray, FloatArray]:
     """Lines (m, 2) as (r, theta) about the world's origin, and their covariances (m, 2, 2)."""
-    state, joint = found.state, found.solution.factored.lines
+    state, joint = found.state, found.solution.of_lines
     lines = state.lines.copy()
     normals, tangents = normal(lines), direction(lines)
     lines[:, 0] += np.sum(normals * state.anchors, axis=1)

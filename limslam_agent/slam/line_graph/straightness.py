@@ -8,9 +8,8 @@ these are not: they are systematic along the line, or all on one side of it.
 import numpy as np
 
 from limslam_agent.slam.line_graph import line_kernels as kernels
-from limslam_agent.slam.line_graph.chain_kernels import COSINE
 from limslam_agent.slam.line_graph.line_smoother import Solution, range_residuals
-from limslam_agent.slam.line_graph.problem import FEWEST_READINGS, Problem, rows_of
+from limslam_agent.slam.line_graph.problem import FEWEST_READINGS, Problem, expected
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _FEWEST_APART = 3  # readings; two of them fit any line
@@ -32,10 +31,10 @@ def straight_labels(problem: Problem, solution: Solution, labels: IntArray, alon
     along
         Where each reading's beam meets its line (k,), m.
     """
-    rows = rows_of(problem, solution.state, labels)
-    residuals = range_residuals(problem, solution.state, rows)
+    readings = expected(problem, solution.state, labels)
+    residuals = range_residuals(problem, solution.state, readings)
     stds, is_used = problem.range_std * problem.noise, solution.weights > 0.0
-    result = _divided(along, residuals, rows[:, COSINE], stds, labels, is_used)
+    result = _divided(along, residuals, readings.cosines, stds, labels, is_used)
     return np.where(_is_one_sided(problem, residuals, labels), -1, result)
 
 

@@ -21,8 +21,8 @@ from limslam_agent.slam.graph.key_poses import (
     joined_bias,
     odometry_trajectory,
 )
-from limslam_agent.slam.graph.least_squares import NormalEquations
 from limslam_agent.slam.graph.local_smoothing import cautious_equations, motion_covariances, smooth_locally
+from limslam_agent.slam.least_squares.normal_equations import NormalEquations
 from limslam_env.geometry import FloatArray, IntArray
 
 _ITERATIONS = SmoothingConfig(link_iterations=3, line_iterations=5)

@@ -8,11 +8,14 @@ import pytest
 from support.drives import ROBOT
 from support.smoother_runs import START, WHEEL_VARIANCE, noisy_run, true_labels
 
-from limslam_agent.slam.line_graph import chain_kernels, elimination
-from limslam_agent.slam.line_graph.line_smoother import pose_covariances, solve
+from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.slam.line_graph import line_smoother
+from limslam_agent.slam.line_graph.factors import drive, expected_readings, motion_jacobians, motions_between
+from limslam_agent.slam.line_graph.line_smoother import chi_square, pose_columns, solve
 from limslam_agent.slam.line_graph.problem import (
     CALIBRATION_PRIOR,
     Readings,
+    expected,
     make_problem,
     state_from_motions,
     state_from_poses,
@@ -23,7 +26,7 @@ from limslam_env.interface import NominalNoise
 
 
 def smoothed(problem, poses):
-    return solve_labels(problem, state_from_motions(problem), true_labels(problem, poses), 12).solution
+    return solve_labels(problem, state_from_motions(problem), true_labels(problem, poses)).solution
 
 
 def nees(true, estimated, covariances):
@@ -35,55 +38,55 @@ def nees(true, estimated, covariances):
 def test_motions_are_the_arcs_of_wheels():
     travel = np.array([[0.02, 0.03], [0.03, -0.01], [0.0, 0.0], [-0.02, -0.02]])
     motions = np.column_stack((travel, np.zeros(4)))
-    poses = np.empty((5, 3))
-    chain_kernels.drive(START, motions, ROBOT.axle, poses)
+    poses = drive(START, motions, ROBOT.axle)
     pose = START
     for number, wheels in enumerate(travel):
         pose = compose(pose, arc(*wheels_to_arc(wheels, ROBOT.axle)))
         assert poses[number + 1] == pytest.approx(pose, abs=1e-12)
-    back = np.empty((4, 3))
-    chain_kernels.motions_between(poses, ROBOT.axle, back)
-    assert back == pytest.approx(motions, abs=1e-12)
+    assert motions_between(poses, ROBOT.axle) == pytest.approx(motions, abs=1e-12)
 
 
 @pytest.mark.parametrize("turn", [0.0, 1e-5, 0.3, -1.2])
 def test_derivatives_of_motions_are_differences(turn):
     poses = np.array([[0.3, -0.2, 0.7], [0.35, -0.17, 0.7 + turn]])
-    before, after = np.empty((1, 3, 3)), np.empty((1, 3, 3))
-    chain_kernels.motion_jacobians(poses, ROBOT.axle, before, after)
-    for row, found in enumerate((before, after)):
-        for column in range(3):
-            change, ends = np.zeros((2, 3)), np.empty((2, 1, 3))
-            change[row, column] = 1e-6
-            chain_kernels.motions_between(poses + change, ROBOT.axle, ends[0])
-            chain_kernels.motions_between(poses - change, ROBOT.axle, ends[1])
-            assert found[0, :, column] == pytest.approx((ends[0, 0] - ends[1, 0]) / 2e-6, abs=1e-6)
+    found = motion_jacobians(poses, ROBOT.axle)[0]
+    for column in range(6):
+        change = np.zeros((2, 3))
+        change.flat[column] = 1e-6
+        ends = [motions_between(poses + sign * change, ROBOT.axle)[0] for sign in (1.0, -1.0)]
+        assert found[:, column] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=1e-6)
 
 
-def test_derivatives_of_readings_are_differences():
+@pytest.mark.parametrize("width", [0.0, 0.03, 1.2])
+def test_derivatives_of_readings_are_differences(width):
     pose, line, anchor = np.array([0.3, 0.2, 0.4]), np.array([0.1, 0.9]), np.array([1.0, 1.1])
     beam = np.array([0.05, 0.08, 0.6])
 
-    def row_at(pose, line):
-        row = np.zeros(chain_kernels.COLUMNS)
-        rows = row[None]
-        chain_kernels.expected_readings(
-            pose[None], np.array([0]), beam[None], np.array([0]), line[None], anchor[None], rows
-        )
-        return rows[0]
+    def expected_at(pose, line):
+        return expected_readings(pose[None], beam[None], line[None], anchor[None], width)
 
-    found = row_at(pose, line)
+    found = expected_at(pose, line)
+    derivatives = np.append(found.by_pose[0], found.by_line[0])
     for column in range(5):
         change = np.zeros(5)
         change[column] = 1e-6
-        ends = [row_at(pose + sign * change[:3], line + sign * change[3:])[0] for sign in (1.0, -1.0)]
-        assert found[1 + column] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=1e-6)
+        ends = [expected_at(pose + sign * change[:3], line + sign * change[3:]).ranges[0] for sign in (1.0, -1.0)]
+        assert derivatives[column] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=1e-6)
+
+
+def test_far_readings_count_less_where_the_noise_grows():
+    problem, poses = noisy_run(8)
+    growing = replace(problem, growth=3.0)
+    solution = smoothed(growing, poses)
+    stds, used = RangeSensor(1.0, 3.0).stds(problem.readings.distances), solution.weights > 0.0
+    product = (solution.weights * stds**2)[used]
+    assert product == pytest.approx(np.full(used.sum(), product[0]))
 
 
 @pytest.fixture(params=[1, 7, 100_000])
 def block(request, monkeypatch):
     """Poses of a block of the elimination: every pose remains, some remain, only the last one remains."""
-    monkeypatch.setattr(elimination, "_BLOCK", request.param)
+    monkeypatch.setattr(line_smoother, "_BLOCK", request.param)
     return request.param
 
 
@@ -94,7 +97,7 @@ def test_the_optimum_is_that_of_gtsam():
 
     problem, poses = noisy_run(3)
     labels = true_labels(problem, poses)
-    ours = solve(problem, smoothed(problem, poses).state, labels, iterations=20, tolerance=1e-9)
+    ours = solve(problem, smoothed(problem, poses).state, labels)
     walls = np.full((problem.steps, 1, len(ROBOT.beams)), -1)
     ranges = np.full(walls.shape, 1.5)
     at = problem.readings.places, 0, problem.readings.beams
@@ -105,23 +108,25 @@ def test_the_optimum_is_that_of_gtsam():
     )  # fmt: skip
     assert limit.is_converged
     assert np.abs(ours.state.poses[0, :, :2] - limit.poses[:, 0, :2]).max() < 3e-5
-    assert ours.chi_square == pytest.approx(limit.chi_square, rel=1e-4)
+    readings = expected(problem, ours.state, labels)
+    assert chi_square(problem, ours.state, readings, ours.weights) == pytest.approx(limit.chi_square, rel=1e-4)
 
 
 @pytest.mark.usefixtures("block")
 def test_covariances_are_those_of_a_dense_solution():
     problem, poses = noisy_run(4)
-    solution = smoothed(problem, poses)
-    covariances = pose_covariances(solution)
+    first = solve_labels(problem, state_from_motions(problem), true_labels(problem, poses))
+    # The equations are linearised at the state before the last step, which is the optimum here.
+    solution = solve(problem, first.state, first.labels)
+    covariances = solution.of_poses
     # The same equations, with nothing eliminated: numerical derivatives of all residuals by all poses and lines.
     state, labels = solution.state, true_labels(problem, poses)
     steps, count = problem.steps, len(state.lines)
-    before, after = np.empty((steps - 1, 3, 3)), np.empty((steps - 1, 3, 3))
-    chain_kernels.motion_jacobians(state.poses[0], ROBOT.axle, before, after)
+    jacobians = motion_jacobians(state.poses[0], ROBOT.axle)
     whole = np.zeros((3 * steps + 2 * count, 3 * steps + 2 * count))
     for step in range(steps - 1):
         own = slice(3 * step, 3 * step + 6)
-        jacobian = np.hstack((before[step], after[step])) / problem.stds[0, step][:, None]
+        jacobian = jacobians[step] / problem.stds[0, step][:, None]
         whole[own, own] += jacobian.T @ jacobian
     order = np.unique(labels, return_index=True)[1]
     numbers = np.argsort(np.argsort(order))
@@ -135,30 +140,28 @@ def test_covariances_are_those_of_a_dense_solution():
         block = slice(3 * step - 3, 3 * step)
         assert covariances[0, step] == pytest.approx(dense[block, block], rel=1e-3, abs=1e-12)
     # The joint covariance of the last pose and the lines, from which a renewal goes on.
-    factored = solution.factored
-    rows = np.append(factored.last_pose, np.arange(factored.first_line, factored.first_line + 2 * count))
-    joint = factored.covariance[np.ix_(rows, rows)]
+    unknowns = solution.unknowns
+    columns = np.append(pose_columns(unknowns.ends[-1:]), np.arange(unknowns.first_line, unknowns.size))
+    rows = np.searchsorted(unknowns.kept, columns)
+    joint = solution.covariance[np.ix_(rows, rows)]
     assert joint == pytest.approx(dense[3 * steps - 6 :, 3 * steps - 6 :], rel=1e-3, abs=1e-9)
 
 
 def test_a_block_without_readings_is_solved(monkeypatch):
-    monkeypatch.setattr(elimination, "_BLOCK", 7)
+    monkeypatch.setattr(line_smoother, "_BLOCK", 7)
     problem, poses = noisy_run(4)
     kept = problem.readings.places > 20
     readings = Readings(*(getattr(problem.readings, name)[kept] for name in ("places", "beams", "distances")))
     problem = replace(problem, readings=readings)
     solution = smoothed(problem, poses)
-    assert np.isfinite(pose_covariances(solution)).all()
+    assert np.isfinite(solution.of_poses).all()
 
 
 def numbered_row(problem, state, line, k):
     """Derivatives (5,) of one reading by its pose and its line."""
-    rows = np.zeros((1, chain_kernels.COLUMNS))
-    chain_kernels.expected_readings(
-        state.poses[0], problem.readings.places[[k]], problem.beams[[k]], np.array([line]), state.lines,
-        state.anchors, rows,
-    )  # fmt: skip
-    return rows[0, 1:6]
+    pose = state.poses[0, problem.readings.places[k]]
+    found = expected_readings(pose[None], problem.beams[[k]], state.lines[[line]], state.anchors[[line]], 0.0)
+    return np.append(found.by_pose[0], found.by_line[0])
 
 
 def test_errors_are_as_large_as_the_covariances_say():
@@ -166,7 +169,7 @@ def test_errors_are_as_large_as_the_covariances_say():
     for seed in range(12):
         problem, poses = noisy_run(seed)
         solution = smoothed(problem, poses)
-        covariances = pose_covariances(solution)
+        covariances = solution.of_poses
         mean.append(nees(poses[0, 30:], solution.state.poses[0, 30:], covariances[0, 30:]).mean() / 3.0)
     # The mean of 12 runs of strongly correlated poses: chi-square of about 36 degrees of freedom, over 36.
     assert 0.5 < np.mean(mean) < 1.6
@@ -188,7 +191,7 @@ def test_two_robots_share_their_lines():
     ]  # fmt: skip
     for number, single in enumerate(alone):
         solution = smoothed(single, poses[[number]])
-        deviation = math.sqrt(pose_covariances(both)[number, -1, 0, 0] / pose_covariances(solution)[0, -1, 0, 0])
+        deviation = math.sqrt(both.of_poses[number, -1, 0, 0] / solution.of_poses[0, -1, 0, 0])
         assert deviation < 1.0
 
 

@@ -4,16 +4,16 @@ import numpy as np
 import pytest
 from support.smoother_runs import noisy_run, position_error, true_labels
 
-from limslam_agent.slam.line_graph.mending import split
+from limslam_agent.slam.least_squares.normal_equations import DegenerateError
 from limslam_agent.slam.line_graph.problem import make_problem, state_from_motions
 from limslam_agent.slam.line_graph.reassociation import (
     carriers,
+    lines_of,
     merge,
     reassociate,
     renumbered,
     rooted,
     solve_labels,
-    with_anchors,
 )
 
 
@@ -48,34 +48,30 @@ def test_lines_of_one_wall_are_merged():
     halves = 2 * wanted + (problem.readings.places > problem.steps // 2)
     begin = solve_labels(problem, state_from_motions(problem), halves)
     assert len(begin.state.lines) > 4
-    found, has_merged = merge(problem, begin)
+    found, has_merged, _ = merge(problem, begin)
     assert has_merged
     assert len(found.state.lines) == 4
     assert agreeing(found, wanted) == 1.0
 
 
-def test_a_drive_of_which_no_line_is_left_has_nothing_to_merge():
+def test_a_drive_of_which_no_line_is_left_is_not_solved():
     problem, _ = noisy_run(2)
-    nothing = solve_labels(problem, state_from_motions(problem), np.full(len(problem.readings), -1))
-    found, has_merged = merge(problem, nothing)
-    assert found is nothing
-    assert not has_merged
+    with pytest.raises(DegenerateError):
+        solve_labels(problem, state_from_motions(problem), np.full(len(problem.readings), -1))
 
 
 def test_anchors_move_with_the_world():
     problem, poses = noisy_run(2)
     found = solve_labels(problem, state_from_motions(problem), true_labels(problem, poses))
     kept, by_pose = carriers(problem, found)
-    ends = [block.last for block in found.solution.factored.blocks]
+    ends = found.solution.unknowns.ends
     shift, turn = np.array([0.3, -0.2]), 1e-6
     for line, anchor, index, row in zip(found.state.lines, found.state.anchors, kept, by_pose, strict=True):
         x, y = anchor - found.state.poses[0, ends[index[0] // 3], :2]
         along = np.array([-np.sin(line[1]), np.cos(line[1])])
         moved = np.array([np.cos(turn) * x - np.sin(turn) * y - x, np.sin(turn) * x + np.cos(turn) * y - y])
         assert row @ [*shift, turn] == pytest.approx(along @ (shift + moved), abs=1e-9)
-    # Up to now, the place of the world is known, and then the lines alone say enough.
-    assert with_anchors(problem, found, 1e-3).shape == (8, 8)
-    joint = with_anchors(problem, found, 1e3)
+    joint = lines_of(problem, found).covariance
     assert joint.shape == (12, 12)
     assert np.linalg.eigvalsh(joint).min() > -1e-12
 
@@ -83,7 +79,7 @@ def test_anchors_move_with_the_world():
 def test_lines_of_different_walls_are_not_merged():
     problem, poses = noisy_run(3, noise=0.04)
     begin = solve_labels(problem, state_from_motions(problem), true_labels(problem, poses))
-    found, has_merged = merge(problem, begin)
+    found, has_merged, _ = merge(problem, begin)
     assert not has_merged
     assert np.array_equal(found.labels, begin.labels)
 
@@ -101,25 +97,6 @@ def test_readings_near_a_corner_that_two_lines_predict_are_not_used():
     problem, poses = noisy_run(5, noise=0.04)
     found = reassociate(problem, state_from_motions(problem), true_labels(problem, poses))
     assert 0.0 < (found.labels < 0).mean() < 0.1
-
-
-def test_a_line_is_cut_where_it_was_not_read_for_a_while():
-    problem, _ = noisy_run(6)
-    labels = np.full(len(problem.readings), -1)
-    places = problem.readings.places
-    labels[places < 20] = 7
-    labels[places > problem.steps - 20] = 7
-    cut = split(problem, labels, 1.0)
-    assert set(cut[places < 20]) == {0}
-    assert set(cut[places > problem.steps - 20]) == {1}
-    assert set(cut[labels < 0]) == {-1}
-    assert set(split(problem, labels, 100.0)[labels >= 0]) == {0}
-
-
-def test_the_readings_of_two_robots_are_cut_apart():
-    problem, _ = noisy_run(6, robots=2)
-    cut = split(problem, np.zeros(len(problem.readings), dtype=int), 100.0)
-    assert np.array_equal(cut, problem.readings.places // problem.steps)
 
 
 def test_lines_are_numbered_by_their_first_reading():

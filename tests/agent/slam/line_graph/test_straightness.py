@@ -6,12 +6,7 @@ from support.smoother_runs import noisy_run, true_labels
 
 from limslam_agent.slam.line_graph.line_kernels import one_sided_runs
 from limslam_agent.slam.line_graph.problem import state_from_poses
-from limslam_agent.slam.line_graph.reassociation import (
-    places_along,
-    solve_labels,
-    straightened,
-    without_ends,
-)
+from limslam_agent.slam.line_graph.reassociation import solve_labels, straightened
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02, 0.04])
@@ -33,25 +28,6 @@ def test_two_walls_with_one_line_are_divided():
     np.add.at(pairs, (result.labels[used], wanted[used]), 1)
     assert len(result.state.lines) > len(begin.state.lines)
     assert pairs.max(axis=1).sum() > 0.95 * used.sum()
-
-
-def test_the_readings_beside_the_ends_do_not_count_and_keep_their_line():
-    problem, poses = noisy_run(3, 0.04)
-    begin = solve_labels(problem, state_from_poses(problem, np.moveaxis(poses, 0, 1)), true_labels(problem, poses))
-    result = without_ends(problem, begin)
-    along = places_along(problem, result.state, result.labels)
-    for line in range(len(result.state.lines)):
-        own = result.labels == line
-        outermost = own & ((along == along[own].min()) | (along == along[own].max()))
-        assert own.sum() > 6
-        assert not result.solution.weights[outermost].any()
-    assert np.array_equal(result.labels, begin.labels)
-
-
-def test_exact_ranges_need_no_guard():
-    problem, poses = noisy_run(3, 0.02)
-    begin = solve_labels(problem, state_from_poses(problem, np.moveaxis(poses, 0, 1)), true_labels(problem, poses))
-    assert without_ends(problem, begin) is begin
 
 
 def test_runs_on_one_side_are_found():

@@ -1,0 +1,200 @@
+"""The sparse normal equations to which the factors of a graph are added, their solution, and covariances."""
+
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple
+
+import numpy as np
+from scipy.sparse import coo_matrix, csc_matrix, diags_array
+from scipy.sparse.linalg import SuperLU, splu
+
+from limslam_agent.slam.least_squares.selected_inverse import selected_inverse
+from limslam_env.geometry import FloatArray, IntArray
+
+_FIXED = 3
+_AT_ONCE = 32
+# Share of the product of two unknowns' scales, at random. splu drops exact zeros, and a number that is never zero keeps
+# all places that the recursion of covariances visits. It is below the rounding errors of the matrix.
+_NEVER_ZERO = 1e-16
+
+
+class DegenerateError(ValueError):
+    """The normal equations cannot be solved: the factors do not determine the unknowns."""
+
+
+@dataclass(eq=False)
+class NormalEquations:
+    """Sums of J^T W J and J^T W e over factors.
+
+    Attributes
+    ----------
+    size
+        Number of unknowns.
+    order
+        The unknowns that are solved for, in the order of their elimination. The others are fixed. None if only the
+        first pose is fixed, and the sparsity of the matrix gives the order.
+    gradient
+        (size,) the sum of J^T W e.
+    """
+
+    size: int
+    order: IntArray | None = None
+    gradient: FloatArray = field(init=False)
+    _free: IntArray = field(init=False)
+    _places: IntArray = field(init=False)
+    _rows: list[IntArray] = field(init=False, default_factory=list)
+    _columns: list[IntArray] = field(init=False, default_factory=list)
+    _values: list[FloatArray] = field(init=False, default_factory=list)
+    _structure: "_Structure | None" = field(init=False, default=None)
+
+    def __post_init__(self) -> None:
+        self.gradient = np.zeros(self.size)
+        self._free = np.arange(_FIXED, self.size) if self.order is None else self.order
+        is_fixed = np.ones(self.size, dtype=bool)
+        is_fixed[self._free] = False
+        # The place of each unknown in the matrix. Those that are fixed come last, and are left out.
+        self._places = np.empty(self.size, dtype=np.int32)
+        self._places[np.append(self._free, np.flatnonzero(is_fixed))] = np.arange(self.size)
+
+    def restart(self) -> None:
+        """Forget all sums. The same factors are then added again, linearised at another state."""
+        self._values.clear()
+        self.gradient = np.zeros(self.size)
+
+    def add(
+        self, columns: IntArray, jacobian: FloatArray, error: FloatArray, information: FloatArray | None = None
+    ) -> None:
+        """Add factors with columns (f, q), Jacobians (f, d, q), errors (f, d) and information matrices (f, d, d).
+
+        Jacobians and errors are divided by standard deviations if there is no information matrix.
+        """
+        weighted = jacobian if information is None else information @ jacobian
+        self.add_blocks(columns, jacobian.transpose(0, 2, 1) @ weighted, np.einsum("fdq,fd->fq", weighted, error))
+
+    def add_blocks(self, columns: IntArray, hessian: FloatArray, gradient: FloatArray) -> None:
+        """Add given sums: columns (f, q), J^T W J (f, q, q) and J^T W e (f, q)."""
+        self._values.append(hessian.ravel())
+        if self._structure is None:
+            width, places = columns.shape[1], self._places[columns]
+            self._rows.append(np.repeat(places, width, axis=1).ravel())
+            self._columns.append(np.tile(places, (1, width)).ravel())
+        np.add.at(self.gradient, columns.ravel(), gradient.ravel())
+
+    def factorise(self, damping: float = 0.0) -> SuperLU:
+        """Factorise the matrix of the unknowns that are not fixed.
+
+        ``damping`` times the diagonal is added to the matrix.
+
+        Raises
+        ------
+        DegenerateError
+            If the matrix is singular.
+        """
+        matrix = self._matrix()
+        if damping:
+            matrix = csc_matrix(matrix + diags_array(damping * matrix.diagonal()))
+        return _factors(matrix, "MMD_AT_PLUS_A" if self.order is None else "NATURAL")
+
+    def solve(self, damping: float = 0.0) -> FloatArray:
+        """The Gauss-Newton step (size,)."""
+        return -self.solved(self.factorise(damping), self.gradient)
+
+    def solved(self, factors: SuperLU, right: FloatArray) -> FloatArray:
+        """The inverse of the matrix times ``right`` (size, ...). The rows of fixed unknowns are zero."""
+        solved = np.zeros_like(right)
+        solved[self._free] = factors.solve(right[self._free])
+        return solved
+
+    def covariances(self, columns: IntArray, jacobian: FloatArray) -> FloatArray:
+        """Covariances (f, d, d) of quantities whose Jacobians (f, d, q) refer to the unknowns ``columns`` (f, q)."""
+        factors, found = self.factorise(), np.empty((len(jacobian), jacobian.shape[1], jacobian.shape[1]))
+        # A few at a time, since each needs dense columns of all unknowns.
+        for begin in range(0, len(jacobian), _AT_ONCE):
+            part = slice(begin, begin + _AT_ONCE)
+            found[part] = self._covariances(factors, columns[part], jacobian[part])
+        return found
+
+    def covariance_of_last(self, factors: SuperLU, count: int) -> FloatArray:
+        """Joint covariance (count, count) of the last unknowns of an order, all of which are coupled to each other."""
+        lower, upper = (each[-count:, -count:].toarray() for each in (factors.L, factors.U))
+        if not (upper.diagonal() > 0.0).all():
+            raise DegenerateError("the factors do not determine the unknowns")
+        inverse = np.linalg.inv(lower @ upper)
+        return np.asarray(0.5 * (inverse + inverse.T))
+
+    def marginals(self, columns: IntArray) -> FloatArray:
+        """Covariances (f, q, q) of unknowns (f, q) with a factor in common, by an order; 0 where they are fixed."""
+        matrix = self._matrix()
+        scale, draws = np.sqrt(matrix.diagonal()), np.random.default_rng(0).uniform(0.5, 1.0, matrix.nnz)
+        column = np.repeat(np.arange(len(scale)), np.diff(matrix.indptr))
+        matrix.data += _NEVER_ZERO * draws * scale[matrix.indices] * scale[column]
+        factors = _factors(matrix, "NATURAL")
+        lower, pivots = csc_matrix(factors.L), factors.U.diagonal()
+        lower.sort_indices()
+        values = np.empty(lower.nnz)
+        selected_inverse(lower.indptr.astype(np.int64), lower.indices.astype(np.int64), lower.data, pivots, values)
+        inverse = csc_matrix((values, lower.indices, lower.indptr), shape=lower.shape)
+        places = self._places[columns]
+        is_free = (places < len(pivots)).all(axis=1)
+        above, below = places[is_free, :, None], places[is_free, None, :]
+        found = np.zeros((*places.shape, places.shape[1]))
+        entries = inverse[np.maximum(above, below).ravel(), np.minimum(above, below).ravel()]
+        found[is_free] = np.asarray(entries).reshape(above.shape[0], *found.shape[1:])
+        return found
+
+    def _matrix(self) -> csc_matrix:
+        """The matrix of the unknowns that are not fixed."""
+        if self._structure is None:
+            self._structure = _Structure.of(self._rows, self._columns, self.size, len(self._free))
+        return self._structure.summed(np.concatenate(self._values))
+
+    def _covariances(self, factors: SuperLU, columns: IntArray, jacobian: FloatArray) -> FloatArray:
+        count, height, _ = jacobian.shape
+        right = np.zeros((self.size, count * height))
+        places = np.arange(count * height).reshape(count, height)
+        right[columns[:, :, None], places[:, None, :]] = jacobian.transpose(0, 2, 1)
+        solved = self.solved(factors, right)
+        return np.asarray(jacobian @ solved[columns[:, :, None], places[:, None, :]])
+
+
+class _Structure(NamedTuple):
+    """Where the entries of a sparse matrix come from.
+
+    Attributes
+    ----------
+    order, firsts
+        The order of the values (k,) by which those of one entry follow each other, and the first value of each entry.
+    rows, columns
+        The row of each entry (e,), and the first entry of each column (n + 1,).
+    """
+
+    order: IntArray
+    firsts: IntArray
+    rows: IntArray
+    columns: IntArray
+
+    @classmethod
+    def of(cls, rows: list[IntArray], columns: list[IntArray], size: int, count: int) -> "_Structure":
+        """The structure of the first ``count`` rows and columns of a matrix, by the place of each value."""
+        places = np.concatenate(rows), np.concatenate(columns)
+        numbers = coo_matrix((np.arange(len(places[0])), places), shape=(size, size))
+        # Nothing is summed: sorting by rows and then by columns brings the values of each entry together.
+        numbers.has_canonical_format = True
+        ordered = numbers.tocsr().tocsc()[:count, :count]
+        column = np.repeat(np.arange(count), np.diff(ordered.indptr))
+        is_first = (np.diff(ordered.indices, prepend=-1) != 0) | (np.diff(column, prepend=-1) != 0)
+        firsts = np.flatnonzero(is_first)
+        ends = np.append(0, np.cumsum(np.bincount(column[firsts], minlength=count)))
+        return cls(ordered.data, firsts, ordered.indices[firsts], ends)
+
+    def summed(self, values: FloatArray) -> csc_matrix:
+        """The matrix with the sums of values (k,) as its entries."""
+        count = len(self.columns) - 1
+        sums = np.add.reduceat(values[self.order], self.firsts)
+        return csc_matrix((sums, self.rows, self.columns), shape=(count, count))
+
+
+def _factors(matrix: csc_matrix, order: Literal["NATURAL", "MMD_AT_PLUS_A"]) -> SuperLU:
+    try:
+        return splu(matrix, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
+    except RuntimeError as error:
+        raise DegenerateError("the factors do not determine the unknowns") from error
