@@ -145,7 +145,7 @@ def live_robot() -> dict:
     return {"robot": parts["FakeRobot"](in_real_time=False), "agent": agent, "spec": parts["SPEC"], "np": parts["np"]}
 
 
-NEEDS = {"logs.md": live_robot}
+NEEDS = {"live.md": live_robot}
 # test_readme runs the README and looks at what it prints.
 PYTHON_PAGES = [
     page for page in pages() if page.name != "README.md" and any(block.language == "python" for block in blocks(page))
