@@ -36,7 +36,6 @@ DIAGRAMS = {
 # Python blocks that are compiled, but not run, by the words that they begin with.
 NOT_RUN = {
     "from rl_sb3 import wrapped": "needs a model that was saved; test_rl_examples runs the same comparison",
-    "import gymnasium as gym\nfrom ray.rllib": "RLlib pins another version of Gymnasium",
     "import minari\n": "needs a recorded dataset; tests/benchmarks/dataset reads one",
     "from pathlib import Path\nfrom benchmarks.suite.store": "needs the results of a suite, which takes minutes",
 }
