@@ -36,7 +36,6 @@ DIAGRAMS = {
 # Python blocks that are compiled, but not run, by the words that they begin with.
 NOT_RUN = {
     "from rl_sb3 import wrapped": "needs a model that was saved; test_rl_examples runs the same comparison",
-    "import gymnasium as gym\nfrom ray.rllib": "RLlib pins another version of Gymnasium",
     "import minari\n": "needs a recorded dataset; tests/benchmarks/dataset reads one",
     "from pathlib import Path\nfrom benchmarks.suite.store": "needs the results of a suite, which takes minutes",
 }
@@ -145,7 +144,7 @@ def live_robot() -> dict:
     return {"robot": parts["FakeRobot"](in_real_time=False), "agent": agent, "spec": parts["SPEC"], "np": parts["np"]}
 
 
-NEEDS = {"logs.md": live_robot}
+NEEDS = {"live.md": live_robot}
 # test_readme runs the README and looks at what it prints.
 PYTHON_PAGES = [
     page for page in pages() if page.name != "README.md" and any(block.language == "python" for block in blocks(page))
