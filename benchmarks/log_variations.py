@@ -221,7 +221,7 @@ class Outcome:
         )
         signals = self.signals
         signs = f"{signals.position_std:.2f} m expected, {signals.contradicted_share:.3f} contradicted"
-        where = f"{signs}, G {self.found.score:.3f}, {self.found.start}, {self.seconds:.0f} s"
+        where = f"{signs}, {self.found.kind}, {self.seconds:.0f} s"
         return f"{metres:.3f} m / {degrees:.2f} deg, loops {loops:.3f} m, {signals.status.level}, {where}"
 
 
@@ -237,7 +237,7 @@ def outcome(path: Path, known: Path, how: Variation, truth: tuple[FloatArray, Fl
     config = GraphConfig()
     begin = time.process_time()
     directed = with_reversing(data, config)
-    found, _, signals, _ = trusted_path(directed, np.zeros(3), replace(config, maps=replace(config.maps, hop=how.hop)))
+    found, signals = trusted_path(directed, np.zeros(3), replace(config, maps=replace(config.maps, hop=how.hop)))
     seconds = time.process_time() - begin
     errors = summary(relation_errors(relations, data.time, found.poses, data.odometry))
     if truth is None:

@@ -233,12 +233,6 @@ SelfCalibrate = Annotated[
     ),
 ]
 Calibrate = Annotated[Path | None, _option(_ODOMETRY, "File of known relative poses to estimate the bias from.")]
-CalibrateUntil = Annotated[
-    float | None, _option(_ODOMETRY, "Estimate the bias from this many first seconds of the log only.")
-]
-CalibrateLog = Annotated[
-    Path | None, _option(_ODOMETRY, "Estimate the bias from this log instead of the replayed log.")
-]
 RelationsFile = Annotated[
     list[Path] | None,
     _option(

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from limslam_agent.logs.recorded_log import RecordedLog
     from limslam_agent.logs.relations import Relations
     from limslam_agent.logs.table_options import TableOptions
-    from limslam_agent.replay.options import Calibration, CalibrationRun
+    from limslam_agent.replay.calibration import OdometryBias
     from limslam_agent.replay.replay import Replay
     from limslam_env.interface import RobotSpec
 
@@ -39,8 +39,6 @@ def replay(
     odometry_bias: take.OdometryBias = None,
     self_calibrate: take.SelfCalibrate = None,
     calibrate: take.Calibrate = None,
-    calibrate_until: take.CalibrateUntil = None,
-    calibrate_log: take.CalibrateLog = None,
     scan_topic: take.ScanTopic = None,
     range_topics: take.RangeTopics = None,
     odometry_topic: take.OdometryTopic = None,
@@ -103,7 +101,7 @@ class Job:
     log: "RecordedLog"
     config: "AgentConfig"
     relations: "Relations | None"
-    calibration: "Calibration | None"
+    calibration: "OdometryBias | None"
     source: dict[str, str | None]
 
 
@@ -158,9 +156,9 @@ def job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "Robo
     from limslam_agent.logs.limits import Limits
     from limslam_agent.logs.log_reader import read_log
     from limslam_agent.logs.relations import read_relations
-    from limslam_agent.replay.options import CalibrationRun, chosen_topics, numbers
+    from limslam_agent.replay.calibration import calibrated
+    from limslam_agent.replay.options import chosen_topics, numbers
 
-    calibration_run = CalibrationRun(options.calibrate, options.calibrate_until, options.calibrate_log)
     if options.calibrate and options.odometry_bias:
         raise ValueError("--odometry-bias and --calibrate both set the bias: use only one of them")
     limits = Limits(round(1e6 * options.max_size), options.max_events, options.max_beams)
@@ -169,10 +167,7 @@ def job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "Robo
     topics = chosen_topics(options.scan_topic, options.range_topics, options.odometry_topic)
     table = _table_options(options, robot)
 
-    def opened(path: Path) -> "RecordedLog":
-        return read_log(path, angles, options.max_range, topics, limits, table)
-
-    recorded = opened(log)
+    recorded = read_log(log, angles, options.max_range, topics, limits, table)
     _check_options(log, options, recorded)
     # Relations of two logs lie in one of them, or between them.
     if known is not None and options.other_log is None and (share := float(known.within(recorded.time).mean())) < 0.5:
@@ -180,11 +175,11 @@ def job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "Robo
         raise ValueError(
             f"{options.relations}: {count} of its relations lie in the log's time: are they of another log?"
         )
-    calibration = calibration_run.estimate(recorded, agent.odometry, opened)
-    if calibration:
+    calibration = None
+    if options.calibrate is not None:
+        calibration = calibrated(options.calibrate, recorded, agent.odometry)
         agent = replace(agent, odometry=calibration.applied_to(agent.odometry))
-        known = known and calibration.held_out(known)
-    return Job(recorded, agent, known, calibration, _source(log, options, calibration_run))
+    return Job(recorded, agent, known, calibration, _source(log, options))
 
 
 def _table_options(options: ReplayOptions, robot: "RobotSpec | None") -> "TableOptions":
@@ -214,9 +209,9 @@ def _check_options(log: Path, options: ReplayOptions, recorded: "RecordedLog") -
         raise ValueError(f"{log}: has wheel travel; --odometry-noise and --odometry-bias are for logs with poses")
 
 
-def _source(log: Path, options: ReplayOptions, calibration_run: "CalibrationRun") -> dict[str, str | None]:
-    relations = options.relations.name if options.relations else None
-    return {"log": log.name, "relations": relations, **calibration_run.source}
+def _source(log: Path, options: ReplayOptions) -> dict[str, str | None]:
+    relations, calibration = (path.name if path else None for path in (options.relations, options.calibrate))
+    return {"log": log.name, "relations": relations, "calibration": calibration}
 
 
 def scores_of(job: Job, result: "Replay", relations: Path | None) -> dict[str, Any]:
@@ -239,6 +234,5 @@ def scores_of(job: Job, result: "Replay", relations: Path | None) -> dict[str, A
     if job.relations is not None:
         scores |= relation_scores(result, job.relations)
         if not scores["relations"]:
-            left = "left to score" if job.calibration else "in the log's time"
-            raise ValueError(f"{relations}: none of its relations is {left}")
+            raise ValueError(f"{relations}: none of its relations is in the log's time")
     return scores

@@ -84,8 +84,6 @@ class ReplayOptions(Bounded):
     odometry_bias: str | None = None
     self_calibrate: bool | None = None
     calibrate: Path | None = None
-    calibrate_until: float | None = None
-    calibrate_log: Path | None = None
     scan_topic: str | None = None
     range_topics: str | None = None
     odometry_topic: str | None = None

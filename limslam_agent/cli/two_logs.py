@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from limslam_agent.replay.two_logs import JointReplay
     from limslam_env.interface import RobotSpec
 
-_FOR_ONE_LOG = ("map", "calibrate", "calibrate_until", "calibrate_log")
+_FOR_ONE_LOG = ("map", "calibrate")
 
 
 def carry_out_both(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None" = None) -> None:

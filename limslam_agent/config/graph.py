@@ -121,25 +121,6 @@ class ReversingConfig(Bounded):
 
 
 @dataclass(frozen=True)
-class RoundConfig(Bounded):
-    """Rounds in which all loops are tested anew.
-
-    Attributes
-    ----------
-    hops
-        The hop between chunks in each round, as a share of ``LocalMapConfig.hop``.
-    iterations
-        Number of iterations of the bundle in each round.
-    orientations
-        First headings of the log in the frames of the searches, rad: they decide the bins of the Hough transforms.
-    """
-
-    hops: tuple[float, ...] = (1.0, 0.8) * 5
-    iterations: tuple[int, ...] = (6, 6, 6, 8, 8, 8, 8, 8, 8, 8)
-    orientations: tuple[float, ...] = (0.0, 20.0 * _DEGREE, 45.0 * _DEGREE, 70.0 * _DEGREE)
-
-
-@dataclass(frozen=True)
 class GraphConfig(Bounded):
     """All settings of the graph of local maps."""
 
@@ -149,4 +130,3 @@ class GraphConfig(Bounded):
     lines: WallLineConfig = field(default_factory=WallLineConfig)
     smoothing: SmoothingConfig = field(default_factory=SmoothingConfig)
     maps: LocalMapConfig = field(default_factory=LocalMapConfig)
-    rounds: RoundConfig = field(default_factory=RoundConfig)

@@ -172,7 +172,7 @@ def _limit(metrics: Mapping[str, Any]) -> list[str]:
 
 def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
     """Lines about a replay, from the ``metrics`` of its ``result.json``. Missing values are left out."""
-    lines = _status(metrics) + _smoothed_status(metrics) + _reach(metrics) + _reversing(metrics) + _errors(metrics)
+    lines = _status(metrics) + _smoothed_status(metrics) + _reversing(metrics) + _errors(metrics)
     since = metrics.get("online_graph_from_s")
     if isinstance(since, int | float):
         lines.append(f"            the filter was lost after {since:.0f} s; the online graph went on")
@@ -223,14 +223,6 @@ def _smoothed_status(metrics: Mapping[str, Any]) -> list[str]:
         points = f"{metrics['smoothed_points_per_m']:.1f} readings of walls in a metre of driving"
         lines.append(f"            {points}: with fewer than {FEW_POINTS:.0f}, paths were often wrong")
     return lines
-
-
-def _reach(metrics: Mapping[str, Any]) -> list[str]:
-    """Up to which range the smoothing used the readings, if it did not use all."""
-    if not _has(metrics, "smoothed_reach_m"):
-        return []
-    reach = metrics["smoothed_reach_m"]
-    return [f"            readings beyond {reach:g} m left out at the end: visits of a place contradict them"]
 
 
 def _reversing(metrics: Mapping[str, Any]) -> list[str]:

@@ -5,14 +5,16 @@ nominal size. The errors are estimated from a short run with known motions (rela
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
 from limslam_agent.config.presets import OdometryConfig
 from limslam_agent.logs.recorded_log import RecordedLog
-from limslam_agent.logs.relations import Relations
-from limslam_env.geometry import BoolArray, FloatArray, se2
+from limslam_agent.logs.relations import Relations, read_relations
+from limslam_env.geometry import FloatArray, se2
+from limslam_env.messages import counted
 
 LONGEST_DRIVE = 20.0
 """Relations over more driving (m) than this are left out: they overlap, and one slip would count in many of them."""
@@ -53,6 +55,28 @@ class OdometryBias:
     relations: int
     driven: float
 
+    def applied_to(self, odometry: OdometryConfig) -> OdometryConfig:
+        """Settings that correct the bias."""
+        return replace(odometry, turn_bias=self.turn_per_metre, distance_scale=self.distance_scale)
+
+    @property
+    def figures(self) -> dict[str, float | int]:
+        """For ``result.json``."""
+        return {
+            "calibration_turn_deg_per_m": math.degrees(self.turn_per_metre),
+            "calibration_turn_std_deg_per_m": math.degrees(self.turn_std),
+            "calibration_scale": self.distance_scale,
+            "calibration_scale_std": self.scale_std,
+            "calibration_relations": self.relations,
+        }
+
+    @property
+    def words(self) -> str:
+        """A line for the terminal."""
+        turn = f"{math.degrees(self.turn_per_metre):.3f} +- {math.degrees(self.turn_std):.3f} deg/m"
+        scale = f"scale {self.distance_scale:.4f} +- {self.scale_std:.4f}"
+        return f"{turn}, {scale}, from {counted(self.relations, 'relation')} over {self.driven:.1f} m"
+
 
 def estimate_bias(log: RecordedLog, relations: Relations, noise: OdometryConfig | None = None) -> OdometryBias:
     """Fit turn per metre and distance scale to known motions, by least squares.
@@ -79,9 +103,9 @@ def estimate_bias(log: RecordedLog, relations: Relations, noise: OdometryConfig 
         raise ValueError("has wheel travel; a bias can be estimated for odometry poses only")
     noise = noise or OdometryConfig()
     path = _Path(log.time, log.odometry)
-    inside = within(relations, float(log.time.min()), float(log.time.max()))
+    inside = relations.within(log.time)
     near = inside & (np.abs(path.between(path.driven, relations)) <= LONGEST_DRIVE)
-    known = select(relations, near)
+    known = Relations(relations.start_time[near], relations.end_time[near], relations.relative[near])
     driven = np.abs(path.between(path.driven, known))
     if driven.sum() < LEAST_DRIVE:
         usable = f"{len(driven)} of {len(inside)} relations lie in the log and are over less than {LONGEST_DRIVE:g} m"
@@ -104,16 +128,18 @@ def estimate_bias(log: RecordedLog, relations: Relations, noise: OdometryConfig 
     return OdometryBias(turn, scale, turn_std, scale_std, len(driven), float(driven.sum()))
 
 
-def within(relations: Relations, begin: float, end: float) -> BoolArray:
-    """Which relations (k,) lie within a time, both ends of them, s."""
-    low = np.minimum(relations.start_time, relations.end_time)
-    high = np.maximum(relations.start_time, relations.end_time)
-    return np.asarray((low >= begin) & (high <= end))
+def calibrated(path: Path, log: RecordedLog, noise: OdometryConfig) -> OdometryBias:
+    """The bias by the relations in a file.
 
-
-def select(relations: Relations, chosen: BoolArray) -> Relations:
-    """The relations that are marked (k,)."""
-    return Relations(relations.start_time[chosen], relations.end_time[chosen], relations.relative[chosen])
+    Raises
+    ------
+    ValueError
+        If the file cannot be used, or its motions are too few or those of another run.
+    """
+    try:
+        return estimate_bias(log, read_relations(path), noise)
+    except ValueError as error:
+        raise ValueError(f"--calibrate {path}: {error}") from error
 
 
 class _Path:

@@ -238,10 +238,6 @@ def relation_scores(replay: Replay, relations: Relations) -> dict[str, Any]:
     for prefix, poses in trajectories.items():
         errors = relation_errors(relations, log.time, poses, log.odometry)
         scores |= {prefix + name: value for name, value in summary(errors).items()}
-    if replay.smoothed is not None and replay.smoothed.loops is not None and log.odometry is not None:
-        from limslam_agent.replay.loop_scores import loop_scores
-
-        scores |= loop_scores(replay.smoothed.loops, relations, log.time, log.odometry)
     return scores
 
 

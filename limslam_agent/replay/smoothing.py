@@ -5,7 +5,6 @@ A log of odometry poses is smoothed by the graph of local maps, a log of wheel t
 
 import math
 import time
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import Any
@@ -19,22 +18,14 @@ from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.places.revisions import revised
 from limslam_agent.replay.replay import Replay
 from limslam_agent.replay.reversing import reversed_distance, with_reversing
-from limslam_agent.replay.trust import (
-    MOST_BENT,
-    PathSignals,
-    longest_loose,
-    reach_of_agreement,
-    spread,
-    variances_times,
-)
+from limslam_agent.replay.trust import PathSignals, path_signals
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.graph.agreement import DOUBTFUL_SHARE, visit_counts
 from limslam_agent.slam.graph.key_poses import LogData
+from limslam_agent.slam.graph.loop_search import FAR
 from limslam_agent.slam.graph.point_links import PointCloud, point_cloud
-from limslam_agent.slam.graph.posterior import position_std
-from limslam_agent.slam.graph.smooth import GraphResult, saying, smooth_log, without_loops
+from limslam_agent.slam.graph.smooth import GraphResult, Report, saying, smooth_log, without_loops
 from limslam_agent.slam.graph.wall_lines import lines_in
 from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, completed, smooth_run
 from limslam_agent.status.smoothed_status import lost_since, smoothed_status
@@ -88,7 +79,7 @@ class Smoothed:
     graph: dict[str, list[float]] | None = None
 
 
-def smoothed_by_graph(replay: Replay, config: GraphConfig, report: Callable[[str], None] | None = None) -> Replay:
+def smoothed_by_graph(replay: Replay, config: GraphConfig, report: Report = lambda _: None) -> Replay:
     """The replay of a log of odometry poses with its log smoothed, and with the map drawn from the smoothed poses.
 
     ``report`` is called with each stage of the smoothing, in words.
@@ -97,92 +88,39 @@ def smoothed_by_graph(replay: Replay, config: GraphConfig, report: Callable[[str
     begin = time.process_time()
     recorded = log_data(log, replay.odometry, replay.config.range_std)
     data = with_reversing(recorded, config)
-    found, landmarks, signals, used = trusted_path(data, log.start_pose, config, report)
+    found, signals = trusted_path(data, log.start_pose, config, report)
+    landmarks = draw_walls(point_cloud(found.keys, found.trajectory, data.range_std), data.range_std)
     seconds = time.process_time() - begin
     figures = {**_figures(found), **_reversing_figures(recorded, data), **signals.figures}
     graph = _graph(found, log)
-    smoothed = Smoothed(found.poses, figures, _loops(found, log), seconds, graph=graph, basis=found, data=used)
-    grid = draw_grid(replace(replay, log=log.within(used.max_range)), found.poses)
+    smoothed = Smoothed(
+        found.poses, figures, loop_records(found, log.time), seconds, graph=graph, basis=found, data=data
+    )
+    grid = draw_grid(replay, found.poses)
     segments = ends_of(landmarks)
     # The graph takes the beams to be mounted as specified, whatever the filter has found.
     return replace(replay, landmarks=landmarks, segments=segments, grid=grid, smoothed=smoothed, beam_turns=None)
 
 
-_Judged = tuple[GraphResult, list[Landmark], PathSignals, LogData]
-
-
 def trusted_path(
-    data: LogData, start: FloatArray, config: GraphConfig, report: Callable[[str], None] | None = None
-) -> _Judged:
-    """The smoothed log with its walls, signals and data, or a path without loops whose visits agree better."""
-    report = report or (lambda _: None)
-    judged = _judged(smooth_log(data, start, config, report), config, data)
-    if judged[2].contradicts_itself:
-        judged = _second_look(start, config, judged, report)
-    found, landmarks, signals, used = judged
-    # The searches are needed no longer, and hold the grids of all rounds.
-    judged = replace(found, further=None), landmarks, signals, used
-    if signals.status.level == "ok":
-        return judged
-    for plain in without_loops(found, start, config, used.range_std):
-        other = _judged(plain, config, used)
-        if judged[2].is_worse_than(other[2]):
-            judged = *other[:2], replace(other[2], reach=signals.reach), used
-    return judged
+    data: LogData, start: FloatArray, config: GraphConfig, report: Report = lambda _: None
+) -> tuple[GraphResult, PathSignals]:
+    """The smoothed log with its signals.
 
-
-def _second_look(start: FloatArray, config: GraphConfig, first: _Judged, report: Callable[[str], None]) -> _Judged:
-    """A log whose visits contradict each other, smoothed again.
-
-    If they agree up to some range, only readings up to that range are used, with the noise of odometry that the first
-    result shows. Otherwise, or if the visits then do not agree better, all frames are searched.
+    If it is doubtful, places are searched in wide windows, and a path is taken whose visits agree better, be it one
+    without loops.
     """
-    found, _, signals, data = first
-    reach = reach_of_agreement(found.keys, found.trajectory, config, data.max_range)
-    if reach < data.max_range:
-        noise = variances_times(data, signals.odometry_ratios)
-        limited = replace(data, hit=data.hit & (data.ranges < reach), max_range=reach, variances=noise)
-        say = saying(f"ranges up to {reach:g} m", report)
-        graph, landmarks, better, _ = _in_all_frames(
-            _judged(smooth_log(limited, start, config, say), config, limited), config
-        )
-        if better.contradicted_share < signals.contradicted_share and not better.is_worse_than(signals):
-            return graph, landmarks, replace(better, reach=reach), limited
-    return _in_all_frames(first, config)
-
-
-def _in_all_frames(judged: _Judged, config: GraphConfig) -> _Judged:
-    """A path whose visits contradict each other, after a search of the frames that were left out."""
-    found, _, signals, data = judged
-    if found.further is None or not signals.contradicts_itself:
-        return judged
-    return _judged(found.further(), config, data)
-
-
-def _judged(found: GraphResult, config: GraphConfig, data: LogData) -> _Judged:
-    """A path with the walls through its points, and with what speaks for or against it."""
-    keys, trajectory = found.keys, found.trajectory
-    landmarks = draw_walls(point_cloud(keys, trajectory, data.range_std), data.range_std)
-    visits = visit_counts(keys, trajectory, config, data.max_range)
-    times = data.time[keys.first_event] - data.time[0]
-    bent = data.time[found.hop_events[found.hop_errors > MOST_BENT]] - data.time[0]
-    middles = keys.event_key[found.chunk_events]
-    expected, ratios = position_std(keys, trajectory, found.verdicts, middles, config, data.range_std)
-    joined = [(verdict.loop.first, verdict.loop.second) for verdict in found.verdicts if verdict.kept]
-    loose = longest_loose(keys.key_travel, middles[np.array(joined, dtype=np.int64).reshape(-1, 2)])
-    signals = PathSignals(
-        driven=float(keys.travel[-1]),
-        size=spread(trajectory.poses),
-        points=len(keys.point_key),
-        confirmed=visits.shares[0],
-        contradicted=visits.shares[1],
-        position_std=expected,
-        loose=(float(times[loose[0]]), float(times[loose[1]])),
-        bend_times=tuple(bent.tolist()),
-        doubtful_times=tuple(times[visits.doubtful(DOUBTFUL_SHARE)].tolist()),
-        odometry_ratios=tuple(ratios.tolist()),
-    )
-    return found, landmarks, signals, data
+    known = data.time - data.time[0], config, (data.max_range, data.range_std)
+    best = smooth_log(data, start, config, report)
+    signals = path_signals(best, *known)
+    if signals.status.level == "ok":
+        return best, signals
+    wide = smooth_log(data, start, config, saying("in a wide window", report), reach=FAR)
+    for found in (wide, *without_loops(best, config, data.range_std)):
+        other = path_signals(found, *known)
+        if signals.is_worse_than(other):
+            best, signals = found, other
+    return best, signals
 
 
 def ends_of(landmarks: list[Landmark]) -> FloatArray:
@@ -310,8 +248,7 @@ def _figures(found: GraphResult) -> dict[str, Any]:
     reasons = [verdict.reason for verdict in found.verdicts]
     turn, scale, gain, delay, direction = found.errors.tolist()
     return {
-        "smoothed_score": found.score,
-        "smoothed_start": found.start,
+        "smoothed_kind": found.kind,
         "smoothed_turn_deg_per_m": math.degrees(turn),
         "smoothed_scale": 1.0 + scale,
         "smoothed_turn_gain": 1.0 + gain,
@@ -329,19 +266,19 @@ def _reversing_figures(recorded: LogData, data: LogData) -> dict[str, Any]:
 
 
 def _graph(found: GraphResult, log: RecordedLog) -> dict[str, list[float]]:
-    places = {"key_pose_times": found.keys.first_event, "local_map_times": found.chunk_events}
+    places = {"key_pose_times": found.keys.first_event, "local_map_times": found.keys.first_event[found.chunk_keys]}
     return {name: log.time[events].tolist() for name, events in places.items()}
 
 
-def _loops(found: GraphResult, log: RecordedLog) -> list[dict[str, Any]]:
-    times = log.time[found.chunk_events]
+def loop_records(found: GraphResult, time: FloatArray) -> list[dict[str, Any]]:
+    """All loops for ``loops.json``, with the times (n,) of all events, s."""
+    times = time[found.keys.first_event[found.chunk_keys]]
     return [
         {
             "first_time": float(times[verdict.loop.first]),
             "second_time": float(times[verdict.loop.second]),
             "relative": [round(float(value), 6) for value in verdict.loop.relative],
             "score": round(verdict.loop.score, 4),
-            "source": verdict.loop.source,
             "reason": verdict.reason,
         }
         for verdict in found.verdicts

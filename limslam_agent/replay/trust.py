@@ -11,22 +11,19 @@ on variations of the logs ``csail`` and ``fr079``. Where two places look alike, 
 only: in two made-up rings of corridors at 16 and 29 % of the points along some 20 m of driving, 15 times as often as in
 three quarters of the log. In 21 right paths the factor was at most 5. On simulated logs the chi-square of a hop of
 2.5 m was at most 10 in right paths (7 on ``fr079``), and 21 to 45 where wrong loops had bent the path.
-
-A path that cannot be trusted still shows what is wrong with the log: up to which range the visits agree, and how large
-the errors of odometry are. The log can then be smoothed again with both.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.agreement import MapScore
-from limslam_agent.slam.graph.key_poses import KeyPoses, LogData, Trajectory, motion_variances
-from limslam_agent.slam.graph.local_maps import chunk_middles, cut_chunks
+from limslam_agent.slam.graph.agreement import DOUBTFUL_SHARE, visit_counts
+from limslam_agent.slam.graph.posterior import position_std
+from limslam_agent.slam.graph.smooth import GraphResult
 from limslam_agent.status.status import Status
-from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
+from limslam_env.geometry import FloatArray, IntArray
 
 MOST_CONTRADICTED = 0.09
 """A path is doubtful if other visits contradict a larger share of the points that they confirm or contradict."""
@@ -36,9 +33,6 @@ MOST_BENT = 16.0
 
 MOST_STD, MOST_STD_SHARE = 0.6, 0.06
 """A path is doubtful if its positions are expected to be farther off than this, m, and than this share of its size."""
-
-_BIN, _LEAST_REACH, _LEAST_POINTS = 0.25, 1.0, 50
-"""Ranges are judged in bins of this width, m, from this range on, m, and with at least so many judged points."""
 
 _ENOUGH = 0.5  # of the confirmed points: of a path that never meets itself, none is contradicted
 
@@ -64,10 +58,6 @@ class PathSignals:
         Times at which the loops bend the path more than the local smoothing allows, s from the beginning of the log.
     doubtful_times
         Times around which other visits contradict much more than in the rest of the log, s from its beginning.
-    reach
-        Range from which on readings were left out because visits contradict each other there, m. None if all were used.
-    odometry_ratios
-        Ratios of the variances of odometry (along, across, heading) to those that are assumed.
     """
 
     driven: float
@@ -79,8 +69,6 @@ class PathSignals:
     loose: tuple[float, float] | None = None
     bend_times: tuple[float, ...] = ()
     doubtful_times: tuple[float, ...] = ()
-    reach: float | None = None
-    odometry_ratios: tuple[float, ...] = (1.0, 1.0, 1.0)
 
     @property
     def points_per_metre(self) -> float:
@@ -131,7 +119,6 @@ class PathSignals:
             "smoothed_position_std_m": self.position_std,
             "smoothed_points_per_m": self.points_per_metre,
             "smoothed_contradicted_share": self.contradicted_share,
-            "smoothed_reach_m": self.reach,
             "smoothed_bend_times": [round(time, 2) for time in self.bend_times],
             "smoothed_doubtful_times": [round(time, 2) for time in self.doubtful_times],
         }
@@ -142,51 +129,44 @@ def _listed(times: tuple[float, ...]) -> str:
     return ", ".join(f"{time:.0f}" for time in times[:3])
 
 
-def reach_of_agreement(keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, max_range: float) -> float:
-    """The range up to which visits agree, m: beyond it, other visits contradict too many points at every range.
+def path_signals(
+    found: GraphResult, time: FloatArray, config: GraphConfig, sensor: tuple[float, float], seam: int = 0
+) -> PathSignals:
+    """What speaks for or against a path.
 
-    A beam may see the floor where the robot tilts, or get echoes that are too weak. Such readings are wrong beyond some
-    range, whatever the path. A wrong path is contradicted at all ranges, and then ``max_range`` is returned.
+    Parameters
+    ----------
+    found
+        The smoothed log, or two logs that were smoothed as one.
+    time
+        Times of all events (n,), s from the beginning of their log.
+    config
+        The settings.
+    sensor
+        Longest range, m, and standard deviation of a range, m.
+    seam
+        The key pose at which a second log begins; zero if there is none.
     """
-    middles = chunk_middles(keys, config.maps, config.maps.half)
-    maps = cut_chunks(keys, trajectory, config.maps, middles, max_range)
-    # The score compares few points of each cell; here each point needs its range.
-    counts = [len(each.places) for each in maps]
-    score = replace(
-        MapScore.of(maps),
-        points=np.concatenate([each.places for each in maps]),
-        starts=np.cumsum([0, *counts]),
+    keys, trajectory = found.keys, found.trajectory
+    visits = visit_counts(keys, trajectory, config, sensor[0])
+    times = time[keys.first_event]
+    loose = longest_loose(keys.key_travel, found.relations[0])
+    return PathSignals(
+        driven=keys.driven,
+        size=spread(trajectory.poses),
+        points=len(keys.point_key),
+        confirmed=visits.shares[0],
+        contradicted=visits.shares[1],
+        position_std=position_std(keys, trajectory, found.relations, config, sensor[1]),
+        loose=None if seam else (float(times[loose[0]]), float(times[loose[1]])),
+        bend_times=tuple(times[found.chunk_keys[:-1][found.hop_errors > MOST_BENT]].tolist()),
+        doubtful_times=tuple(times[visits.doubtful(DOUBTFUL_SHARE, seam)].tolist()),
     )
-    ranges = np.concatenate([np.hypot(*(each.places - each.origins).T) for each in maps])
-    return _reach(ranges, *score.verdicts(trajectory.poses[middles]), max_range)
-
-
-def _reach(ranges: FloatArray, confirmed: BoolArray, contradicted: BoolArray, max_range: float) -> float:
-    """The end of the last bin that is not contradicted too much, if enough points lie beyond it; or ``max_range``.
-
-    Bins with few points say nothing.
-    """
-    most = int(np.ceil(max_range / _BIN))
-    bins = np.minimum((ranges / _BIN).astype(np.int64), most - 1)  # a range may be rounded up to the longest one
-    against = np.bincount(bins[contradicted], minlength=most)
-    judged = against + np.bincount(bins[confirmed], minlength=most)
-    good = np.flatnonzero((judged >= _LEAST_POINTS) & (against <= MOST_CONTRADICTED * judged))
-    first = int(good[-1]) + 1 if len(good) else 0
-    beyond = int(judged[first:].sum())
-    is_beyond = beyond >= _LEAST_POINTS and against[first:].sum() > MOST_CONTRADICTED * beyond
-    return first * _BIN if is_beyond and _LEAST_REACH <= first * _BIN < max_range else max_range
 
 
 def spread(poses: FloatArray) -> float:
     """Root mean square distance of the positions of poses (n, 3) from their mean, m."""
     return float(np.sqrt(poses[:, :2].var(axis=0).sum()))
-
-
-def variances_times(data: LogData, ratios: tuple[float, ...]) -> FloatArray:
-    """Variances (n, 3) of the motions of a log by odometry, times ``ratios`` (3,)."""
-    steps = se2.between(data.odometry[:-1], data.odometry[1:])
-    assumed = motion_variances(np.hypot(steps[:, 0], steps[:, 1]), np.abs(steps[:, 2]))
-    return np.vstack((np.zeros(3), assumed * ratios))
 
 
 def longest_loose(travel: FloatArray, ends: IntArray) -> tuple[int, int]:

@@ -14,15 +14,12 @@ from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.places.revisions import Unplaced
 from limslam_agent.replay.joined_lines import NotJoined, grid_of, joined_by_lines
 from limslam_agent.replay.replay import Replay, replay_log
-from limslam_agent.replay.smoothing import draw_walls, ends_of
-from limslam_agent.replay.trust import MOST_BENT, PathSignals, spread
+from limslam_agent.replay.smoothing import draw_walls, ends_of, loop_records
+from limslam_agent.replay.trust import path_signals
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.graph.agreement import DOUBTFUL_SHARE, visit_counts
 from limslam_agent.slam.graph.point_links import point_cloud
-from limslam_agent.slam.graph.posterior import position_std
-from limslam_agent.slam.graph.smooth import GraphResult, saying
-from limslam_agent.slam.merging.chains import Chain, divided
-from limslam_agent.slam.merging.joint_graph import JointMap
+from limslam_agent.slam.graph.smooth import GraphResult, Report, saying
+from limslam_agent.slam.merging.chains import Chain, poses_of_both
 from limslam_agent.slam.merging.merge import merge
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray, se2
@@ -114,7 +111,7 @@ def replay_logs(
     logs: Sequence[RecordedLog],
     config: AgentConfig,
     progress: Callable[[int], None] | None = None,
-    report: Callable[[str], None] | None = None,
+    report: Report = lambda _: None,
 ) -> JointReplay:
     """Map from each of two logs by itself, and join the maps if they fit together at one place only.
 
@@ -135,7 +132,6 @@ def replay_logs(
         If the logs cannot be joined.
     """
     check_logs(logs, config)
-    report = report or (lambda _: None)
     first = replay_log(logs[0], config, progress, saying("log 1", report))
     after = None if progress is None else lambda done: progress(len(logs[0]) + done)
     second = replay_log(logs[1], config, after, saying("log 2", report))
@@ -144,7 +140,7 @@ def replay_logs(
     return replace(joint, seconds=time.process_time() - begin)
 
 
-def joined(both: tuple[Replay, Replay], report: Callable[[str], None]) -> JointReplay:
+def joined(both: tuple[Replay, Replay], report: Report) -> JointReplay:
     """Join two replayed logs if their maps fit together at one place only."""
     if any(each.smoothed is None or each.smoothed.basis is None for each in both):
         return _apart(both, {"event": "not joined", "reason": "one of the logs could not be smoothed"})
@@ -172,23 +168,21 @@ def _apart(replays: tuple[Replay, Replay], record: dict[str, Any]) -> JointRepla
     return JointReplay(replays, record, (one, other), np.zeros(3), first.landmarks, first.segments, first.grid, status)
 
 
-def _joined_by_graph(replays: tuple[Replay, Replay], config: GraphConfig, report: Callable[[str], None]) -> JointReplay:
+def _joined_by_graph(replays: tuple[Replay, Replay], config: GraphConfig, report: Report) -> JointReplay:
     first, second = (_chain(each, config) for each in replays)
-    found = merge(first, second, config, report=report)
-    joint = found.joint
+    found = merge(first, second, config, report)
+    joint, chains = found.joint, (found.first, found.second)
     if joint is None:
         return _apart(replays, found.record)
-    poses = divided(joint.trajectory, joint.first, joint.second)
-    used = [
-        replace(each, log=each.log.within(chain.data.max_range))
-        for each, chain in zip(replays, (first, second), strict=True)
-    ]
-    landmarks, signals = _signals(joint, replays, config)
+    poses = poses_of_both(joint.trajectory, *chains)
+    std, reach = (max(getattr(each.data, name) for each in chains) for name in ("range_std", "max_range"))
+    landmarks = draw_walls(point_cloud(joint.keys, joint.trajectory, std), std)
+    since = np.concatenate([each.data.time - each.data.time[0] for each in chains])
+    signals = path_signals(joint, since, config, (reach, std), seam=len(chains[0].keys))
     frame = se2.compose(poses[1][0], se2.inverse(replays[1].log.start_pose))
-    figures = {"smoothed_score": joint.score, **signals.figures}
     return JointReplay(
-        replays, found.record, poses, frame, landmarks, ends_of(landmarks), grid_of(used, poses),
-        signals.status, figures, _loops(joint, replays),
+        replays, found.record, poses, frame, landmarks, ends_of(landmarks), grid_of(replays, poses),
+        signals.status, signals.figures, _loops(joint, replays),
     )  # fmt: skip
 
 
@@ -199,55 +193,11 @@ def _chain(replay: Replay, config: GraphConfig) -> Chain:
     return Chain.of(smoothed.data, smoothed.basis, config)
 
 
-def _signals(
-    joint: JointMap, replays: tuple[Replay, Replay], config: GraphConfig
-) -> tuple[list[Landmark], PathSignals]:
-    """The walls of both logs, and what speaks for or against their paths."""
-    std = max(each.config.range_std for each in replays)
-    keys, trajectory = joint.keys, joint.trajectory
-    landmarks = draw_walls(point_cloud(keys, trajectory, std), std)
-    reaches = joint.first.data.max_range, joint.second.data.max_range
-    visits = visit_counts(keys, trajectory, config, max(reaches))
-    bent = joint.hop_keys[joint.hop_errors > MOST_BENT]
-    doubtful = visits.doubtful(DOUBTFUL_SHARE, len(joint.first.keys))
-    bends, doubts, driven, first_key = list[float](), list[float](), 0.0, 0
-    for chain in (joint.first, joint.second):
-        part = slice(first_key, first_key := first_key + len(chain.keys))
-        when = chain.data.time[chain.keys.first_event]
-        bends += (when[bent[(bent >= part.start) & (bent < part.stop)] - part.start] - when[0]).tolist()
-        doubts += (when[doubtful[(doubtful >= part.start) & (doubtful < part.stop)] - part.start] - when[0]).tolist()
-        driven += float(chain.keys.travel[-1])
-    limited = [
-        reach for reach, each in zip(reaches, replays, strict=True) if reach < float(each.log.robot.max_ranges.max())
-    ]
-    return landmarks, PathSignals(
-        driven=driven,
-        size=spread(trajectory.poses),
-        points=len(keys.point_key),
-        confirmed=visits.shares[0],
-        contradicted=visits.shares[1],
-        position_std=position_std(keys, trajectory, joint.verdicts, joint.chunk_keys, config, std)[0],
-        bend_times=tuple(bends),
-        doubtful_times=tuple(doubts),
-        reach=min(limited, default=None),
-    )
-
-
-def _loops(joint: JointMap, replays: tuple[Replay, Replay]) -> list[dict[str, Any]]:
+def _loops(joint: GraphResult, replays: tuple[Replay, Replay]) -> list[dict[str, Any]]:
     """All loops of both logs, with the log of each of their ends."""
-    events, count = joint.keys.first_event[joint.chunk_keys], len(replays[0].log)
-    logs = (events >= count).astype(int)
-    times = np.concatenate([each.log.time for each in replays])[events]
+    logs = (joint.keys.first_event[joint.chunk_keys] >= len(replays[0].log)).astype(int)
+    records = loop_records(joint, np.concatenate([each.log.time for each in replays]))
     return [
-        {
-            "first_log": int(logs[verdict.loop.first]),
-            "first_time": float(times[verdict.loop.first]),
-            "second_log": int(logs[verdict.loop.second]),
-            "second_time": float(times[verdict.loop.second]),
-            "relative": [round(float(value), 6) for value in verdict.loop.relative],
-            "score": round(verdict.loop.score, 4),
-            "source": verdict.loop.source,
-            "reason": verdict.reason,
-        }
-        for verdict in joint.verdicts
+        {"first_log": int(logs[verdict.loop.first]), "second_log": int(logs[verdict.loop.second]), **record}
+        for verdict, record in zip(joint.verdicts, records, strict=True)
     ]

@@ -208,5 +208,5 @@ def _graph(told: dict[str, Any], start: float) -> dict[str, Any]:
 def _loop(told: dict[str, Any], start: float) -> dict[str, Any]:
     return {
         "first": rounded(told["first_time"] - start, 3), "second": rounded(told["second_time"] - start, 3),
-        "score": rounded(told["score"]), "source": str(told["source"]), "reason": str(told["reason"]),
+        "score": rounded(told["score"]), "reason": str(told["reason"]),
     }  # fmt: skip

@@ -20,7 +20,7 @@ from limslam_agent.live.emulator.__main__ import app as emulator_app
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.table_options import TableOptions
 from limslam_agent.output.summary import record_summary
-from limslam_agent.replay.options import CalibrationRun
+from limslam_agent.replay.calibration import calibrated
 from limslam_env.interface import RobotSpec, beams_on_rim
 from limslam_env.worlds.formats.loading import load_world
 
@@ -281,8 +281,8 @@ def test_the_tape_of_the_page_gives_the_numbers_of_the_page(tmp_path):
     driven = np.interp(times, [2.0, 24.0, 31.0, 53.5], [0.0, 5.0, 5.0, 10.0])
     rows = [f"{time:.1f},{x:.5f},0,0,1,1" for time, x in zip(times, driven, strict=True)]
     (log := tmp_path / "straight.csv").write_text("\n".join(["t,x,y,theta,r_90,r_-90", *rows]), encoding="utf-8")
-    calibration = CalibrationRun(tape, None, None).estimate(read_log(log), OdometryConfig(), read_log)
+    calibration = calibrated(tape, read_log(log), OdometryConfig())
     assert f"calibrated  {calibration.words}" in page.read_text(encoding="utf-8")
-    turn, scale = calibration.bias.turn_per_metre, calibration.bias.distance_scale
+    turn, scale = calibration.turn_per_metre, calibration.distance_scale
     for sign, size in ((-1.0, 0.9895), (1.0, 0.9859)):
         assert scale + sign * 0.5 * 0.115 * turn == pytest.approx(size, abs=5e-4), (calibration.words, sign)

@@ -275,9 +275,9 @@ function showLoops(recording, frame, seek) {
       `overlap at least ${(100 * limits.loop_overlap).toFixed(0)} cm`;
     return {t: event.t, text: `Wall ${event.wall} is wall ${event.other}: ${why}.`};
   });
-  for (const {first, second, score, source, reason} of recording.meta.path_loops || []) {
+  for (const {first, second, score, reason} of recording.meta.path_loops || []) {
     const times = [first, second].sort((a, b) => a - b);
-    found.push({t: times[1], text: `Smoother: the place at ${times[0].toFixed(1)} s again. Score ${score.toFixed(2)}, found by ${source}: ${reason}.`});
+    found.push({t: times[1], text: `Smoother: the place at ${times[0].toFixed(1)} s again. Score ${score.toFixed(2)}: ${reason}.`});
   }
   const items = found.sort((a, b) => a.t - b.t).map(({t, text}) => moment(t, text, seek));
   const {key_poses: keys, local_maps: maps} = recording.meta.graph || {key_poses: [], local_maps: []};

@@ -15,11 +15,11 @@ from limslam_agent.slam.graph.point_links import PointCloud, links_across, point
 from limslam_agent.slam.graph.wall_lines import add_lines, find_lines
 from limslam_env.geometry import FloatArray, IntArray, se2
 
+_ITERATIONS = 6
 _RADIUS, _LAST_RADIUS = 0.4, 0.2  # m, within which other visits are linked in the first and in the last iteration
 _CROSS_INFLATION = 2.0  # factor of the standard deviations of links between visits
 _MAX_TURN = 0.3  # rad: a step that turns a pose by more is scaled down
 _DAMPING = 1e-6  # share of the diagonal that is added to it
-_TOLERANCE = 1e-3  # rad: iteration stops when no pose turns by more
 
 Relations = tuple[IntArray, FloatArray, FloatArray]
 """Loops between key poses: their ends (f, 2), relative poses (f, 3) and information (f, 3, 3)."""
@@ -31,16 +31,13 @@ def bundle(
     relations: Relations,
     config: GraphConfig,
     range_std: float,
-    iterations: int,
 ) -> Trajectory:
-    """Solve the whole problem in a given number of iterations."""
-    for number in range(iterations):
-        progress = number / max(1, iterations - 1)
+    """Solve the whole problem."""
+    for number in range(_ITERATIONS):
+        progress = number / (_ITERATIONS - 1)
         radius = _RADIUS * (_LAST_RADIUS / _RADIUS) ** progress
         cloud = point_cloud(keys, trajectory, range_std)
-        trajectory, largest = _iterate(keys, trajectory, cloud, relations, config, range_std, radius)
-        if largest < _TOLERANCE and progress == 1.0:
-            break
+        trajectory = _iterate(keys, trajectory, cloud, relations, config, range_std, radius)
     return trajectory
 
 
@@ -52,8 +49,8 @@ def _iterate(
     config: GraphConfig,
     range_std: float,
     radius: float,
-) -> tuple[Trajectory, float]:
-    """Do one Gauss-Newton step with new associations, and return the largest turn of a pose in this step, rad."""
+) -> Trajectory:
+    """Do one Gauss-Newton step with new associations."""
     std = link_std(range_std)
     lines = find_lines(cloud, config.lines, config.lines.window, config.lines.tolerance)
     equations = local_equations(keys, trajectory, cloud, config, LINK_INFLATION * std, len(lines.angles))
@@ -70,4 +67,4 @@ def _iterate(
     share = min(1.0, _MAX_TURN / max(largest, 1e-9))
     poses = trajectory.poses + share * by_pose
     poses[:, 2] = se2.wrap_angle(poses[:, 2])
-    return Trajectory(poses, trajectory.bias + share * step[3 * count : 3 * count + ERRORS]), largest
+    return Trajectory(poses, trajectory.bias + share * step[3 * count : 3 * count + ERRORS])

@@ -34,6 +34,8 @@ _DELAY_STEP = 0.05  # s, of the derivatives by the delay
 _LEAST_NEW_TIMES = 0.9
 ERRORS = 5
 """Number of constant errors of odometry that are estimated."""
+APART = 1000.0
+"""Distance driven, m, that is taken to lie between two logs that are solved as one."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,6 +139,12 @@ class KeyPoses:
     def key_travel(self) -> FloatArray:
         """Length (m,) of the path up to each key pose, m."""
         return np.asarray(self.travel[self.first_event])
+
+    @property
+    def driven(self) -> float:
+        """Distance that was driven in all logs, m."""
+        steps = np.diff(self.travel, prepend=0.0)
+        return float(steps[steps < APART].sum())
 
 
 @dataclass(frozen=True, eq=False)

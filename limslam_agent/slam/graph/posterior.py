@@ -4,19 +4,18 @@ A stretch that no loop holds is known as exactly as odometry and the walls along
 follows from the path itself: its variances are estimated by expectation maximisation.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.agreement import LoopVerdict
+from limslam_agent.slam.graph.bundle import Relations
 from limslam_agent.slam.graph.chunk_graph import LOOP_KERNEL
 from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory
 from limslam_agent.slam.graph.least_squares import add_relations, odometry_factor, pose_columns
 from limslam_agent.slam.graph.local_smoothing import cautious_equations
 from limslam_agent.slam.least_squares.normal_equations import NormalEquations
-from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry import FloatArray
 
 _SPACING, _MOST_POSES = 2.5, 300  # m between the poses that are judged, and at most so many
 _WINDOW, _MOST_WINDOWS = 14.0, 60  # m over which odometry is judged, since its errors last for seconds; and how many
@@ -24,42 +23,32 @@ _ITERATIONS = 3  # of expectation maximisation; where a path follows odometry al
 
 
 def position_std(
-    keys: KeyPoses,
-    trajectory: Trajectory,
-    verdicts: Sequence[LoopVerdict],
-    chunk_keys: IntArray,
-    config: GraphConfig,
-    range_std: float,
-) -> tuple[float, FloatArray]:
+    keys: KeyPoses, trajectory: Trajectory, relations: Relations, config: GraphConfig, range_std: float
+) -> float:
     """Expected root mean square error of the positions of a path after rigid alignment, m.
-
-    Also returns the ratios (3,) of the variances of odometry (along, across, heading) to those of ``keys``.
 
     Parameters
     ----------
     keys, trajectory
         The key poses, and the smoothed path.
-    verdicts, chunk_keys
-        The verdicts on loops between chunks, and the key poses (c,) in the middle of the chunks.
+    relations
+        The loops between key poses.
     range_std
         Specified standard deviation of a range, m.
     """
     if len(keys) < 2:
-        return 0.0, np.ones(3)
-    loops = [verdict.loop for verdict in verdicts if verdict.kept]
-    ends = chunk_keys[np.array([(loop.first, loop.second) for loop in loops], dtype=np.int64).reshape(-1, 2)]
-    relative = np.array([loop.relative for loop in loops]), np.array([loop.information for loop in loops])
+        return 0.0
+    ends, relative, information = relations
 
     def solvable() -> NormalEquations:
         """The equations of the path with the variances of odometry that are known so far."""
         equations = cautious_equations(keys, trajectory, config, range_std)
-        add_relations(equations, trajectory.poses, ends, relative, LOOP_KERNEL)
+        add_relations(equations, trajectory.poses, ends, (relative, information), LOOP_KERNEL)
         return equations
 
-    all_ratios = np.ones(3)
     for _ in range(_ITERATIONS):
         ratios = odometry_ratios(keys, trajectory, solvable())
-        keys, all_ratios = replace(keys, step_variances=keys.step_variances * ratios), all_ratios * ratios
+        keys = replace(keys, step_variances=keys.step_variances * ratios)
     numbers = np.unique(np.searchsorted(keys.key_travel, _evenly(keys.key_travel[-1], _SPACING, _MOST_POSES)))
     equations = solvable()
     columns = pose_columns(numbers)[:, :2].ravel()
@@ -67,7 +56,7 @@ def position_std(
     rows[columns, np.arange(len(columns))] = 1.0
     covariance = equations.solved(equations.factorise(), rows)[columns]
     left = aligned_covariance(covariance, trajectory.poses[numbers, :2])
-    return float(np.sqrt(max(np.trace(left), 0.0) / len(numbers))), all_ratios
+    return float(np.sqrt(max(np.trace(left), 0.0) / len(numbers)))
 
 
 def aligned_covariance(covariance: FloatArray, positions: FloatArray) -> FloatArray:

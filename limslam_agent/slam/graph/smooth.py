@@ -1,27 +1,25 @@
-"""The smoothing of a log: all stages of the graph of local maps in order.
+"""The smoothing of a log: all stages of the graph of local maps in order. No stage uses the ground truth.
 
-No stage uses the ground truth. Alternatives are compared by the score G of :class:`MapScore`: the share of points that
-other visits of a place confirm, minus the share that other visits contradict, minus the strain of a path that is bent.
-
-The log is solved in frames in which it begins at the origin, and the result is then transformed to the start pose. The
-result therefore does not depend on the start pose. The heading of the frame determines the positions of the bins of the
-Hough transforms, and can thereby change which loops are found. The search is therefore run with several headings.
+The log is solved in a frame in which it begins at the origin, and the result is then transformed to the start pose. The
+result therefore does not depend on the start pose.
 """
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import partial
 
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.agreement import (
-    DOUBTFUL_SHARE,
-    NOT_ADDED,
-    Evidence,
-    LoopVerdict,
-    distances_after_alignment,
+from limslam_agent.slam.graph.agreement import KEPT, NO_SUPPORT, NOT_ADDED, OUTVOTED, LoopVerdict, supported
+from limslam_agent.slam.graph.bundle import Relations, bundle
+from limslam_agent.slam.graph.chunk_graph import (
+    KEPT_WEIGHT,
+    Hops,
+    Loop,
+    carry_over,
+    hop_chi_squares,
+    inflated,
+    solve_annealed,
 )
 from limslam_agent.slam.graph.key_poses import (
     ERRORS,
@@ -29,72 +27,61 @@ from limslam_agent.slam.graph.key_poses import (
     LogData,
     Trajectory,
     choose_keys,
-    corrected,
     delayed,
     event_poses,
     joined_bias,
     odometry_trajectory,
 )
-from limslam_agent.slam.graph.local_maps import chunk_middles
-from limslam_agent.slam.graph.local_smoothing import smooth_locally
-from limslam_agent.slam.graph.loop_search import loops_along_the_way, scale_of_hops
-from limslam_agent.slam.graph.rounds import STARTS, Candidates, LogProblem, Round, do_round, is_settled
+from limslam_agent.slam.graph.local_maps import chunk_middles, cut_chunks
+from limslam_agent.slam.graph.local_smoothing import local_covariances, smooth_locally
+from limslam_agent.slam.graph.loop_search import NEAR, Chunks, Reach, search_loops
 from limslam_env.geometry import FloatArray, IntArray, se2
 
-_MOST, _SAME_PATH = 0.9, 0.5  # share of a path that has to agree with another path, and how well, m
-# Searches with the highest scores after the first round do the trial rounds, and the best of these do all rounds. Their
-# scores are worse than the best one by less than the last number.
-_TRIED, _TRIAL_ROUNDS, _FINISHED, _HOPELESS = 3, 2, 2, 0.02
-_TIE = 0.003  # scores within this distance of the best score are equal; the last such round is taken
 # How often the delay of the ranges is estimated and corrected before the search. A correction of less, s, is the last.
 _SYNCHRONISATIONS, _SYNCHRONOUS = 3, 0.02
-# If odometry misses more heading than this, rad/m, its errors are corrected and the log is smoothed again, at most this
-# often. The result is kept if its score is higher.
-_MUCH_MISSED, _RESTARTS = math.radians(3.0), 3
 
 
 @dataclass(frozen=True, eq=False)
 class GraphResult:
-    """The smoothed log.
+    """A smoothed log, or two logs that were smoothed as one.
 
     Attributes
     ----------
-    poses
-        Poses (n, 3) of all events.
-    score
-        G of the map; a higher score means better agreement of the visits. It compares maps of the same log only.
-    start
-        The search of the result: its start, and the heading of its frame.
-    scores
-        G after each round of each search.
-    verdicts
-        The verdicts on all loops that were found in the round of the result.
-    chunk_events
-        Middle events of the chunks (c,).
+    kind
+        What the path follows: ``loops``, ``local`` (odometry and the walls along the way) or ``odometry``.
+    keys, trajectory
+        The key poses and their trajectory.
     errors
         The estimated constant errors (5,) of odometry, as in :class:`Trajectory`.
-    keys, trajectory
-        The key poses and their trajectory, from which the points can be drawn.
-    hop_events, hop_errors
-        First events (h,) of the hops between chunks, and how far each hop is from the local smoothing, as a chi-square
-        (h,).
-    further
-        Searches the frames that were left out as well, and returns the best result of all frames. None if all frames
-        were searched.
+    verdicts
+        The verdicts on all loops that were found.
+    chunk_keys
+        The key poses (c,) in the middle of the chunks.
+    hop_errors
+        How far the motion from each chunk to the next is from the local smoothing, as a chi-square (c - 1,).
     """
 
-    poses: FloatArray
-    score: float
-    start: str
-    scores: dict[str, list[float]]
-    verdicts: list[LoopVerdict]
-    chunk_events: IntArray
-    errors: FloatArray
+    kind: str
     keys: KeyPoses = field(repr=False)
     trajectory: Trajectory = field(repr=False)
-    hop_events: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int64), repr=False)
-    hop_errors: FloatArray = field(default_factory=lambda: np.zeros(0), repr=False)
-    further: "Callable[[], GraphResult] | None" = field(default=None, repr=False)
+    errors: FloatArray
+    verdicts: list[LoopVerdict]
+    chunk_keys: IntArray
+    hop_errors: FloatArray
+
+    @property
+    def poses(self) -> FloatArray:
+        """Poses (n, 3) of all events."""
+        return event_poses(self.keys, self.trajectory)
+
+    @property
+    def relations(self) -> Relations:
+        """The loops that are part of the result, as relations between key poses."""
+        return relations_of([verdict.loop for verdict in self.verdicts if verdict.kept], self.chunk_keys)
+
+    def moved(self, motion: FloatArray) -> "GraphResult":
+        """The result after a motion (3,) of its frame."""
+        return replace(self, trajectory=self.trajectory.moved(motion))
 
 
 Report = Callable[[str], None]
@@ -107,7 +94,11 @@ def saying(where: str, report: Report) -> Report:
 
 
 def smooth_log(
-    data: LogData, start: FloatArray, config: GraphConfig | None = None, report: Report | None = None
+    data: LogData,
+    start: FloatArray,
+    config: GraphConfig | None = None,
+    report: Report = lambda _: None,
+    reach: Reach = NEAR,
 ) -> GraphResult:
     """Smooth a log after its end.
 
@@ -120,281 +111,108 @@ def smooth_log(
     config
         The settings; the defaults serve all logs.
     report
-        Called at the start of each frame and of each round, with the number of loops found so far.
+        Called at the start of each stage.
+    reach
+        How far places are searched for.
     """
     config = config or GraphConfig()
-    report = report or _silent
-    data, known = _synchronised(data, config)
-    best = _smoothed(data, start, config, report)
-    for _ in range(_RESTARTS):
-        found = best.trajectory.bias
-        if abs(found[0]) < _MUCH_MISSED:
-            break
-        # The loops of a path that bends by several degrees a metre are not recognised, and then its bias is too small.
-        data = corrected(data, found)
-        again = _smoothed(data, start, config, saying("odometry corrected", report))
-        if again.score <= best.score:
-            break
-        best, known = again, joined_bias(known, found)
-    return _with_errors(best, known)
+    report("local smoothing")
+    data, keys, local, known = _synchronised(data, config)
+    if not len(keys.point_key):
+        found = unlooped("odometry", keys, local)
+    elif len(chunk_middles(keys, config.maps, config.maps.hop)) < 2:
+        found = unlooped("local", keys, local)
+    else:
+        found = smooth_with_loops(LogProblem(keys, local, data, config, reach), local, report)
+    return replace(found.moved(np.asarray(start, dtype=float)), errors=joined_bias(known, found.errors))
 
 
-def _with_errors(found: GraphResult, known: FloatArray) -> GraphResult:
-    """The result of a log whose odometry was corrected for the errors ``known`` (5,), with the errors of the log."""
-    further = found.further
-    return replace(
-        found,
-        errors=joined_bias(known, found.trajectory.bias),
-        further=None if further is None else lambda: _with_errors(further(), known),
-    )
-
-
-def _synchronised(data: LogData, config: GraphConfig) -> tuple[LogData, FloatArray]:
-    """The log with its odometry at the times of the ranges, and the constant errors (5,) that were corrected by it.
+def _synchronised(data: LogData, config: GraphConfig) -> tuple[LogData, KeyPoses, Trajectory, FloatArray]:
+    """The log with its odometry at the times of the ranges, its local trajectory, and what was corrected (5,).
 
     The motions between key poses are linear in the delay for short delays only, so the delay is estimated repeatedly.
     """
-    known = np.zeros(ERRORS)
+    known, delay = np.zeros(ERRORS), 0.0
     for _ in range(_SYNCHRONISATIONS):
-        keys = choose_keys(data, config.keys)
-        if len(keys) < 2 or not len(keys.point_key):
-            break
-        delay = float(_local(keys, data, config, 0.0).bias[3])
         data, known = delayed(data, delay), known + np.array([0.0, 0.0, 0.0, delay, 0.0])
+        keys = choose_keys(data, config.keys)
+        local = odometry_trajectory(keys, np.zeros(3))
+        if len(keys) > 1 and len(keys.point_key):
+            local = smooth_locally(keys, local, config, data.range_std)
+        delay = float(local.bias[3])
         if abs(delay) < _SYNCHRONOUS:
             break
-    return data, known
-
-
-def _smoothed(data: LogData, start: FloatArray, config: GraphConfig, report: Report) -> GraphResult:
-    """Smooth a log with odometry as it is."""
-    keys = choose_keys(data, config.keys)
-    if len(keys) < 2 or not len(keys.point_key):
-        return _unlooped(keys, "odometry", odometry_trajectory(keys, start))
-    if len(chunk_middles(keys, config.maps, config.maps.hop * config.rounds.hops[0])) < 2:
-        return _unlooped(keys, "local", _local(keys, data, config, 0.0).moved(start))
-    turns = config.rounds.orientations
-    frames = [
-        partial(_begun, keys, data, config, turn, saying(f"frame {number} of {len(turns)}", report))
-        for number, turn in enumerate(turns, start=1)
-    ]
-    return _best_result([], frames, start)
-
-
-def _best_result(
-    searches: list["_Search"], frames: Sequence[Callable[[], list["_Search"]]], start: FloatArray
-) -> GraphResult:
-    """The best result of the completed searches and of those in further frames, as many as are needed."""
-    begun = _frames(frames)
-    searches, rest = searches + _searched(begun), frames[len(begun) // len(STARTS) :]
-    best, found = _most_credible(searches)
-    log, found = best.log, _placed_at(found, start, best.turn)
-    scores = {search.name: [each.score for each in search.rounds] for search in searches}
-    begins, errors = log.bends(found.trajectory)
-    return replace(
-        _result(log.keys, best.name, found, scores),
-        hop_events=log.keys.first_event[begins],
-        hop_errors=errors,
-        further=partial(_best_result, searches, rest, start) if rest else None,
-    )
-
-
-def _silent(_: str) -> None:
-    """Report nothing."""
-
-
-def _local(keys: KeyPoses, data: LogData, config: GraphConfig, turn: float) -> Trajectory:
-    """The trajectory after the local smoothing, in the frame in which the first heading is ``turn`` (rad)."""
-    odometry = odometry_trajectory(keys, np.array([0.0, 0.0, turn]))
-    return smooth_locally(keys, odometry, config, data.range_std)
+    return data, keys, local, known
 
 
 @dataclass(frozen=True, eq=False)
-class _Search:
-    """The rounds of one start in one frame.
+class LogProblem:
+    """One log or two: key poses, trajectory without loops, recording, settings, and the reach of the search."""
 
-    Attributes
-    ----------
-    log
-        The log in this frame.
-    start, turn
-        The name of the start, and the first heading in this frame, rad.
-    report
-        Called at the start of each round.
-    rounds
-        The completed rounds.
-    """
+    keys: KeyPoses
+    local: Trajectory
+    data: LogData
+    config: GraphConfig
+    reach: Reach = NEAR
 
-    log: LogProblem
-    start: str
-    turn: float
-    report: Report
-    rounds: list[Round]
+    def chunks(self, trajectory: Trajectory) -> Chunks:
+        """Chunks that are cut from a trajectory."""
+        keys, config, data = self.keys, self.config, self.data
+        middles = chunk_middles(keys, config.maps, config.maps.hop)
+        poses, maps = trajectory.poses[middles], cut_chunks(keys, trajectory, config.maps, middles, data.max_range)
+        covariances = inflated(local_covariances(keys, self.local, middles, config, data.range_std))
+        hops = Hops(se2.between(poses[:-1], poses[1:]), covariances)
+        return Chunks(maps, middles, poses, keys.key_travel[middles], hops, self.reach)
 
-    @property
-    def name(self) -> str:
-        """The name of the search in a result."""
-        return f"{self.start}, turned by {math.degrees(self.turn):.3g} deg" if self.turn else self.start
-
-    @property
-    def score(self) -> float:
-        """The highest score of the search's rounds."""
-        return max(each.score for each in self.rounds)
-
-    def finds_the_path_of(self, other: "_Search") -> bool:
-        """Whether both searches have found the same path, which may begin with another heading."""
-        poses, others = self.rounds[-1].trajectory.poses, other.rounds[-1].trajectory.poses
-        return float(np.quantile(distances_after_alignment(poses, others), _MOST)) <= _SAME_PATH
-
-    def advanced(self, end: int) -> "_Search":
-        """The search after ``end`` rounds."""
-        return replace(self, rounds=_rounds(self, end))
-
-
-def _frames(frames: Sequence[Callable[[], list[_Search]]]) -> list[_Search]:
-    """The first rounds of all searches, in frame after frame, until two frames have led to the same path.
-
-    Further frames would most probably lead to this path as well.
-    """
-    searches, best = list[_Search](), list[_Search]()
-    for frame in frames:
-        begun = frame()
-        searches += begun
-        best = sorted([*best, max(begun, key=_score)], key=_score, reverse=True)
-        if any(best[0].finds_the_path_of(other) for other in best[1:]):
-            break
-    return searches
-
-
-def _score(search: _Search) -> float:
-    return search.score
-
-
-def _begun(keys: KeyPoses, data: LogData, config: GraphConfig, turn: float, report: Report) -> list[_Search]:
-    """The first round of all starts, in the frame in which the first heading is ``turn`` (rad)."""
-    report("local smoothing")
-    log = LogProblem(keys, _local(keys, data, config, turn), data, config)
-    chunks = log.chunks(log.local, 0)
-    loops = loops_along_the_way(chunks)
-    scale = scale_of_hops(chunks, loops)
-    if scale < 1.0:
-        log = replace(log, hop_scale=scale)
-        chunks = log.chunks(log.local, 0)
-        loops = loops_along_the_way(chunks)
-    candidates = Candidates(chunks, loops)
-    searches = []
-    for start in STARTS:
-        _say_round(report, log, start, 0, len(candidates.loops))
-        searches.append(_Search(log, start, turn, report, [do_round(log, log.local, 0, candidates, start)]))
-    return searches
-
-
-def _say_round(report: Report, log: LogProblem, start: str, number: int, loops: int) -> None:
-    report(f"start {start}, round {number + 1} of at most {len(log.config.rounds.hops)}, {loops} loops")
-
-
-def _searched(searches: list[_Search]) -> list[_Search]:
-    """All searches. Only the best searches do the trial rounds, and only the best of these do all rounds.
-
-    Of searches that have found the same path after the trial, one goes on.
-    """
-    tried = _continued(searches, _TRIAL_ROUNDS, _TRIED, math.inf)
-    best = max(tried, key=_score)
-    same = [each for each in tried if each is not best and each.finds_the_path_of(best)]
-    others = [each for each in tried if each not in same]
-    return same + _continued(others, len(searches[0].log.config.rounds.hops), _FINISHED, _HOPELESS)
-
-
-def _continued(searches: list[_Search], end: int, most: int, hopeless: float) -> list[_Search]:
-    """Continue at most ``most`` searches, none worse than the best search by ``hopeless``, up to round ``end``."""
-    best = sorted(searches, key=_score, reverse=True)[:most]
-    least = best[0].score - hopeless
-    return [each.advanced(end) if each in best and each.score >= least else each for each in searches]
-
-
-def _best(rounds: list[Round]) -> Round:
-    """The last round whose score is nearly the highest score. The last round has tested most loops."""
-    highest = max(each.score for each in rounds)
-    return [each for each in rounds if each.score >= highest - _TIE][-1]
-
-
-def _most_credible(searches: list[_Search]) -> tuple[_Search, Round]:
-    """The search with the highest score, and its best round, among the rounds that add no contradictions to others.
-
-    They are also compared with the paths without loops. A map in which few places were seen again does not say how many
-    contradictions are usual, and none is refused because of it. If all rounds add contradictions, all are considered.
-    """
-    others = [each.evidence for search in searches for each in search.rounds]
-    others += [log.evidence(log.local) for log in {id(search.log): search.log for search in searches}.values()]
-    others = [each for each in others if each.says_what_is_usual]
-
-    def is_credible(each: Round) -> bool:
-        return not any(each.evidence.adds_contradictions(other, DOUBTFUL_SHARE) for other in others)
-
-    credible = [replace(search, rounds=list(filter(is_credible, search.rounds))) for search in searches]
-    best = max([each for each in credible if each.rounds] or searches, key=_score)
-    return best, _best(best.rounds)
-
-
-def _rounds(search: _Search, end: int) -> list[Round]:
-    """Do rounds, each with new chunks and new tests of all loops, until nothing changes."""
-    log, start, rounds = search.log, search.start, list(search.rounds)
-    for number in range(len(rounds), end):
-        if is_settled(rounds):
-            break
-        kept = sum(verdict.kept for verdict in rounds[-1].verdicts)
-        _say_round(search.report, log, start, number, kept)
-        rounds.append(_next_round(log, rounds[-1].trajectory, number, start))
-    return rounds
-
-
-def _next_round(log: LogProblem, trajectory: Trajectory, number: int, start: str) -> Round:
-    """Do a round with chunks of its own, whose grids are freed at its end."""
-    trajectory = log.unbent(trajectory, number)
-    chunks = log.chunks(trajectory, number)
-    return do_round(log, trajectory, number, Candidates(chunks, loops_along_the_way(chunks)), start)
-
-
-def _placed_at(found: Round, start: FloatArray, turn: float) -> Round:
-    """The round, transformed from the frame in which the log begins at (0, 0, ``turn``) to the frame of the result."""
-    motion = se2.compose(np.asarray(start, dtype=float), np.array([0.0, 0.0, -turn]))
-    return replace(found, trajectory=found.trajectory.moved(motion))
-
-
-def without_loops(
-    found: GraphResult, start: FloatArray, config: GraphConfig, range_std: float
-) -> tuple[GraphResult, GraphResult]:
-    """The results by odometry alone, and by odometry and the walls along the way, with all loops rejected.
-
-    Both paths begin at the pose ``start`` (3,).
-    """
-    verdicts = [replace(each, reason=NOT_ADDED if each.kept else each.reason) for each in found.verdicts]
-    odometry = odometry_trajectory(found.keys, start)
-    local = smooth_locally(found.keys, odometry, config, range_std)
-    first, second = (
-        replace(
-            _unlooped(found.keys, name, path), scores=found.scores, verdicts=verdicts, chunk_events=found.chunk_events
+    def hop_errors(self, trajectory: Trajectory, chunks: Chunks) -> FloatArray:
+        """How far the motions between chunks are from the local smoothing, as chi-squares (c - 1,)."""
+        middles, local = chunks.middles, self.local.poses[chunks.middles]
+        return hop_chi_squares(
+            trajectory.poses[middles], Hops(se2.between(local[:-1], local[1:]), chunks.hops.covariances)
         )
-        for name, path in (("odometry", odometry), ("local", local))
+
+
+def smooth_with_loops(problem: LogProblem, trajectory: Trajectory, report: Report) -> GraphResult:
+    """Find the loops between chunks that are cut from a trajectory, and solve for all key poses."""
+    keys, data, config = problem.keys, problem.data, problem.config
+    report("search for loops")
+    chunks = problem.chunks(trajectory)
+    found = search_loops(chunks)
+    good = supported(found, chunks.poses, chunks.travel)
+    loops = [loop for loop, agreed in zip(found, good, strict=True) if agreed]
+    report(f"all poses, {len(loops)} loops")
+    solution = solve_annealed(chunks.poses[0], chunks.hops, loops)
+    strong = solution.weights > KEPT_WEIGHT
+    kept = relations_of([loop for loop, each in zip(loops, strong, strict=True) if each], chunks.middles)
+    moved = carry_over(keys, trajectory, chunks.middles, solution.poses)
+    smoothed = bundle(keys, moved, kept, config, data.range_std)
+    verdicts = [LoopVerdict(loop, KEPT if each else OUTVOTED) for loop, each in zip(loops, strong, strict=True)]
+    verdicts += [LoopVerdict(loop, NO_SUPPORT) for loop, agreed in zip(found, good, strict=True) if not agreed]
+    errors = problem.hop_errors(smoothed, chunks)
+    return GraphResult("loops", keys, smoothed, smoothed.bias, verdicts, chunks.middles, errors)
+
+
+def relations_of(loops: Sequence[Loop], middles: IntArray) -> Relations:
+    """Loops between chunks with the middles (c,) as relations between key poses."""
+    ends = np.array([(loop.first, loop.second) for loop in loops], dtype=np.int64).reshape(-1, 2)
+    relative = np.array([loop.relative for loop in loops]).reshape(-1, 3)
+    return middles[ends], relative, np.array([loop.information for loop in loops]).reshape(-1, 3, 3)
+
+
+def without_loops(found: GraphResult, config: GraphConfig, range_std: float) -> tuple[GraphResult, GraphResult]:
+    """The results by odometry alone, and by odometry and the walls along the way, with all loops rejected."""
+    keys = found.keys
+    verdicts = [replace(each, reason=NOT_ADDED if each.kept else each.reason) for each in found.verdicts]
+    odometry = odometry_trajectory(keys, found.trajectory.poses[0])
+    local = smooth_locally(keys, odometry, config, range_std)
+    known = found.errors - found.trajectory.bias
+    first, second = (
+        replace(unlooped(kind, keys, path), errors=known + path.bias, verdicts=verdicts, chunk_keys=found.chunk_keys)
+        for kind, path in (("odometry", odometry), ("local", local))
     )
     return first, second
 
 
-def _unlooped(keys: KeyPoses, name: str, trajectory: Trajectory) -> GraphResult:
-    """The result of a log that is too short for chunks."""
-    found = Round(trajectory, 0.0, Evidence(0, 0, 0, 0.0), [], np.zeros(1, dtype=np.int64))
-    return _result(keys, name, found, {name: [0.0]})
-
-
-def _result(keys: KeyPoses, name: str, best: Round, scores: dict[str, list[float]]) -> GraphResult:
-    return GraphResult(
-        poses=event_poses(keys, best.trajectory),
-        score=best.score,
-        start=name,
-        scores=scores,
-        verdicts=best.verdicts,
-        chunk_events=keys.first_event[best.middles],
-        errors=best.trajectory.bias,
-        keys=keys,
-        trajectory=best.trajectory,
-    )
+def unlooped(kind: str, keys: KeyPoses, trajectory: Trajectory) -> GraphResult:
+    """The result of a log without loops."""
+    return GraphResult(kind, keys, trajectory, trajectory.bias, [], np.zeros(1, dtype=np.int64), np.zeros(0))

@@ -10,6 +10,7 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.key_poses import (
+    APART,
     ERRORS,
     KeyPoses,
     LogData,
@@ -20,11 +21,8 @@ from limslam_agent.slam.graph.key_poses import (
     odometry_trajectory,
 )
 from limslam_agent.slam.graph.local_smoothing import smooth_locally
-from limslam_agent.slam.graph.smooth import GraphResult
+from limslam_agent.slam.graph.smooth import GraphResult, LogProblem
 from limslam_env.geometry import FloatArray, se2
-
-APART = 1000.0
-"""Distance driven, m, that is taken to lie between two logs."""
 
 _SEAM_STD = np.array([30.0, 30.0, np.pi])
 """Standard deviations of the motion from the last pose of the first log to the first pose of the second log, m and rad.
@@ -55,15 +53,36 @@ class Chain:
     @classmethod
     def of(cls, data: LogData, found: GraphResult, config: GraphConfig) -> "Chain":
         """The chain of a smoothed log."""
+        poses = found.poses
         data = corrected(data, found.errors)
         keys = choose_keys(data, config.keys)
-        poses = found.poses[keys.first_event]
+        poses = poses[keys.first_event]
         local = smooth_locally(keys, odometry_trajectory(keys, poses[0]), config, data.range_std)
         return cls(data, keys, local, Trajectory(poses, np.zeros(ERRORS)))
 
     def moved(self, motion: FloatArray) -> "Chain":
         """The chain after a motion (3,) of its frame."""
         return replace(self, local=self.local.moved(motion), smoothed=self.smoothed.moved(motion))
+
+
+def joined_problem(first: Chain, second: Chain, config: GraphConfig) -> tuple[LogProblem, Trajectory]:
+    """Both logs as one problem, and the trajectory that begins with their smoothed ones."""
+    data = replace(
+        first.data,
+        max_range=max(first.data.max_range, second.data.max_range),
+        range_std=max(first.data.range_std, second.data.range_std),
+    )
+    # Between the trajectories without loops lies the motion of the smoothed trajectories.
+    seam = se2.between(first.smoothed.poses[-1], second.smoothed.poses[0])
+    start = se2.compose(first.local.poses[-1], seam)
+    moved = second.local.moved(se2.compose(start, se2.inverse(second.local.poses[0])))
+    problem = LogProblem(joined_keys(first, second), _one_after_another(first.local, moved), data, config)
+    return problem, _one_after_another(first.smoothed, second.smoothed)
+
+
+def _one_after_another(first: Trajectory, second: Trajectory) -> Trajectory:
+    """The trajectory of both chains, whose odometry has no constant errors that are known."""
+    return Trajectory(np.vstack((first.poses, second.poses)), np.zeros(ERRORS))
 
 
 def joined_keys(first: Chain, second: Chain) -> KeyPoses:
@@ -90,25 +109,13 @@ def joined_keys(first: Chain, second: Chain) -> KeyPoses:
     )
 
 
-def joined_trajectory(first: Trajectory, second: Trajectory) -> Trajectory:
-    """The trajectory of both chains, whose odometry has no constant errors that are known."""
-    return Trajectory(np.vstack((first.poses, second.poses)), np.zeros(ERRORS))
-
-
-def local_of_both(first: Chain, second: Chain) -> Trajectory:
-    """Trajectories without loops; between the chains lies the motion of the smoothed trajectories."""
-    seam = se2.between(first.smoothed.poses[-1], second.smoothed.poses[0])
-    start = se2.compose(first.local.poses[-1], seam)
-    motion = se2.compose(start, se2.inverse(second.local.poses[0]))
-    return joined_trajectory(first.local, second.local.moved(motion))
-
-
-def divided(joined: Trajectory, first: Chain, second: Chain) -> tuple[FloatArray, FloatArray]:
-    """Poses of all events of each log, (n, 3) and (m, 3), from the trajectory of both chains."""
+def divided(joined: Trajectory, first: Chain) -> tuple[Trajectory, Trajectory]:
+    """The trajectory of each log, from the trajectory of both chains."""
     count = len(first.keys)
-    poses = joined.poses[:count], joined.poses[count:]
-    one, other = (
-        event_poses(chain.keys, Trajectory(part, joined.bias))
-        for chain, part in zip((first, second), poses, strict=True)
-    )
-    return one, other
+    return Trajectory(joined.poses[:count], joined.bias), Trajectory(joined.poses[count:], joined.bias)
+
+
+def poses_of_both(joined: Trajectory, first: Chain, second: Chain) -> tuple[FloatArray, FloatArray]:
+    """Poses of all events of each log, (n, 3) and (m, 3), from the trajectory of both chains."""
+    one, other = divided(joined, first)
+    return event_poses(first.keys, one), event_poses(second.keys, other)

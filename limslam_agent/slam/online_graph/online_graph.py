@@ -192,7 +192,7 @@ class OnlineGraph:
         if self.places is None:
             motion, own = between(frame.poses[0], pose), inflated(covariance)
             start = moved_covariance(self._start, np.zeros((3, 3)), motion, own)
-            self.places, self._middles = PlaceGraph(config, chunk, compose(self._start, motion), start), []
+            self.places, self._middles = PlaceGraph(chunk, compose(self._start, motion), start), []
         else:
             path = np.vstack((frame.poses[np.array(before) - recent.first], pose))
             self.places.add(chunk, between(path[:-1], path[1:]), covariance)

@@ -201,7 +201,6 @@ def test_the_odometry_preset_does_not_correct(tmp_path):
         (("replay", "{log}", "--odometry-bias", "1,0"), "--odometry-bias"),
         (("replay", "{log}", "--relations", "missing.relations"), "missing.relations"),
         (("replay", "{log}", "--calibrate", "{log}", "--odometry-bias", "1"), "--odometry-bias and --calibrate"),
-        (("replay", "{log}", "--calibrate", "{log}", "--calibrate-until", "nan"), "--calibrate-until"),
         (("replay", "{log}", "--odometry-topic", "/odom"), "is not a ROS bag"),
         (("replay", "{log}", "--range-topics", "/left:somewhere"), "'somewhere' is no direction"),
     ],
@@ -264,10 +263,10 @@ def known_motions(path, seconds, metres):
     return path
 
 
-def test_the_bias_comes_from_a_calibration_run_that_is_not_scored(carmen_log, tmp_path):
+def test_the_bias_comes_from_known_motions(carmen_log, tmp_path):
     relations = known_motions(tmp_path / "known.relations", 7, 0.525)
     result = limslam(
-        "replay", carmen_log, "--calibrate", relations, "--calibrate-until", "4.05", "--relations", relations,
+        "replay", carmen_log, "--calibrate", relations, "--relations", relations,
         "--out", tmp_path / "out",
     )  # fmt: skip
     assert result.returncode == 0, result.stderr
@@ -276,26 +275,10 @@ def test_the_bias_comes_from_a_calibration_run_that_is_not_scored(carmen_log, tm
     content = json.loads((tmp_path / "out" / "result.json").read_text())
     metrics, config = content["metrics"], content["config"]
     assert metrics["calibration_turn_deg_per_m"] == pytest.approx(np.degrees(0.02), abs=1e-6)
-    assert (metrics["calibration_relations"], metrics["relations"]) == (4, 3)
+    assert (metrics["calibration_relations"], metrics["relations"]) == (7, 7)
     assert metrics["odometry_relation_error_m"] < 0.01 < metrics["raw_odometry_relation_error_m"]
     assert config["agent"]["odometry"]["distance_scale"] == pytest.approx(1.05, abs=1e-4)
     assert config["calibration"] == "known.relations"
-    assert config["calibration_until"] == "4.05 s"
-
-
-def test_the_calibration_run_may_be_another_log(carmen_log, tmp_path):
-    relations = known_motions(tmp_path / "known.relations", 7, 0.4)
-    other = tmp_path / "calibration.csv"
-    rows = [f"{100 + 0.1 * step},{0.025 * step},0,0,1,1" for step in range(80)]
-    other.write_text("\n".join(["t,x,y,theta,r_-90,r_90", *rows]) + "\n")
-    result = limslam(
-        "replay", carmen_log, "--beams", "-90,90", "--calibrate", relations, "--calibrate-log", other,
-        "--relations", relations, "--out", tmp_path / "out",
-    )  # fmt: skip
-    assert result.returncode == 0, result.stderr
-    assert "scale 1.6000 +- " in result.stdout
-    metrics = json.loads((tmp_path / "out" / "result.json").read_text())["metrics"]
-    assert metrics["relations"] == 7
 
 
 @pytest.mark.parametrize(("later", "words"), [(1e6, "none of its"), (6.0, "% of its")])

@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -14,8 +13,8 @@ from limslam_agent.config.shared import OdometryConfig
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations, read_relations
-from limslam_agent.replay.calibration import LONGEST_DRIVE, OdometryBias, estimate_bias, select, within
-from limslam_agent.replay.options import Calibration, CalibrationRun, chosen_topics
+from limslam_agent.replay.calibration import LONGEST_DRIVE, OdometryBias, calibrated, estimate_bias
+from limslam_agent.replay.options import chosen_topics
 from limslam_agent.slam.core.motion import motion_from_odometry
 from limslam_env.geometry import se2
 from limslam_env.interface import RobotSpec, SensorSpec
@@ -165,18 +164,14 @@ def test_what_cannot_be_calibrated_is_refused():
         estimate_bias(log, Relations(relations.start_time, relations.end_time, 5.0 * relations.relative))
 
 
-def test_relations_within_a_time():
-    relations = Relations(np.array([0.0, 5.0, 9.0, 2.0]), np.array([5.0, 9.0, 12.0, 1.0]), np.zeros((4, 3)))
-    np.testing.assert_array_equal(within(relations, 1.0, 10.0), [False, True, False, True])
-    np.testing.assert_array_equal(select(relations, within(relations, 1.0, 10.0)).end_time, [9.0, 1.0])
-
-
 @pytest.mark.parametrize(("until", "slack"), [(150.0, 0.2), (300.0, 0.2), (2000.0, 0.2)])
 def test_a_real_robots_bias_shows_in_the_beginning_of_its_log(until, slack):
     folder = data_folder() / "fr079"
     log = read_log(folder / "fr079_raw.clf.gz", (0.0,))
     relations = read_relations(folder / "fr079.relations.gz")
-    bias = estimate_bias(log, select(relations, within(relations, log.time[0], log.time[0] + until)))
+    early = relations.within(log.time[log.time <= log.time[0] + until])
+    columns = relations.start_time, relations.end_time, relations.relative
+    bias = estimate_bias(log, Relations(*(each[early] for each in columns)))
     assert math.degrees(bias.turn_per_metre) == pytest.approx(0.99, abs=slack)
     # The log is said to have a scale of 1.075, but neither its relations nor the offline mapper's poses show one.
     assert bias.distance_scale == pytest.approx(1.0, abs=0.015)
@@ -192,65 +187,21 @@ def relations_file(path, relations):
     return path
 
 
-def test_the_stretch_of_the_calibration_is_held_out_of_the_score(tmp_path):
+def test_the_bias_is_applied_and_said():
     true = drive()
     log = as_log(reported(true, math.radians(1.0), 1.1))
-    relations = known(true, log)
-    run = CalibrationRun(relations_file(tmp_path / "known", relations), 50.0, None)
-    calibration = run.estimate(log, OdometryConfig(distance_variance=0.1), read_log)
-    assert calibration.bias.relations == np.count_nonzero(relations.end_time <= 1050.0)
-    rest = calibration.held_out(relations)
-    assert len(rest.end_time) == len(relations.end_time) - calibration.bias.relations
-    assert (rest.end_time > 1050.0).all()
-    # A loop from the stretch into what comes later has not been seen.
-    loop = Relations(np.array([1010.0]), np.array([1090.0]), np.zeros((1, 3)))
-    assert len(calibration.held_out(loop).end_time) == 1
-    corrected = calibration.applied_to(OdometryConfig(distance_variance=0.1))
+    bias = estimate_bias(log, known(true, log), OdometryConfig(distance_variance=0.1))
+    corrected = bias.applied_to(OdometryConfig(distance_variance=0.1))
     assert corrected.distance_variance == 0.1
     assert corrected.distance_scale == pytest.approx(1.1, abs=1e-6)
-    assert calibration.figures["calibration_turn_deg_per_m"] == pytest.approx(1.0, abs=1e-5)
-    assert calibration.words.startswith("1.000 +- ")
-
-
-def test_another_log_takes_nothing_from_the_score(tmp_path):
-    true = drive()
-    log = as_log(reported(true, math.radians(1.0), 1.1))
-    relations = known(true, log)
-    run = CalibrationRun(relations_file(tmp_path / "known", relations), None, Path("other.clf"))
-    asked = []
-
-    def read(path):
-        asked.append(path)
-        return log
-
-    calibration = run.estimate(as_log(np.zeros((5, 3)), 5000.0), OdometryConfig(), read)
-    assert asked == [Path("other.clf")]
-    assert calibration.held_out(relations) is relations
-    assert run.source == {"calibration": "known", "calibration_log": "other.clf", "calibration_until": None}
-
-
-def test_without_being_asked_nothing_is_calibrated():
-    assert CalibrationRun(None, None, None).estimate(as_log(np.zeros((5, 3))), OdometryConfig(), read_log) is None
-
-
-@pytest.mark.parametrize(
-    ("arguments", "words"),
-    [
-        ((None, 10.0, None), "go with --calibrate"),
-        ((None, None, Path("log")), "go with --calibrate"),
-        ((Path("known"), 0.0, None), "a time above 0 s is needed, not 0"),
-        ((Path("known"), math.nan, None), "a time above 0 s is needed, not nan"),
-    ],
-)
-def test_calibrations_that_make_no_sense_are_refused(arguments, words):
-    with pytest.raises(ValueError, match=words):
-        CalibrationRun(*arguments)
+    assert bias.figures["calibration_turn_deg_per_m"] == pytest.approx(1.0, abs=1e-5)
+    assert bias.words.startswith("1.000 +- ")
 
 
 def test_a_refusal_names_the_relations(tmp_path):
     path = relations_file(tmp_path / "known", Relations(np.zeros(1), np.ones(1), np.zeros((1, 3))))
     with pytest.raises(ValueError, match=f"--calibrate {path}: 0.00 m are driven"):
-        CalibrationRun(path, None, None).estimate(as_log(np.zeros((5, 3))), OdometryConfig(), read_log)
+        calibrated(path, as_log(np.zeros((5, 3))), OdometryConfig())
 
 
 def test_topics_are_read_with_their_directions():
@@ -281,5 +232,4 @@ def test_topics_that_make_no_sense_are_refused(scan, ranges, words):
     ("relations", "words"), [(1, "from 1 relation over 5.0 m"), (2, "from 2 relations over 5.0 m")]
 )
 def test_the_line_on_the_screen_counts_its_relations(relations, words):
-    calibration = Calibration(OdometryBias(0.01, 1.0, 0.001, 0.01, relations, 5.0), None, None)
-    assert calibration.words.endswith(words)
+    assert OdometryBias(0.01, 1.0, 0.001, 0.01, relations, 5.0).words.endswith(words)

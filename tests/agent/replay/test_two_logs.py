@@ -132,7 +132,7 @@ def test_logs_are_joined_with_what_each_of_them_has_found_about_its_sensor(monke
 
     def not_merged(first, second, *_args, **_kwargs):
         chains.extend((first, second))
-        return Merging(None, "no", {"event": "not joined", "reason": "no"})
+        return Merging(first, second, None, "no", {"event": "not joined", "reason": "no"})
 
     monkeypatch.setattr("limslam_agent.replay.two_logs.merge", not_merged)
     joined((replace(replay, smoothed=replace(replay.smoothed, data=limited)), replay), silent)
@@ -192,7 +192,7 @@ def test_two_short_logs_leave_one_folder_with_two_maps(tables, tmp_path):
     ("options", "words"),
     [
         (["--map", "x"], "--map is for one log"),
-        (["--calibrate-until", "3"], "--calibrate-until is for one log"),
+        (["--calibrate", "x"], "--calibrate is for one log"),
         (["--preset", "consistent"], "needs the preset graph"),
         (["third.csv"], "3 were given"),
     ],

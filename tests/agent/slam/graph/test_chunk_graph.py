@@ -3,21 +3,10 @@
 import numpy as np
 import pytest
 
-from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.agreement import MAX_GROUP, agreements, distances_after_alignment, groups_of, supported
-from limslam_agent.slam.graph.chunk_graph import (
-    Hops,
-    Loop,
-    Strain,
-    hop_chi_squares,
-    hops_between,
-    information_matrix,
-    solve,
-    solve_annealed,
-    unbent,
-)
-from limslam_agent.slam.graph.key_poses import Trajectory, integrate
-from limslam_agent.slam.graph.loop_search import Belief, Chunks, scale_of_hops
+from limslam_agent.slam.graph.agreement import distances_after_alignment, supported
+from limslam_agent.slam.graph.chunk_graph import Hops, Loop, hop_chi_squares, joint_covariance, solve, solve_annealed
+from limslam_agent.slam.graph.key_poses import integrate
+from limslam_agent.slam.graph.loop_search import Belief, Chunks
 from limslam_env.geometry import se2
 
 INFORMATION = np.diag([1.0 / 0.1**2, 1.0 / 0.1**2, 1.0 / 0.03**2])
@@ -44,7 +33,7 @@ def drifting(truth, bias=0.05, seed=0):
 
 
 def loops_of(truth, pairs):
-    return [Loop(a, b, se2.between(truth[a], truth[b]), INFORMATION, 0.7, "test") for a, b in pairs]
+    return [Loop(a, b, se2.between(truth[a], truth[b]), INFORMATION, 0.7) for a, b in pairs]
 
 
 def worst(poses, truth):
@@ -74,8 +63,7 @@ def test_wrong_loops_lose_their_weight(truth):
     generator = np.random.default_rng(4)
     hops, right = drifting(truth, bias=0.02), loops_of(truth, right_pairs(truth))
     wrong = [
-        Loop(int(a), int(a) + 15, generator.normal(0.0, 2.0, 3), INFORMATION, 0.7, "wrong")
-        for a in generator.integers(0, 30, 5)
+        Loop(int(a), int(a) + 15, generator.normal(0.0, 2.0, 3), INFORMATION, 0.7) for a in generator.integers(0, 30, 5)
     ]
     with_wrong = solve_annealed(truth[0], hops, right + wrong)
     without = solve_annealed(truth[0], hops, right)
@@ -96,24 +84,7 @@ def test_a_slip_bends_the_graph_in_one_place(truth):
     assert np.sort(bent)[-2] < np.radians(10.0)
 
 
-def test_a_bent_hop_follows_the_local_path_again_and_the_others_stay(truth):
-    middles, covariance = np.arange(0, len(truth), 4), np.diag([0.2**2, 0.2**2, 0.1**2])
-    steps = se2.between(truth[:-1], truth[1:])
-    hops = Hops(se2.between(truth[middles[:-1]], truth[middles[1:]]), np.tile(covariance, (len(middles) - 1, 1, 1)))
-    corrected = steps + np.array([0.0, 0.0, 0.01])
-    bent = corrected.copy()
-    bent[20:22, 2] += np.radians(40.0)
-    bias, local = np.array([0.1, 0.2, 0.3]), Trajectory(truth, np.zeros(3))
-    found = unbent(Trajectory(integrate(truth[0], bent), bias), local, middles, hops, 25.0)
-    expected = corrected.copy()
-    expected[20:24] = steps[20:24]
-    assert np.allclose(found.poses, integrate(truth[0], expected))
-    assert found.bias is bias
-    healthy = Trajectory(integrate(truth[0], corrected), bias)
-    assert unbent(healthy, local, middles, hops, 25.0) is healthy
-
-
-def test_one_sharp_bend_strains_the_path(truth):
+def test_one_sharp_bend_is_far_from_its_hop(truth):
     std = np.array([0.1, 0.1, np.radians(2.0)])
     hops = Hops(se2.between(truth[:-1], truth[1:]), np.tile(np.diag(std**2), (len(truth) - 1, 1, 1)))
     motions = hops.motions.copy()
@@ -122,10 +93,6 @@ def test_one_sharp_bend_strains_the_path(truth):
     errors = hop_chi_squares(bent, hops)
     assert errors[20] == pytest.approx(36.0, abs=1e-6)
     assert np.delete(errors, 20) == pytest.approx(np.zeros(len(errors) - 1), abs=1e-9)
-    strain = Strain(hops, kernel=9.0, weight=0.1)
-    assert strain(bent) == pytest.approx(0.9 * np.log(5.0) / len(errors))
-    assert strain(truth) == pytest.approx(0.0, abs=1e-9)
-    assert strain(truth[:1]) == 0.0
 
 
 def test_paths_are_compared_after_the_motion_that_fits_them(truth):
@@ -138,15 +105,15 @@ def test_paths_are_compared_after_the_motion_that_fits_them(truth):
 def test_a_solution_is_where_no_step_is_left(truth):
     hops, loops = drifting(truth), loops_of(truth, right_pairs(truth))
     once = solve_annealed(truth[0], hops, loops)
-    again = solve(once.poses, hops, loops, (1.0,), 30)
+    again = solve(once.poses, hops, loops, (1.0, 1.0, 1.0))
     assert worst(again.poses, once.poses) < 0.02
 
 
-def test_information_of_a_chain_is_that_of_compounded_motions():
+def test_covariance_of_a_chain_is_that_of_compounded_motions():
     truth = ring(laps=1)[:4]
     hops = drifting(truth, bias=0.0)
     poses = solve_annealed(truth[0], hops, []).poses
-    joint = np.linalg.inv(information_matrix(poses, hops, [], np.zeros(0)))
+    joint = joint_covariance(poses, hops, [])
     covariance = np.zeros((3, 3))
     for row in range(3):
         by_pose, by_motion = se2.compose_jacobians(poses[row], hops.motions[row])
@@ -154,62 +121,24 @@ def test_information_of_a_chain_is_that_of_compounded_motions():
     assert np.allclose(joint[9:, 9:], covariance, atol=1e-6)
 
 
-def test_hops_are_less_sure_than_the_local_graph_says(truth):
-    local = np.tile(np.diag([1e-4, 1e-4, 1e-5]), (len(truth) - 1, 1, 1))
-    hops = hops_between(truth, local)
-    assert np.allclose(se2.compose(truth[:-1], hops.motions)[:, :2], truth[1:, :2])
-    assert hops.covariances[0, 0, 0] == pytest.approx(6e-4 + 0.03**2)
-
-
 def test_a_lone_loop_has_no_support_and_two_that_agree_have(truth):
     travel = 2.5 * np.arange(len(truth))
     pair = loops_of(truth, [(0, 24), (1, 25)])
-    astray = Loop(10, 40, np.array([1.0, 1.0, 1.0]), INFORMATION, 0.8, "wrong")
+    astray = Loop(10, 40, np.array([1.0, 1.0, 1.0]), INFORMATION, 0.8)
     same_chunk = loops_of(truth, [(12, 36), (13, 36)])
     found = supported([*pair, astray, *same_chunk], truth, travel)
     assert found.tolist() == [True, True, False, False, False]
     assert supported([], truth, travel).tolist() == []
 
 
-def test_loops_that_contradict_are_in_different_groups(truth):
-    pair = loops_of(truth, [(0, 24), (1, 25), (2, 26)])
-    other = Loop(1, 26, se2.compose(se2.between(truth[1], truth[26]), np.array([2.0, 0.0, 0.0])), INFORMATION, 0.7, "x")
-    distance, _ = agreements([*pair, other], truth)
-    assert distance[0, 1] == pytest.approx(0.0, abs=1e-9)
-    assert distance[0, 3] == pytest.approx(2.0)
-    assert groups_of([*pair, other], truth) == [[0, 1, 2], [3]]
-    assert MAX_GROUP >= 3
-
-
 def test_the_covariance_stays_symmetric_and_positive_over_many_loops():
     truth = ring(laps=6)
     travel = 2.5 * np.arange(len(truth))
-    chunks = Chunks([None] * len(truth), np.arange(len(truth)), truth, travel, drifting(truth, bias=0.0), GraphConfig())
+    chunks = Chunks([None] * len(truth), np.arange(len(truth)), truth, travel, drifting(truth, bias=0.0))
     belief = Belief(chunks)
     for newest in range(1, len(truth)):
         belief.advance()
         belief.close(loops_of(truth, [(old, newest) for old in range(newest % 24, newest - 12, 24)]))
     covariance = belief.covariance
-    assert np.array_equal(covariance, covariance.T)
+    assert np.allclose(covariance, covariance.T, atol=1e-9)
     assert np.linalg.eigvalsh(covariance).min() > -1e-9
-    information = information_matrix(truth, chunks.hops, belief.loops, np.ones(len(belief.loops)))
-    assert np.allclose(np.diag(covariance), np.diag(np.linalg.inv(information)), rtol=0.3, atol=1e-6)
-
-
-@pytest.mark.parametrize(("noise", "low", "high"), [(0.0, 0.003, 0.01), (0.3, 0.03, 0.3), (1.0, 0.4, 1.0)])
-def test_the_scale_of_the_hops_follows_the_errors_that_loops_show(truth, noise, low, high):
-    generator, deviations = np.random.default_rng(3), np.array([0.1, 0.1, 0.05])
-    motions = se2.between(truth[:-1], truth[1:])
-    motions += noise * deviations * generator.standard_normal(motions.shape)
-    hops = Hops(motions, np.tile(np.diag(deviations**2), (len(motions), 1, 1)))
-    chunks = Chunks(
-        [None] * len(truth),
-        np.arange(len(truth)),
-        integrate(truth[0], motions),
-        2.5 * np.arange(len(truth)),
-        hops,
-        GraphConfig(),
-    )
-    loops = loops_of(truth, [(number, number + 24) for number in range(24)])
-    assert low <= scale_of_hops(chunks, loops) <= high
-    assert scale_of_hops(chunks, loops[:2]) == 1.0

@@ -7,14 +7,16 @@ import pytest
 from support.corridors import corridor_log
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.agreement import KEPT, LoopVerdict
 from limslam_agent.slam.graph.chunk_graph import Loop
 from limslam_agent.slam.graph.key_poses import ERRORS, Trajectory, choose_keys, odometry_trajectory
-from limslam_agent.slam.graph.posterior import aligned_covariance, position_std
+from limslam_agent.slam.graph.local_smoothing import cautious_equations
+from limslam_agent.slam.graph.posterior import aligned_covariance, odometry_ratios, position_std
+from limslam_agent.slam.graph.smooth import relations_of
 from limslam_env.geometry import se2
 
 CONFIG = GraphConfig()
 MIDDLES = 10
+NO_LOOPS = relations_of([], np.zeros(1, dtype=np.int64))
 
 
 @pytest.fixture(scope="module")
@@ -36,23 +38,16 @@ def loops_between_laps(keys, path, chunks):
         pairs.append((first, seconds[int(np.argmin(apart))]))
     information = np.diag([400.0, 400.0, 2500.0])
     relative = [se2.between(path.poses[chunks[a]], path.poses[chunks[b]]) for a, b in pairs]
-    loops = [
-        Loop(*pair, motion, information, 1.0, "along the way") for pair, motion in zip(pairs, relative, strict=True)
-    ]
-    return [LoopVerdict(loop, KEPT) for loop in loops]
+    loops = [Loop(*pair, motion, information, 1.0) for pair, motion in zip(pairs, relative, strict=True)]
+    return relations_of(loops, chunks)
 
 
 def test_loops_make_a_path_better_known(laps):
     data, keys, path = laps
     chunks = np.arange(0, len(keys), MIDDLES)
-    verdicts = loops_between_laps(keys, path, chunks)
-    held, _ = position_std(keys, path, verdicts, chunks, CONFIG, data.range_std)
-    loose, _ = position_std(keys, path, [], chunks, CONFIG, data.range_std)
-    refused, _ = position_std(
-        keys, path, [replace(each, reason="no") for each in verdicts], chunks, CONFIG, data.range_std
-    )
+    held = position_std(keys, path, loops_between_laps(keys, path, chunks), CONFIG, data.range_std)
+    loose = position_std(keys, path, NO_LOOPS, CONFIG, data.range_std)
     assert 0.0 < held < 0.7 * loose
-    assert refused == loose
 
 
 def test_the_variances_of_odometry_follow_its_errors(laps):
@@ -61,7 +56,7 @@ def test_the_variances_of_odometry_follow_its_errors(laps):
     How far the robot drives along a corridor is hardly seen.
     """
     data, keys, path = laps
-    _, ratios = position_std(keys, path, [], np.zeros(1, dtype=np.int64), CONFIG, data.range_std)
+    ratios = odometry_ratios(keys, path, cautious_equations(keys, path, CONFIG, data.range_std))
     assert (ratios[1:] < 0.5).all()
 
 
@@ -69,9 +64,9 @@ def test_a_path_that_follows_odometry_alone_does_not_show_how_good_odometry_is(l
     data, _, _ = laps
     blind = choose_keys(replace(data, hit=np.zeros_like(data.hit)), CONFIG.keys)
     path = odometry_trajectory(blind, np.zeros(3))
-    expected, ratios = position_std(blind, path, [], np.zeros(1, dtype=np.int64), CONFIG, data.range_std)
+    ratios = odometry_ratios(blind, path, cautious_equations(blind, path, CONFIG, data.range_std))
     assert ratios == pytest.approx(np.ones(3), abs=0.05)
-    assert expected > 1.0
+    assert position_std(blind, path, NO_LOOPS, CONFIG, data.range_std) > 1.0
 
 
 def test_a_log_of_one_pose_is_known(laps):
@@ -79,7 +74,7 @@ def test_a_log_of_one_pose_is_known(laps):
     rows = {name: getattr(data, name)[:1] for name in ("time", "odometry", "ranges", "hit")}
     keys = choose_keys(replace(data, **rows), CONFIG.keys)
     path = odometry_trajectory(keys, np.zeros(3))
-    assert position_std(keys, path, [], np.zeros(1, dtype=np.int64), CONFIG, data.range_std)[0] == 0.0
+    assert position_std(keys, path, NO_LOOPS, CONFIG, data.range_std) == 0.0
 
 
 def test_alignment_removes_what_moves_and_turns_all_positions():

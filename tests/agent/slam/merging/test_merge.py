@@ -5,13 +5,14 @@ import pytest
 from support.corridors import FOUR_BEAMS, corridor_log, later_part, plain_walls, uneven_walls
 from support.drives import room
 
-from limslam_agent.config.graph import GraphConfig, RoundConfig
+from limslam_agent.config.graph import GraphConfig
+from limslam_agent.slam.graph.key_poses import APART
 from limslam_agent.slam.graph.smooth import smooth_log
-from limslam_agent.slam.merging.chains import APART, Chain, divided, joined_keys
+from limslam_agent.slam.merging.chains import Chain, joined_keys, poses_of_both
 from limslam_agent.slam.merging.merge import NO_MATCH, merge
 from limslam_env.geometry import se2
 
-CONFIG = GraphConfig(rounds=RoundConfig(hops=(1.0, 0.8, 1.0), iterations=(6, 6, 6), orientations=(0.0,)))
+CONFIG = GraphConfig()
 ELSEWHERE = np.array([20.0, -7.0, 2.1])
 LATER = 170  # events: the second log begins on another side of the corridor
 
@@ -35,10 +36,10 @@ def merged(logs):
 
 def test_the_second_log_is_placed_in_the_first_one(logs, merged):
     _, _, truth, later = logs
-    joint = merged.joint
+    found, joint = merged, merged.joint
     assert joint is not None, merged.refusal
     assert merged.record["event"] == "joined"
-    poses, others = divided(joint.trajectory, joint.first, joint.second)
+    poses, others = poses_of_both(joint.trajectory, found.first, found.second)
     assert (len(poses), len(others)) == (len(truth), len(later))
     off = se2.between(se2.between(truth[0], later), se2.compose(se2.inverse(poses[0]), others))
     assert np.hypot(*off[:, :2].T).max() < 0.4
@@ -49,9 +50,10 @@ def test_the_second_log_is_placed_in_the_first_one(logs, merged):
 
 def test_the_order_of_the_logs_does_not_matter(logs):
     first, second, truth, later = logs
-    joint = merge(second, first, CONFIG).joint
+    found = merge(second, first, CONFIG)
+    joint = found.joint
     assert joint is not None
-    poses, others = divided(joint.trajectory, joint.first, joint.second)
+    poses, others = poses_of_both(joint.trajectory, found.first, found.second)
     off = se2.between(se2.between(later[0], truth), se2.compose(se2.inverse(poses[0]), others))
     assert np.hypot(*off[:, :2].T).max() < 0.4
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from support.corridors import SIX_BEAMS, corridor_log
 
-from limslam_agent.config.graph import GraphConfig, OdometryErrorConfig
+from limslam_agent.config.graph import OdometryErrorConfig
 from limslam_agent.config.presets import preset
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.mapper import Mapper
@@ -97,7 +97,7 @@ def test_a_chunk_has_the_covariance_of_the_first_chunk_about_it(lap):
     _, _, (graph, _, _, _) = lap
     chunk = graph.places._maps[0]
     start = np.diag([0.01, 0.04, 0.09])
-    places = PlaceGraph(GraphConfig(), chunk, np.array([1.0, 2.0, 0.0]), start)
+    places = PlaceGraph(chunk, np.array([1.0, 2.0, 0.0]), start)
     np.testing.assert_allclose(places.covariance, start)
     places.add(chunk, np.array([[3.0, 0.0, 0.0]]), np.zeros((3, 3)))
     own = places._covariances[0]
