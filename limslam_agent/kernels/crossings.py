@@ -1,12 +1,10 @@
 """Readings beside the ranges that the walls of a map predict, for many poses at once."""
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.kernels.algebra import wrapped
 from limslam_agent.kernels.compilation import compiled, lean_entry
 from limslam_agent.kernels.range_sensor import reading_of
 from limslam_agent.kernels.tables import ANGLE, FARTHEST, FROM_X, FROM_Y, TOO_FAR, TOO_NEAR, TOWARDS_X, TOWARDS_Y
@@ -21,39 +19,6 @@ WALL_COLUMNS = 5
 
 
 Sensor = tuple[float, float, float, float]
-
-
-class Predicted(NamedTuple):
-    """The readings of n steps and b beams (n, b), and what the map predicts for their poses.
-
-    Attributes
-    ----------
-    ranges, usable, ended
-        Readings, m, those that count, and those that ended at anything.
-    predicted, known, stds
-        Distance to the wall at which the beam should end, m, whether there is such a wall, and the standard deviation
-        of the difference, m.
-    misfit
-        Squared residual of the reading against the present pose, in variances, at most the clip. It is 0 if nothing can
-        be said.
-    """
-
-    ranges: FloatArray
-    usable: BoolArray
-    ended: BoolArray
-    predicted: FloatArray
-    known: BoolArray
-    stds: FloatArray
-    misfit: FloatArray
-
-    @classmethod
-    def of(cls, ranges: FloatArray, usable: BoolArray) -> "Predicted":
-        """The readings, with room for what a map predicts."""
-        shape = ranges.shape
-        return cls(
-            ranges, usable, np.empty(shape, dtype=np.bool_), np.empty(shape), np.empty(shape, dtype=np.bool_),
-            np.empty(shape), np.empty(shape),
-        )  # fmt: skip
 
 
 @compiled
@@ -228,121 +193,3 @@ def compare_readings(
             near = sigmas * std + slack + sensor[2] * reached
             is_free = is_all_free(values, int(row), int(column), reach, least)
             found[IN_FREE, beam] = is_free and not is_near_wall(x, y, segments, near)
-
-
-@lean_entry
-def compare_steps(
-    poses: FloatArray, variances: FloatArray, segments: FloatArray, beams: FloatArray, sensor: Sensor,
-    rules: FloatArray, walls: FloatArray, seen: Predicted,
-) -> None:  # fmt: skip
-    """Compare the readings of some steps with a map.
-
-    Parameters
-    ----------
-    poses, variances
-        Poses (n, 3), m and rad, and the variances of position and heading (n, 2).
-    segments, beams, sensor, walls
-        As of :func:`predict_ranges`.
-    rules
-        Inset and least cosine of :func:`predict_ranges`; number of standard deviations within which a reading fits;
-        clip, the largest squared residual that counts; and how far walls may go on beyond their known ends, m; (5,).
-    seen
-        The readings, of which all that the map predicts is set.
-    """
-    inset, least_cosine, sigmas, clip, beyond_end = rules[0], rules[1], rules[2], rules[3], rules[4]
-    ranges, ended, predicted, known, stds, misfit = (
-        seen.ranges, seen.ended, seen.predicted, seen.known, seen.stds, seen.misfit
-    )  # fmt: skip
-    fill_table(segments, walls)
-    for i in range(ranges.shape[0]):
-        for beam in range(ranges.shape[1]):
-            predicted[i, beam], stds[i, beam], misfit[i, beam] = 0.0, 1.0, 0.0
-            ray, reading = beam_ray(poses[i], beams, beam), ranges[i, beam]
-            distance, cosine, _ = first_wall(ray, walls, inset)
-            is_wall, is_steep = distance < beams[beam, FARTHEST], cosine > least_cosine
-            ended[i, beam], known[i, beam] = reading < beams[beam, TOO_FAR], is_wall and is_steep
-            expected = distance
-            if known[i, beam]:
-                expected, noise = reading_of(sensor, distance, cosine)
-                predicted[i, beam] = expected
-                stds[i, beam] = math.sqrt(noise + variances[i, 0] + variances[i, 1] * distance**2) / cosine
-            if not ended[i, beam]:
-                is_short = reading - expected < sigmas * stds[i, beam]
-                misfit[i, beam] = clip if known[i, beam] and not is_short else 0.0
-                continue
-            if is_wall and not is_steep:
-                continue
-            misfit[i, beam] = clip
-            for wall in range(len(walls)):
-                distance, beyond, cosine = crossing(ray, walls, wall)
-                if distance > 0.0 and beyond < beyond_end:
-                    expected, noise = reading_of(sensor, distance, cosine)
-                    variance = noise + variances[i, 0] + variances[i, 1] * distance**2
-                    residual = (reading - expected) * max(cosine, LEAST_COSINE)
-                    misfit[i, beam] = min(misfit[i, beam], residual**2 / variance)
-
-
-@lean_entry
-def last_correction(poses: FloatArray, increments: FloatArray, most: float, most_turn: float) -> int:
-    """The last of the poses (n, 3) that was corrected by much beyond its reported increment (n, 3); 0 if none was.
-
-    ``most``, m, and ``most_turn``, rad, are the largest corrections that count as small.
-    """
-    for i in range(len(poses) - 1, 0, -1):
-        cos, sin = math.cos(poses[i - 1, 2]), math.sin(poses[i - 1, 2])
-        x = poses[i, 0] - (poses[i - 1, 0] + cos * increments[i, 0] - sin * increments[i, 1])
-        y = poses[i, 1] - (poses[i - 1, 1] + sin * increments[i, 0] + cos * increments[i, 1])
-        turn = wrapped(poses[i, 2] - wrapped(poses[i - 1, 2] + increments[i, 2]))
-        if math.hypot(x, y) > most or abs(turn) > most_turn:
-            return i
-    return 0
-
-
-@compiled
-def gain(seen: Predicted, step: int, beam: int, lag: int, sigmas: float, clip: float) -> float:
-    """By how much a reading fits the prediction of ``lag`` steps before better than the present one, in variances."""
-    then = step - lag
-    if not seen.usable[step, beam]:
-        return 0.0
-    misfit, ended = float(seen.misfit[step, beam]), seen.ended[step, beam]
-    if not seen.known[then, beam]:
-        # A reading where the earlier beam should have met no known wall only counts if the present prediction fits.
-        return misfit if not ended else misfit - clip if seen.known[step, beam] and misfit < clip else 0.0
-    excess, std = seen.ranges[step, beam] - seen.predicted[then, beam], seen.stds[then, beam]
-    if ended:
-        return misfit - float(min((excess / std) ** 2, clip))
-    return misfit if excess < sigmas * std else misfit - clip
-
-
-@lean_entry
-def sum_gains(seen: Predicted, beam: int, lag: int, last: int, sigmas: float, clip: float) -> float:
-    """The sum of the gains of the ``last`` readings of a beam, or of all of them if there are fewer."""
-    total = 0.0
-    for step in range(max(len(seen.ranges) - last, lag), len(seen.ranges)):
-        total += gain(seen, step, beam, lag, sigmas, clip)
-    return total
-
-
-@lean_entry
-def evidence_of_delays(
-    seen: Predicted, lags: IntArray, sigmas: float, clip: float, both_signs: float, evidence: FloatArray
-) -> None:  # fmt: skip
-    """Find the evidence (k, b) that each beam has been late by each of k lags since some moment.
-
-    It is Page's cumulative sum of the gains. It counts at most ``both_signs`` times as much as its smaller part, by
-    readings that are too long, or too short.
-    """
-    count, beams = seen.ranges.shape
-    for row in range(len(lags)):
-        lag = lags[row]
-        for beam in range(beams):
-            total = least = long = short = 0.0
-            for step in range(lag, count):
-                gained = gain(seen, step, beam, lag, sigmas, clip)
-                is_long = seen.known[step, beam] and seen.ranges[step, beam] > seen.predicted[step, beam]
-                long, short = long + (gained if is_long else 0.0), short + (0.0 if is_long else gained)
-                total += gained
-                if total < least:
-                    # The sum has not been smaller, so the beam may be late from the next step on.
-                    least, long, short = total, 0.0, 0.0
-            evidence[row, beam] = min(long + short, both_signs * min(long, short))

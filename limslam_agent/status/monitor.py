@@ -8,7 +8,6 @@ import numpy as np
 
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.contradictions import KnownMap, Sight, compared, log_likelihood_ratio
-from limslam_agent.status.late_beams import LateBeams
 from limslam_agent.status.status import LEVELS, Level, Status
 from limslam_agent.status.sudden_changes import LASTING, UNSURE, Moment, SuddenChanges, Suspicion
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -27,7 +26,6 @@ _UNSURE_SHARE, _LOST_SHARE = 0.03, 0.06  # of the readings contradict the map
 # Contradicting readings of a lost estimate. They must be of two beams, and two of them must be this far apart, m.
 _FEWEST_CONTRADICTIONS, _APART = 3, 0.3
 _UNSURE_HEADING = math.radians(4.0)  # rad: standard deviation of the heading
-_SEARCH_EVERY = 2  # comparisons: late beams are searched for at each one with this number
 # A lost robot is found again after this distance, m, over which at least so many readings should have ended at walls of
 # the earlier map, if at least this share of them did so.
 RECOVERY_WINDOW, _FEWEST_EXPECTED, _FITTING = 10.0, 150, 0.95
@@ -69,8 +67,7 @@ class StatusMonitor:
 
     At each step the monitor gets the motion that the odometry reports, and the readings. Each time that the robot has
     moved far enough, the monitor compares the readings with the map. The level follows from the share of contradictions
-    in the last metres, from the uncertainty of the heading, from beams that report late, and from jumps of the
-    odometry.
+    in the last metres, from the uncertainty of the heading, and from jumps of the odometry.
 
     A robot that is lost is compared with the map of the moment when it became lost. Otherwise the wrong pose would
     erase the walls that contradict it. Until the readings fit that map again, the status stays ``lost`` and the
@@ -101,8 +98,6 @@ class StatusMonitor:
         # The latest steps that no comparison has used.
         self._sights: deque[tuple[int, Sight]] = deque(maxlen=_MOST_SIGHTS)
         self._checks: deque[_Check] = deque()
-        self._count = 0
-        self._late_beams = LateBeams(robot)
         self._reference: KnownMap | None = None
         self._jump, self._driven, self._since = 0.0, 0.0, 0.0
         self._doubted, self._contradicted = 0, 0
@@ -111,7 +106,7 @@ class StatusMonitor:
 
     def mount(self, robot: RobotSpec, sensor: RangeSensor) -> None:
         """The beams are known to be mounted otherwise, as those of this robot. All doubts remain."""
-        self._robot = self._late_beams.robot = self._sudden_changes.robot = robot
+        self._robot = self._sudden_changes.robot = robot
         self.sensor = sensor
 
     def observe(self, sight: Sight, *, is_busy: bool) -> bool:
@@ -156,7 +151,7 @@ class StatusMonitor:
         if self._reference is None:
             self._look_for_sudden_changes(covariance, present, usable)
         self._compare(covariance, self._reference or present, usable)
-        self._look_for_late_beams(covariance, present.segments)
+        self._sights.clear()
         while self._place - self._checks[0].place > RECOVERY_WINDOW:
             self._checks.popleft()
         if self._reference is None:
@@ -218,13 +213,8 @@ class StatusMonitor:
         if len(self._sights) == self._sights.maxlen:
             self._sudden_changes.forget()
         seen = [(check.step, check.points) for check in self._checks if len(check.points)]
-        moment = Moment(self._place, covariance, known, self.sensor, usable, self._ignored(), seen)
+        moment = Moment(self._place, covariance, known, self.sensor, usable, seen)
         self._sudden_changes.note(list(self._sights), moment)
-
-    def _ignored(self) -> BoolArray:
-        """The beam that reports late, if there is one, as a mask (n_beams,)."""
-        late = self._late_beams.found
-        return np.asarray(np.arange(len(self._robot.beams)) == (-1 if late is None else late.beam))
 
     def _usable(self) -> BoolArray:
         """The latest readings (n_beams,) that can be compared with a map.
@@ -233,7 +223,7 @@ class StatusMonitor:
         """
         sights = list(self._sights)[-LASTING:]
         nothing = np.array([sight.ranges >= self._robot.too_far for _, sight in sights])
-        return np.asarray(sights[-1][1].measured & ~(nothing[-1] & ~nothing.all(axis=0)) & ~self._ignored())
+        return np.asarray(sights[-1][1].measured & ~(nothing[-1] & ~nothing.all(axis=0)))
 
     def _compare(self, covariance: FloatArray, known: KnownMap, usable: BoolArray) -> None:
         """Compare the latest readings with a map, and note the outcome.
@@ -250,17 +240,6 @@ class StatusMonitor:
             last.pose, robot.beam_origins[beams] + reached[:, None] * robot.beam_directions[beams]
         )
         self._checks.append(_Check(self._place, outcome.counts, beams, points, self._step))
-
-    def _look_for_late_beams(self, covariance: FloatArray, segments: FloatArray) -> None:
-        """Pass the steps since the last comparison to the search for late beams, which is made now and then."""
-        late, sights = self._late_beams, [sight for _, sight in self._sights]
-        if len(sights) == self._sights.maxlen:
-            late.forget()
-        late.note([(each.pose, each.increment, each.ranges, each.measured) for each in sights], covariance)
-        self._sights.clear()
-        self._count += 1
-        if self._reference is None and self._count % _SEARCH_EVERY == 0:
-            late.search(segments, self.sensor)
 
     def _judge(self, heading_variance: float, present: KnownMap) -> None:
         """Find the status of a robot that was not lost so far. If it is lost now, keep the map of this moment."""
@@ -283,8 +262,6 @@ class StatusMonitor:
         if self.carried is not None:
             return Status("lost", self.carried.words)
         contradictions = self._by_contradictions()
-        if contradictions.level != "lost" and self._late_beams.found is not None:
-            return Status("unsure", self._late_beams.found.words)
         if contradictions.level != "ok":
             return contradictions
         suspicion = self._sudden_changes.strongest

@@ -54,8 +54,6 @@ class Moment(NamedTuple):
         The map, and how ranges are measured.
     usable
         The readings (n_beams,) of the last step that count.
-    ignored
-        Beams (n_beams,) that are known to be wrong.
     seen
         Steps at which the map was contradicted before, and the points (k, 2), m, where it was.
     """
@@ -65,7 +63,6 @@ class Moment(NamedTuple):
     known: KnownMap
     sensor: RangeSensor
     usable: BoolArray
-    ignored: BoolArray
     seen: list[tuple[int, FloatArray]]
 
 
@@ -211,7 +208,7 @@ class SuddenChanges:
         """The evidence of each beam in the steps but the first two and the last few, and the readings that count."""
         robot = self.robot
         ranges, measured = np.array([each.ranges for each in sights]), np.array([each.measured for each in sights])
-        measured &= ~moment.ignored & ~dropouts(ranges >= robot.too_far)
+        measured &= ~dropouts(ranges >= robot.too_far)
         last = 1 - LASTING
         motions = np.array([each.increment for each in sights])
         motions = np.column_stack((np.hypot(motions[:, 0], motions[:, 1]), np.abs(motions[:, 2])))

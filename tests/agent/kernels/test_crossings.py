@@ -8,25 +8,19 @@ import pytest
 from limslam_agent.kernels.crossings import (
     LEAST_COSINE,
     WALL_COLUMNS,
-    Predicted,
     compare_readings,
-    compare_steps,
-    evidence_of_delays,
-    last_correction,
     predict_ranges,
-    sum_gains,
 )
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.se2 import compose, transform_points
+from limslam_env.geometry.se2 import transform_points
 from limslam_env.geometry.segment import distances
 from limslam_env.interface import RobotSpec
 
 ROBOT, STD, SEEDS = RobotSpec(), 0.02, range(5)
 SENSOR = RangeSensor(STD).numbers
 BEAMS = len(ROBOT.beams)
-INSET, LEAST, SIGMAS, CLIP, BEYOND = 0.1, 0.35, 3.0, 4.0, 1.0
-RULES = np.array([INSET, LEAST, SIGMAS, CLIP, BEYOND])
+INSET, LEAST = 0.1, 0.35
 
 
 class Crossed(NamedTuple):
@@ -62,22 +56,11 @@ def first_walls(met: Crossed) -> tuple[FloatArray, FloatArray, IntArray]:
     return nearest, np.where(np.isfinite(nearest), cosines, 1.0), reached.argmin(axis=2)
 
 
-def drawn(seed: int) -> tuple[FloatArray, FloatArray, FloatArray, BoolArray, FloatArray]:
-    """A drive past random walls: poses, walls, readings that fit some of the walls, usable readings, variances."""
-    generator = np.random.default_rng(seed)
-    poses = np.cumsum(generator.normal(0.0, [0.02, 0.02, 0.03], (90, 3)), axis=0)
-    segments = generator.normal(0.0, 1.5, (12, 4))
-    nearest, _, _ = first_walls(crossed(poses, segments))
-    delayed = np.vstack((nearest[:6], nearest[:-6]))
-    delayed[:, 1:] = nearest[:, 1:]
-    ranges = np.minimum(delayed + generator.normal(0.0, STD, delayed.shape), ROBOT.max_ranges)
-    return poses, segments, ranges, generator.random(ranges.shape) < 0.9, generator.uniform(0.0, 1e-3, (90, 2))
-
-
 @pytest.mark.parametrize("seed", SEEDS)
 def test_predicted_ranges(seed: int) -> None:
-    poses, segments, _, _, _ = drawn(seed)
-    covariance = np.diag([1e-4, 2e-4, 3e-4])
+    generator = np.random.default_rng(seed)
+    poses = np.cumsum(generator.normal(0.0, [0.02, 0.02, 0.03], (90, 3)), axis=0)
+    segments, covariance = generator.normal(0.0, 1.5, (12, 4)), np.diag([1e-4, 2e-4, 3e-4])
     ranges, stds = np.empty((len(poses), BEAMS)), np.empty((len(poses), BEAMS))
     walls, first = np.empty((len(segments), WALL_COLUMNS)), np.empty(ranges.shape, dtype=np.int64)
     predict_ranges(poses, covariance, segments, ROBOT.beam_table, SENSOR, INSET, LEAST, walls, ranges, stds, first)
@@ -89,67 +72,6 @@ def test_predicted_ranges(seed: int) -> None:
     variances = STD**2 + 3e-4 + 3e-4 * lever**2
     np.testing.assert_allclose(stds, np.sqrt(variances) / np.maximum(cosines, LEAST_COSINE))
     assert np.isfinite(ranges).any()
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_steps_beside_a_map(seed: int) -> None:
-    poses, segments, ranges, usable, variances = drawn(seed)
-    seen = compared(poses, variances, ranges, usable, segments)
-    met = crossed(poses, segments)
-    nearest, cosines, _ = first_walls(met)
-    is_wall, ended = nearest < ROBOT.max_ranges, ranges < ROBOT.too_far
-    known = is_wall & (cosines > LEAST)
-    np.testing.assert_array_equal(seen.known, known)
-    np.testing.assert_array_equal(seen.ended, ended)
-    np.testing.assert_allclose(seen.predicted, np.where(known, nearest, 0.0))
-    position, heading = variances.T[..., None, None]
-    walls = np.sqrt(STD**2 + position + heading * met.distances**2) / np.maximum(met.cosines, LEAST_COSINE)
-    stds = np.sqrt(STD**2 + position[..., 0] + heading[..., 0] * nearest**2) / cosines
-    np.testing.assert_allclose(seen.stds[known], stds[known])
-    fits = met.ahead & (met.beyond < BEYOND)
-    residuals = np.where(fits, (ranges[..., None] - met.distances) / walls, np.inf)
-    misfit = np.where(ended, (residuals**2).min(axis=2), np.where(known, CLIP, 0.0))
-    misfit[ended & is_wall & ~known] = 0.0
-    misfit[~ended & known & (ranges - nearest < SIGMAS * stds)] = 0.0
-    np.testing.assert_allclose(seen.misfit, np.minimum(misfit, CLIP), atol=1e-9)
-
-
-def compared(
-    poses: FloatArray, variances: FloatArray, ranges: FloatArray, usable: BoolArray, segments: FloatArray
-) -> Predicted:
-    seen, walls = Predicted.of(ranges, usable), np.empty((len(segments), WALL_COLUMNS))
-    compare_steps(poses, variances, segments, ROBOT.beam_table, SENSOR, RULES, walls, seen)
-    return seen
-
-
-def plain_gains(seen: Predicted, lag: int) -> FloatArray:
-    ranges, ended, misfit = seen.ranges[lag:], seen.ended[lag:], seen.misfit[lag:]
-    known, std, excess = seen.known[:-lag], seen.stds[:-lag], ranges - seen.predicted[:-lag]
-    then = np.where(ended, np.minimum((excess / std) ** 2, CLIP), np.where(excess < SIGMAS * std, 0.0, CLIP))
-    gains = misfit - np.where(known, then, 0.0)
-    fits_now = seen.known[lag:] & (misfit < CLIP)
-    gains = np.where(ended & ~known, np.where(fits_now, misfit - CLIP, 0.0), gains)
-    return np.asarray(np.where(seen.usable[lag:], gains, 0.0))
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_evidence_of_delays(seed: int) -> None:
-    poses, segments, ranges, usable, variances = drawn(seed)
-    seen = compared(poses, variances, ranges, usable, segments)
-    lags = np.array([2, 6, 11, 40])
-    found = np.empty((len(lags), BEAMS))
-    evidence_of_delays(seen, lags, SIGMAS, CLIP, 6.0, found)
-    for row, lag in enumerate(lags.tolist()):
-        gains = plain_gains(seen, lag)
-        sums = np.cumsum(np.vstack((np.zeros(BEAMS), gains)), axis=0)
-        since = np.arange(len(gains))[:, None] >= sums.argmin(axis=0)
-        too_long = seen.known[lag:] & (seen.ranges[lag:] > seen.predicted[lag:])
-        long, short = (np.where(since & side, gains, 0.0).sum(axis=0) for side in (too_long, ~too_long))
-        np.testing.assert_allclose(found[row], np.minimum(long + short, 6.0 * np.minimum(long, short)), atol=1e-9)
-        for last in (1, 20, 1000):
-            total = sum_gains(seen, 1, lag, last, SIGMAS, CLIP)
-            assert total == pytest.approx(gains[-last:, 1].sum(), abs=1e-9)
-    assert found.max() > 0.0
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -183,18 +105,3 @@ def test_readings_beside_a_map(seed: int) -> None:
         np.testing.assert_array_equal(found, [expected, fits, through, ended, in_free])
         counts = counts + found.sum(axis=1)
     assert np.min(counts) > 5
-
-
-def test_the_last_correction() -> None:
-    generator = np.random.default_rng(0)
-    increments = generator.normal(0.0, 0.1, (8, 3))
-    poses = [np.array([1.0, 2.0, 3.0])]
-    for increment in increments[1:]:
-        poses.append(compose(poses[-1], increment))
-    assert last_correction(np.array(poses), increments, 0.05, 0.05) == 0
-    for part, change in ((1, 0.06), (2, -0.06)):
-        moved = np.array(poses)
-        moved[5, part] += change
-        assert last_correction(moved, increments, 0.05, 0.05) == 6
-        assert last_correction(moved[:6], increments[:6], 0.05, 0.05) == 5
-        assert last_correction(moved, increments, 0.3, 0.3) == 0

@@ -1,7 +1,6 @@
 """The status of one robot, from made-up readings in a square room."""
 
 import math
-import re
 
 import numpy as np
 import pytest
@@ -31,7 +30,6 @@ from limslam_agent.status.sudden_changes import (
     Suspicion,
     change_evidence,
 )
-from limslam_env.geometry.se2 import between
 
 WALLS = room(0.0, 0.0, 2.0, 2.0)
 OBLONG = room(0.0, 0.0, 2.0, 2.6)
@@ -224,7 +222,7 @@ def test_of_several_suspicions_the_largest_change_counts():
         for step, evidence, change in ((5, LOST + 1.0, 2.0), (9, UNSURE, CLEAR))
     )
     changes.suspicions = [weak]
-    moment = Moment(0.1, SURE, nowhere, RangeSensor(0.02), EVERY, ~EVERY, [])
+    moment = Moment(0.1, SURE, nowhere, RangeSensor(0.02), EVERY, [])
     assert changes.certain is None
     changes.note([(9, blind(0.1))], moment)
     assert changes.certain is weak
@@ -300,39 +298,6 @@ def test_an_uncertain_heading_is_unsure():
     assert watched.by_readings == Status(), "the readings fit the map all the same"
     drive(watched, 1, begin=10)
     assert watched.status == Status()
-
-
-def circle(watched, late, begin, delay, stop):
-    """Drive on a circle with a beam that is late by some steps, until a condition of the status holds; the steps."""
-    for number in range(begin, begin + 400):
-        ranges = ranges_at(place(number), OBLONG)
-        ranges[late] = ranges_at(place(max(number - delay, 0)), OBLONG)[late]
-        increment = between(place(number - 1), place(number))
-        if watched.observe(Sight(place(number), ranges, EVERY, increment), is_busy=True):
-            watched.check(SURE, KnownMap(OBLONG, UNKNOWN))
-        if stop(watched.status):
-            return number - begin
-    return None
-
-
-@pytest.mark.parametrize(("late", "delay"), [(2, 10), (0, 5), (5, 12)])
-def test_a_late_beam_is_named_with_its_delay_until_it_is_in_time_again(late, delay):
-    watched = monitor()
-    # Ten steps are a second.
-    steps = circle(watched, late, 0, delay, lambda status: "late" in status.reason)
-    assert steps is not None
-    assert steps <= 100
-    angle = math.degrees(ROBOT.beam_angles[late])
-    assert watched.status.level == "unsure"
-    told = re.fullmatch(r"the beam at (.+) deg is late by (.+) s \(\+- (.+) s\)", watched.status.reason)
-    assert told is not None
-    assert told[1] == f"{angle:.0f}"
-    assert float(told[2]) == pytest.approx(0.1 * delay, abs=0.11)
-    assert circle(watched, late, steps + 1, 0, lambda status: status == Status()) is not None
-
-
-def test_no_beam_is_late_in_a_right_map():
-    assert circle(monitor(), 0, 0, 0, lambda status: status != Status()) is None
 
 
 def test_the_worst_robot_counts_and_is_named():

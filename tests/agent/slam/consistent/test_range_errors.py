@@ -231,7 +231,7 @@ def test_further_turns_reach_all_parts_of_the_mapper_and_keep_its_doubts() -> No
     mounted, sensor, recovery = mapper.slam.mounted, mapper.slam.range_sensor, mapper._recovery
     assert mounted.beam_angles == pytest.approx(ROBOT.beam_angles + further)
     assert monitor.sensor == sensor
-    assert monitor._robot == monitor._late_beams.robot == monitor._sudden_changes.robot == mounted
+    assert monitor._robot == monitor._sudden_changes.robot == mounted
     assert recovery is not None
     for robot in (recovery._robot, recovery._kidnapping.robot):
         np.testing.assert_array_equal(
