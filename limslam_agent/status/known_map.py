@@ -65,6 +65,12 @@ class Explained(NamedTuple):
     against: FloatArray
     tested: BoolArray
 
+    @property
+    def test(self) -> FloatArray:
+        """What each ray contributes (n,) to :func:`contradiction_test`."""
+        at_all = np.where(self.against > 0.0, contradiction_test(1, 1), contradiction_test(0, 1))
+        return np.where(self.tested, at_all, 0.0)
+
 
 @dataclass(frozen=True, eq=False)
 class PlaceFit:

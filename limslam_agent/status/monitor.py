@@ -32,7 +32,7 @@ UNIFORM_HEADING = math.pi / math.sqrt(3.0)
 # the same step, or when it has moved by ``LONGEST_SPACING``, m. A turn by one radian counts like ``TURN_LENGTH``, m.
 SPACING, LONGEST_SPACING, TURN_LENGTH = 0.10, 0.30, 0.40
 _WINDOW = 3.0  # m: the last part of the drive that counts
-_DOUBTFUL, _REFUTED = math.log(10.0), math.log(1000.0)  # a wrong pose is so much likelier than the right one
+_DOUBTFUL, _REFUTED = math.log(100.0), math.log(1000.0)  # a wrong pose is so much likelier than the right one
 _APART = 0.3  # m: contradictions of a lost estimate are of two beams, and two of them are so far apart
 _UNSURE_HEADING = math.radians(4.0)  # rad: standard deviation of the heading
 RECOVERY_WINDOW = 10.0
@@ -221,24 +221,33 @@ class StatusMonitor:
             self._weigh_changes(covariance)
 
     def _weigh_changes(self, covariance: FloatArray) -> None:
-        """Weigh the changes by the readings since then, and find the likeliest one that makes the robot doubtful."""
-        kept, least, self._suspect = list[Change](), SUSPECTED, None
+        """Weigh the changes by the readings since then, and find the likeliest one that makes the robot doubtful.
+
+        Both the evidence of the readings and the test of their contradictions can speak for a change. A doubt remains
+        until the readings clearly fit.
+        """
+        kept, least, before, self._suspect = list[Change](), SUSPECTED, self._suspect, None
         for change in self._changes:
             rays = rays_of(self._sights[change.step - self._first :], self._robot, self.sensor)
             change.known.sensor = self.sensor
-            here = change.known.explained(rays).evidence
-            if self._step - change.step > _LONGEST or here.sum() > _SUPPORTED:
+            here = change.known.explained(rays)
+            if self._step - change.step > _LONGEST or here.evidence.sum() > _SUPPORTED:
                 continue
             kept.append(change)
-            evidence = change.evidence - float(here.sum())
+            by_ray = max(-here.evidence, here.test, key=np.sum)
+            evidence = change.evidence + float(by_ray.sum())
             if evidence >= least:  # or it has drifted
-                evidence = min(evidence, change.evidence - near_fit(change.known, rays, covariance).evidence)
+                near = near_fit(change.known, rays, covariance)
+                there = max(-near.evidence, contradiction_test(near.fit.contradictions, near.fit.tested))
+                evidence = min(evidence, change.evidence + there)
             if evidence >= least:
                 # A beam alone may be broken.
-                by_beam = change.by_beam - np.bincount(rays[:, RAY_BEAM].astype(int), here, len(change.by_beam))
+                by_beam = change.by_beam + np.bincount(rays[:, RAY_BEAM].astype(int), by_ray, len(change.by_beam))
                 is_lost = evidence >= _CARRIED and by_beam.sum() - by_beam.max() >= SUSPECTED
                 least, self._suspect = evidence, (change, CARRIED if is_lost else MAYBE_CARRIED)
         self._changes = kept
+        if self._suspect is None and before is not None and before[0] in kept:
+            self._suspect = before[0], MAYBE_CARRIED
 
     def _compare(self, covariance: FloatArray, known: KnownMap) -> None:
         """Compare the latest readings with a map, and note the outcome.

@@ -21,6 +21,7 @@ from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 
 _BEGIN = 1.0  # evidence of a step that is a change
+_EXPLAINED = 1.0  # evidence of a reading for the map: more than that of seeing nothing on free ground
 _MAPS = 4
 
 
@@ -106,19 +107,19 @@ class SuddenChanges:
             number = first + begin + row + 2
             if number > self.weighed:
                 map_then = next((each for at, each in reversed(self._known) if at <= number), self._known[0][1])
-                unexplained = self._unexplained(steps[row + 2], usable[row + 2], map_then, covariance)
-                found.append(Change(number, map_then, np.minimum(evidence[row], unexplained)))
+                is_explained = self._are_explained(steps[row + 2], usable[row + 2], map_then, covariance)
+                by_beam = np.where(is_explained, np.minimum(evidence[row], 0.0), evidence[row])
+                found.append(Change(number, map_then, by_beam))
         self.weighed = first + begin + len(steps) - LASTING
         return [each for each in found if each.evidence > _BEGIN]
 
-    def _unexplained(self, sight: Sight, usable: BoolArray, known: KnownMap, covariance: FloatArray) -> FloatArray:
-        """The evidence (n_beams,) that the map alone would give for each reading, at least 0."""
+    def _are_explained(self, sight: Sight, usable: BoolArray, known: KnownMap, covariance: FloatArray) -> BoolArray:
+        """Which readings (n_beams,) ended where the map has a wall, so that their change says nothing."""
         ranges, sensor = np.where(usable, sight.ranges, np.nan), known.sensor
         rays = moved(step_rays(ranges, sensor.mounted(self._robot), sensor.bias), sight.pose)
-        explained, evidence = known.explained(rays, covariance), np.full(len(ranges), np.inf)
-        beams = rays[:, RAY_BEAM].astype(int)
-        evidence[beams[explained.tested]] = np.maximum(-explained.evidence[explained.tested], 0.0)
-        return evidence
+        found: BoolArray = np.zeros(len(ranges), dtype=bool)
+        found[rays[:, RAY_BEAM].astype(int)] = known.explained(rays, covariance).evidence > _EXPLAINED
+        return found
 
 
 def change_evidence(
