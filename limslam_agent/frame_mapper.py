@@ -3,14 +3,17 @@
 import time
 from collections.abc import Sequence
 
+import numpy as np
+
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.drawing import ReadingDrawer
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.renewal import Renewal
 from limslam_agent.slam.core.diagnostics import Extraction
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.contradictions import KnownMap, Sight
+from limslam_agent.status.known_map import KnownMap
 from limslam_agent.status.monitor import StatusMonitor
+from limslam_agent.status.sudden_changes import Sight
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import Observation
 
@@ -59,7 +62,7 @@ class FrameMapper:
         """Forget all doubts about the estimates so far."""
         slam, free_space_counts = self.slam, self._config.free_space_counts
         self.monitors = [
-            StatusMonitor(slam.mounted, slam.range_sensor, free_space_counts=free_space_counts) for _ in slam.robots
+            StatusMonitor(slam.robot, slam.range_sensor, free_space_counts=free_space_counts) for _ in slam.robots
         ]
 
     def process(self, observations: Sequence[Observation], frame: int, *, may_renew: bool = True) -> bool:
@@ -87,7 +90,7 @@ class FrameMapper:
             self.drawers = self._new_drawers()
             if known.turns:
                 for monitor in self.monitors:
-                    monitor.mount(self.slam.mounted, sensor)
+                    monitor.sensor = sensor
             else:
                 self.reset_monitors()
         before, self._extraction = self._extraction, self.slam.last_extraction
@@ -126,10 +129,11 @@ class FrameMapper:
     def _watch(self, number: int, *, is_busy: bool) -> None:
         """Tell a robot's monitor the motion and the readings of this step, and let it compare them if that is due."""
         monitor, slam, front = self.monitors[number], self.slam, self.slam.robots[number]
-        sight = Sight(slam.poses[number], front.ranges, front.measured, slam.increments[number])
+        ranges = np.where(front.measured, front.ranges, np.nan)
+        sight = Sight(slam.poses[number], ranges, slam.increments[number])
         if monitor.observe(sight, is_busy=is_busy):
             monitor.sensor = slam.range_sensor
-            monitor.check(slam.covariances[number], KnownMap(slam.segments, self.grid.view))
+            monitor.check(slam.covariances[number], KnownMap(slam.segments, self.grid.view, slam.range_sensor))
 
     def _renew(self, observation: Observation, *, may_renew: bool) -> bool:
         """Smooth the last minutes, if that is due; whether that has moved the path far."""

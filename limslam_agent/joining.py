@@ -11,8 +11,9 @@ from limslam_agent.config.presets import AgentConfig, self_calibrating
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.mapper import Mapper
+from limslam_agent.places.history import LoggedStep
+from limslam_agent.places.localisation import KnownPlaces
 from limslam_agent.places.meeting import Meeting
-from limslam_agent.places.place_map import place_map
 from limslam_agent.places.revisions import PlaceHistory, Unplaced
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.range_sensor import RangeSensor
@@ -90,7 +91,7 @@ class JoiningMapper(Mapper):
             raise ValueError("unknown starts are for two robots with the preset graph or consistent")
         self._own = self._starts
         self._apart = self._separate_mappers()
-        self._meeting, self._steps = Meeting(), list[tuple[Observation, ...]]()
+        self._meeting, self._steps = Meeting(self.robot), list[tuple[Observation, ...]]()
 
     def step(self, *observations: Observation) -> None:
         """Process one observation of each robot; the errors are those of :meth:`Mapper.step`."""
@@ -108,9 +109,12 @@ class JoiningMapper(Mapper):
         for mapper, observation in zip(self._apart, observations, strict=True):
             mapper.step(observation)
         self._follow_both(self._apart)
+        motions = [mapper.slam.increments[0] for mapper in self._apart]
         if self._meeting.is_open:
             self._keep(observations)
-        self._meeting.drive([mapper.slam.increments[0] for mapper in self._apart])
+            seen = zip(observations, self._apart, motions, strict=True)
+            self._meeting.note([LoggedStep.of(each, mapper.slam, motion) for each, mapper, motion in seen])
+        self._meeting.drive(motions)
         if self._meeting.is_due:
             self._seek_other(self._apart)
 
@@ -209,7 +213,9 @@ class JoiningMapper(Mapper):
         self.odometry.setflags(write=False)
 
     def _seek_other(self, apart: list[Mapper]) -> bool:
-        """Match both maps, and go on as a team if they fit together in one place only. Whether they are a team now.
+        """Search for the second robot in the map of the first one, and go on as a team if it fits in one place only.
+
+        The result is whether they are a team now.
 
         A lost robot is not in its map. Robots that do not know of each other are easily lost when they meet, because
         the body of the other robot contradicts the map. The search goes on when both know their places again.
@@ -219,8 +225,7 @@ class JoiningMapper(Mapper):
         if any(_has_left_its_path(mapper.places) for mapper in apart):
             self._meeting.end("a robot was carried away, or has begun a new map")
             return False
-        first, second = (place_map(mapper.slam.segments, mapper.grid) for mapper in apart)
-        found = self._meeting.seek(first, second, self._starts[1], [mapper.slam.covariance for mapper in apart])
+        found = self._meeting.seek([each.slam for each in apart], [each.grid for each in apart], self._starts[1])
         return found is not None and self._join(apart, *found)
 
     def _is_one_lost(self, apart: Sequence[Mapper]) -> bool:
@@ -255,7 +260,7 @@ class JoiningMapper(Mapper):
                 listener(record)
         self.joined = Joined(*(np.array(column) for column in zip(*replayed, strict=True)))
         self.frame = 1 + sum(mapper.frame for mapper in apart)
-        self._meeting.has_joined(start, place_map(apart[1].slam.segments, apart[1].grid))
+        self._meeting.has_joined(start)
         return True
 
     def _found_by(self, apart: Sequence[Mapper]) -> tuple[AgentConfig, RangeSensor | None]:
@@ -293,7 +298,7 @@ class JoiningMapper(Mapper):
             self._part("the readings contradict the shared map")
         elif level == "ok" and (is_over or self._meeting.is_to_be_confirmed):
             is_complete = not frontier_cells(self.grid, self.config.policy.min_frontier).any()
-            whole = place_map(self.slam.segments, self.grid)
+            whole = KnownPlaces(self.slam.segments, self.grid, self.slam.range_sensor)
             ambiguity = self._meeting.confirm(whole, is_complete=is_complete)
             if ambiguity and is_complete:
                 self._part(ambiguity)

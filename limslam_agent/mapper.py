@@ -18,14 +18,16 @@ from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.map_snapshot import MapSnapshot
 from limslam_agent.places.absence import Placement
 from limslam_agent.places.history import LoggedStep
-from limslam_agent.places.lookup import NOT_YET_FOUND, Lookup, begin_lookup
-from limslam_agent.places.recovery import Recovery
+from limslam_agent.places.lookup import NOT_YET_FOUND, Lookup
+from limslam_agent.places.recovery import WRONG_PLACE, Recovery
 from limslam_agent.places.revisions import PlaceHistory, Revision, Unplaced
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.motion import check_travel, longest_travel
 from limslam_agent.slam.slam import LineSlam, RangeSensor
+from limslam_agent.status.monitor import Loss
+from limslam_agent.status.rays import wall_points
 from limslam_agent.status.status import Status
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose
@@ -160,7 +162,7 @@ class Mapper:
         self._remember()
         if self._recovery is not None and "wheels" in observations[0]:
             self._follow(self._recovery, observations[0], motions[0])
-        if self._lookup is not None and self._lookup.is_open and self._lookup.is_due:
+        if self._lookup is not None and self._lookup.is_due:
             self._look_up(self._lookup)
 
     def finish(self) -> None:
@@ -328,7 +330,7 @@ class Mapper:
         """The search for the robot's place in an earlier map, if there is one."""
         if self._prior_map is None:
             return None
-        return begin_lookup(self._prior_map, self.robot, self.config, self.slam.range_sensor, len(self._starts))
+        return Lookup(self._prior_map, self.robot, self.config, len(self._starts))
 
     def _look_up(self, lookup: Lookup) -> None:
         """Search the earlier map for the place, and go on in the earlier map if the place is clear."""
@@ -343,7 +345,7 @@ class Mapper:
             self.on_restart(0)
         slam = self._slam_at(found.start)
         slam.know(lookup.saved.landmarks, lookup.saved.segments)
-        slam.relocate(found.start, found.covariance, ends=found.ends)
+        slam.relocate(found.start, found.covariance, ends=wall_points(found.rays))
         slam.on_association = self.slam.on_association
         self._use(slam, OccupancyGrid.of(lookup.saved.grid, self.config.grid))
         self._number_map(is_own=True)
@@ -359,23 +361,35 @@ class Mapper:
 
     def _follow(self, recovery: Recovery, observation: Observation, motion: FloatArray) -> None:
         """Keep a step, and see to it that a lost robot goes on in a local frame and finds its place again."""
-        recovery.note(LoggedStep.of(observation, self.slam, motion), self.slam, self._present.grid)
         own, sensor = self._present.monitors[0], self.slam.range_sensor
-        if own.status.level == "lost" and recovery.still_fits(own, sensor):
+        step = LoggedStep.of(observation, self.slam, motion)
+        recovery.note(step, self.slam, self._present.grid, is_suspicious=own.is_suspicious)
+        if own.loss is not None and recovery.still_fits(own, sensor):
             self._present.reset_monitors()
-        elif own.status.level == "lost" or recovery.is_elsewhere(own, self.slam):
-            if recovery.is_placed:
-                self._revisions.pop()  # the place that was found was wrong
-            recovery.lose(own, self.slam, self._present.grid)
-            if not (recovery.may_be_renewed and self._go_on_renewed(recovery)):
-                found = recovery.seek_near(sensor)
-                self._go_on_locally(recovery) if found is None else self._go_on_at(recovery, found)
-        elif recovery.is_lost and recovery.is_due():
-            found = recovery.seek(sensor)
-            if found is not None:
-                self._go_on_at(recovery, found)
+        elif own.loss is not None:
+            self._lose(recovery, own.loss, own.jump)
         elif recovery.is_due():
-            recovery.confirm(own.by_readings, self.slam, self._present.grid.view)
+            if recovery.is_lost:
+                found = recovery.seek(sensor)
+                if found is not None:
+                    self._go_on_at(recovery, found)
+            elif recovery.is_refuted(sensor):
+                self._lose(recovery, WRONG_PLACE, 0.0)
+            else:
+                recovery.confirm(own.by_readings, self.slam, self._present.grid.view)
+
+    def _lose(self, recovery: Recovery, loss: Loss, jump: float) -> None:
+        """See to it that a robot that is lost goes on: in a renewed map, near by, or in a local frame."""
+        if recovery.may_be_wrong:
+            self._revisions.pop()  # the place that was found was wrong
+        recovery.lose(loss, jump, self.slam, self._present.grid)
+        if recovery.may_be_renewed and self._go_on_renewed(recovery):
+            return
+        found = recovery.seek_near(self.slam.range_sensor)
+        if found is None:
+            self._go_on_locally(recovery)
+        else:
+            self._go_on_at(recovery, found)
 
     def _go_on_locally(self, recovery: Recovery) -> None:
         """Begin a new map in a local frame, with the steps since the robot was lost.
@@ -421,9 +435,8 @@ class Mapper:
         slam, grid = absence.known.copied()
         slam.on_association = self._heard_until(slam.associated)
         self._use(slam, grid)
-        begin = found.carried_at if found.gone else log.begin
-        self.slam.robots[0].step = (found.step if found.gone else begin) - 1
-        poses = list(found.gone) or self._play(recovery, begin, found.step)
+        self.slam.robots[0].step = log.begin - 1
+        poses = self._play(recovery, log.begin, found.step)
         found, closed = found.put(self.slam, self._present.grid)
         # The comparisons until now have seen how the robot was carried away, and no stretch with that motion can be
         # smoothed.
@@ -432,7 +445,7 @@ class Mapper:
         # The search has weighed the readings of these steps together. While they are processed again, a bent map may
         # contradict a few of them, and the robot would be lost and found in turns.
         self._present.reset_monitors()
-        self._revise(begin, poses)
+        self._revise(log.begin, poses)
         recovery.has_joined(found, closed)
 
     def _give_up(self, recovery: Recovery) -> None:

@@ -9,11 +9,12 @@ import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.places.localisation import DRIFT, KnownPlaces, is_far
-from limslam_agent.places.rays import rays_of
+from limslam_agent.places.localisation import is_far
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.slam import LineSlam
+from limslam_agent.status.known_map import DRIFT, KnownMap
+from limslam_agent.status.rays import rays_of
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose, inverse, wrap_angle
 from limslam_env.interface import Observation
@@ -161,8 +162,7 @@ class Renewal:
         _, ranges, measured, _, _ = zip(*self._rows[1:], strict=True)
         steps = [_Seen(*each) for each in zip(poses, np.where(measured, ranges, np.nan), strict=True)]
         rays = rays_of(steps, slam.robot, sensor)
-        (fit,) = KnownPlaces(slam.segments, grid.view, sensor).weigh(np.zeros((1, 3)), rays)
-        return fit.is_on_map
+        return KnownMap(slam.segments, grid.view, sensor).fit_here(rays).is_on_map
 
     def _begin_at_last_row(self) -> None:
         """Begin a new stretch at the present estimate, which the last observation led to."""

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from limslam_agent.config.presets import GridConfig
 from limslam_agent.dropouts import without_dropouts
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.se2 import compose, inverse, transform_points
+from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import RobotSpec
 
 _SPARE_CELLS = 32
@@ -167,23 +167,6 @@ class OccupancyGrid:
         for row in range(len(poses)):
             for number, pose in enumerate(poses[row]):
                 self.update(pose, robot, ranges[row, number], drawn[number][row])
-
-    def absorb(self, view: GridView, frame: FloatArray) -> None:
-        """Add the values of another grid whose frame has a pose (3,) in this one, cell by cell where they overlap."""
-        sides = view.cell * np.array(view.values.shape[::-1])
-        corners = transform_points(frame, view.low + sides * np.array([[0, 0], [0, 1], [1, 0], [1, 1]]))
-        low = np.floor(corners.min(axis=0) / self._config.cell).astype(np.int64)
-        high = np.ceil(corners.max(axis=0) / self._config.cell).astype(np.int64)
-        self._grow(low, high)
-        columns, rows = np.meshgrid(np.arange(low[0], high[0]), np.arange(low[1], high[1]))
-        places = np.column_stack((columns.ravel(), rows.ravel()))
-        cells = view.cells(transform_points(inverse(frame), (places + 0.5) * self._config.cell))
-        inside = ((cells >= 0) & (cells < view.values.shape)).all(axis=1)
-        column, row = (places[inside] - self._low).T
-        limit = self._config.limit
-        added = self._values[row, column] + view.values[cells[inside, 0], cells[inside, 1]]
-        self._values[row, column] = np.clip(added, -limit, limit)
-        self._know(low, high)
 
     def bend(self, anchors: FloatArray, motions: FloatArray) -> None:
         """Move each cell with what lies around the nearest of some points (m, 2), by the rigid motions (m, 3) there."""

@@ -11,9 +11,8 @@ from numpy.typing import NDArray
 
 from limslam_agent.kernels.algebra import wrapped
 from limslam_agent.kernels.compilation import compiled, lean_entry
-from limslam_agent.kernels.crossings import crossing, fill_table
 from limslam_agent.kernels.range_sensor import read_share
-from limslam_agent.kernels.tables import RAY_LENGTH, RAY_REACH, RAY_TO_X, RAY_TO_Y, RAY_X, RAY_Y
+from limslam_agent.kernels.tables import GRAZING, RAY_LENGTH, RAY_REACH, RAY_TO_X, RAY_TO_Y, RAY_X, RAY_Y
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 NOTHING = 0.45
@@ -21,11 +20,41 @@ NOTHING = 0.45
 
 _WRONG = 0.02  # likelihood that a reading has nothing to do with the map, although it is known there
 _OVER, _INSET = 0.05, 0.08  # m: walls may be so much longer, or shorter, than they were drawn
+_STEEPEST = 0.25  # least cosine by which the spread of a distance to a wall is divided
 _BESIDE = 0.15  # m: a reading that differs by less than this and three standard deviations contradicts nothing
 _ROUGH = 0.08  # m: standard deviation of the place of a wall that is known by occupied cells only
 _UNSEEN = 0.2  # m: a wall may lie so far beyond the first cell that is not free
 _ROUNDS, _FAR, _NEAR = 8, 0.30, 0.12  # of refinements: distances from walls, m, first and last
 _DAMPING = 1.0  # of a round of a refinement, in rays
+_START_X, _START_Y, _TANGENT_X, _TANGENT_Y, _LENGTH = range(5)  # columns of a table of walls
+
+
+@compiled
+def fill_table(segments: FloatArray, table: FloatArray) -> None:
+    """Set rows (k, 5) to walls (k, 4), m: start, m, unit vector along the wall, and length, m."""
+    for wall in range(len(segments)):
+        x, y = segments[wall, 2] - segments[wall, 0], segments[wall, 3] - segments[wall, 1]
+        length = math.hypot(x, y)
+        table[wall, _START_X], table[wall, _START_Y] = segments[wall, 0], segments[wall, 1]
+        table[wall, _LENGTH] = length
+        table[wall, _TANGENT_X], table[wall, _TANGENT_Y] = x / max(length, 1e-9), y / max(length, 1e-9)
+
+
+@compiled
+def crossing(ray: tuple[float, float, float, float], walls: FloatArray, wall: int) -> tuple[float, float, float]:
+    """Where a beam meets the line of a wall: how far along the beam, m, how far beyond the wall's ends, m, and cosine.
+
+    The distance is negative if the beam meets the line behind it, or at a grazing angle. The position is negative
+    between the ends. The cosine, without sign, is that of the angle between the beam and the wall's normal.
+    """
+    x, y, ux, uy = ray
+    tx, ty = walls[wall, _TANGENT_X], walls[wall, _TANGENT_Y]
+    cosine, away_x, away_y = uy * tx - ux * ty, x - walls[wall, _START_X], y - walls[wall, _START_Y]
+    distance = -1.0
+    if abs(cosine) > GRAZING:
+        distance = (away_x * ty - away_y * tx) / cosine
+    along = away_x * tx + away_y * ty + distance * (ux * tx + uy * ty)
+    return distance, max(-along, along - walls[wall, _LENGTH]), abs(cosine)
 
 
 @compiled
@@ -72,9 +101,12 @@ def is_inside(x: float, y: float, values: NDArray[np.int16], low: FloatArray, ce
 
 @compiled
 def explain(
-    length: float, reach: float, wall: float, cosine: float, free: float, ends_at: int, std: float
-) -> tuple[float, bool, bool]:
-    """The evidence of a reading for a map against a random place, whether it contradicts the map, and whether it might.
+    length: float, reach: float, wall: float, cosine: float, free: float, ends_at: int, spread: tuple[float, float]
+) -> tuple[float, float, bool]:
+    """The evidence of a reading for a map against a random place, where it contradicts the map, and whether it might.
+
+    The second number is the distance at which it contradicts the map, m: at a wall that it has passed, or where it
+    ended in free ground. It is 0 if it contradicts nothing.
 
     Parameters
     ----------
@@ -84,38 +116,39 @@ def explain(
         Distance to the first wall, m, and the cosine of the angle between the ray and its normal.
     free, ends_at
         How far all cells along the ray are free, m, and the value of the cell there.
-    std
-        Standard deviation of the distance to a wall, m.
+    spread
+        Variance of the distance to a wall, m^2, and how it grows with the squared distance, rad^2.
     """
     if wall < reach and wall <= free + _UNSEEN:
-        spread = std / max(cosine, 0.25)
-        margin = _BESIDE + 3.0 * spread
-        contradicts = length > wall + margin or length < min(wall, free) - margin
-        return wall_evidence(length, reach, wall, spread), contradicts, True
+        std = math.sqrt(spread[0] + spread[1] * wall**2) / max(cosine, _STEEPEST)
+        margin = _BESIDE + 3.0 * std
+        is_short = length < min(wall, free) - margin
+        against = length if is_short else wall if length > wall + margin else 0.0
+        return wall_evidence(length, reach, wall, std), against, True
     if free >= reach - 0.05:
         is_empty = length > reach - 0.1
-        return (math.log((1.0 - _WRONG) / NOTHING) if is_empty else math.log(_WRONG)), not is_empty, True
+        return (math.log((1.0 - _WRONG) / NOTHING) if is_empty else math.log(_WRONG)), 0.0 if is_empty else length, True
     if free <= 0.0:
-        return 0.0, False, False
-    if length < free - _BESIDE - 3.0 * std:
-        return math.log(_WRONG), True, True
+        return 0.0, 0.0, False
+    if length < free - _BESIDE - 3.0 * math.sqrt(spread[0] + spread[1] * free**2):
+        return math.log(_WRONG), length, True
     beyond = -math.log(NOTHING + (1.0 - NOTHING) * (1.0 - free / reach))
     if ends_at < 0:
         # Beams ended in this cell, but no wall was drawn.
-        return (
-            math.log(0.5 * math.exp(wall_evidence(length, reach, free, _ROUGH)) + 0.5 * math.exp(beyond)),
-            False,
-            False,
-        )
-    return beyond, False, False
+        either = 0.5 * math.exp(wall_evidence(length, reach, free, _ROUGH)) + 0.5 * math.exp(beyond)
+        return math.log(either), 0.0, False
+    return beyond, 0.0, False
 
 
 @compiled
 def weigh_ray(
     ray: tuple[float, float, float, float], length: float, reach: float, walls: FloatArray, values: NDArray[np.int16],
-    low: FloatArray, cell: float, std: float, cone: float,
-) -> tuple[float, bool, bool]:  # fmt: skip
-    """The evidence of a reading for a map, whether it contradicts the map, and whether it could have done so."""
+    low: FloatArray, cell: float, spread: tuple[float, float], cone: float,
+) -> tuple[float, float, bool]:  # fmt: skip
+    """The evidence of a reading for a map, at what distance it contradicts the map, m, and whether it might do so.
+
+    The distance is 0 if it does not. ``spread`` is that of :func:`explain`.
+    """
     longer, shorter, cosine_longer, cosine_shorter = math.inf, math.inf, 1.0, 1.0
     for wall in range(len(walls)):
         distance, beyond, cosine = crossing(ray, walls, wall)
@@ -127,16 +160,16 @@ def weigh_ray(
         if distance < shorter and beyond < -_INSET:
             shorter, cosine_shorter = distance, cosine
     free, ends_at = free_length(ray, reach, values, low, cell)
-    evidence, contradicts, is_tested = explain(length, reach, longer, cosine_longer, free, ends_at, std)
+    evidence, against, is_tested = explain(length, reach, longer, cosine_longer, free, ends_at, spread)
     if shorter != longer:
-        other, contradicts_other, _ = explain(length, reach, shorter, cosine_shorter, free, ends_at, std)
-        evidence, contradicts = max(evidence, other), contradicts and contradicts_other
-    if contradicts and length < min(reach, shorter - _BESIDE):
+        other, against_other, _ = explain(length, reach, shorter, cosine_shorter, free, ends_at, spread)
+        evidence, against = max(evidence, other), against if against_other > 0.0 else 0.0
+    if against > 0.0 and length < min(reach, shorter - _BESIDE):
         # It ended before the wall, if there is one. A wall that was not drawn yet may be near, or beside a wide beam.
         around = 1 + int(length * math.sin(cone) / cell)
-        contradicts = is_inside(ray[0] + length * ray[2], ray[1] + length * ray[3], values, low, cell, around)
-        evidence = evidence if contradicts else max(evidence, 0.0)
-    return evidence, contradicts, is_tested
+        if not is_inside(ray[0] + length * ray[2], ray[1] + length * ray[3], values, low, cell, around):
+            evidence, against = max(evidence, 0.0), 0.0
+    return evidence, against, is_tested
 
 
 @compiled
@@ -150,20 +183,20 @@ def placed_ray(pose: FloatArray, rays: FloatArray, number: int) -> tuple[float, 
 @lean_entry
 def weigh_poses(
     poses: FloatArray, rays: FloatArray, segments: FloatArray, walls: FloatArray, values: NDArray[np.int16],
-    low: FloatArray, cell: float, std: float, cone: float, evidence: FloatArray, counts: IntArray,
+    low: FloatArray, cell: float, spread: tuple[float, float], cone: float, evidence: FloatArray, counts: IntArray,
 ) -> None:  # fmt: skip
     """Find the evidence of rays for poses of their frame in a map.
 
     Parameters
     ----------
     poses, rays
-        Poses (m, 3), m and rad, and rays (n, 6).
+        Poses (m, 3), m and rad, and rays (n, 7).
     segments, walls
         Walls (k, 4), m, and scratch (k, 5).
     values, low, cell
         Values of the cells (rows, columns), positive if free, the lower left corner (2,), m, and the side, m.
-    std, cone
-        Standard deviation of the distance to a wall, m, and half the opening angle of the beams, rad.
+    spread, cone
+        That of :func:`explain`, and half the opening angle of the beams, rad.
     evidence
         Set to the logarithm of the likelihood ratio (m,) of each pose and of a random place.
     counts
@@ -173,14 +206,31 @@ def weigh_poses(
     for number in range(len(poses)):
         total, against, tested = 0.0, 0, 0
         for i in range(len(rays)):
-            found, contradicts, is_tested = weigh_ray(
+            found, distance, is_tested = weigh_ray(
                 placed_ray(poses[number], rays, i), rays[i, RAY_LENGTH], rays[i, RAY_REACH], walls, values, low, cell,
-                std, cone,
+                spread, cone,
             )  # fmt: skip
             total += found
-            against += contradicts
+            against += distance > 0.0
             tested += is_tested
         evidence[number], counts[number, 0], counts[number, 1] = total, against, tested
+
+
+@lean_entry
+def weigh_rays(
+    rays: FloatArray, segments: FloatArray, walls: FloatArray, values: NDArray[np.int16], low: FloatArray, cell: float,
+    spread: tuple[float, float], cone: float, found: FloatArray,
+) -> None:  # fmt: skip
+    """Set rows (n, 3) to what :func:`weigh_ray` finds for rays (n, 7) in the frame of the map.
+
+    The other arguments are those of :func:`weigh_poses`.
+    """
+    fill_table(segments, walls)
+    for i in range(len(rays)):
+        ray = rays[i, RAY_X], rays[i, RAY_Y], rays[i, RAY_TO_X], rays[i, RAY_TO_Y]
+        found[i, 0], found[i, 1], found[i, 2] = weigh_ray(
+            ray, rays[i, RAY_LENGTH], rays[i, RAY_REACH], walls, values, low, cell, spread, cone
+        )
 
 
 @compiled
@@ -245,7 +295,7 @@ def refine_poses(
     poses: FloatArray, rays: FloatArray, segments: FloatArray, cone: float, walls: FloatArray, matrix: FloatArray,
     vector: FloatArray,
 ) -> None:  # fmt: skip
-    """Move poses (m, 3), so that the ends of rays (n, 6) lie on walls (k, 4), m: least squares of their distances.
+    """Move poses (m, 3), so that the ends of rays (n, 7) lie on walls (k, 4), m: least squares of their distances.
 
     The steps are damped. Walls that are not quite parallel, as those of a corridor in a map, would otherwise let a pose
     slide along them. ``cone`` (rad) is half the opening angle of the beams. The last three arguments, (k, 5), (3, 3),
@@ -305,7 +355,7 @@ def scan_poses(
     turns
         The turns (t,), rad.
     rays, middle
-        Rays (n, 6), and the point (2,), m, which is placed in the middle of every second cell of every second row.
+        Rays (n, 7), and the point (2,), m, which is placed in the middle of every second cell of every second row.
     fields
         Evidence (2, 2, 2, rows, columns) of an end of a ray in each cell, and of a ray on its way there. The second and
         the third index say whether the cells have odd rows and odd columns.

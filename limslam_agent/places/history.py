@@ -1,14 +1,14 @@
 """The latest observations of a robot, and the step at which it was most likely carried away."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import cast
 
 import numpy as np
 
-from limslam_agent.places.localisation import KnownPlaces
-from limslam_agent.places.rays import step_rays
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
+from limslam_agent.status.known_map import KnownMap
+from limslam_agent.status.rays import step_rays
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import Observation, RobotSpec
@@ -71,26 +71,17 @@ class StepLog:
         """The steps from a number on, as far as they are kept."""
         return self.steps[max(number - self.begin, 0) :]
 
-    def forget_before(self, number: int) -> list[LoggedStep]:
-        """Remove the steps before a number; the removed steps.
+    def before(self, number: int) -> list[LoggedStep]:
+        """The steps before a number, as far as they are kept."""
+        return self.steps[: number - self.begin]
+
+    def forget_before(self, number: int) -> None:
+        """Remove the steps before a number.
 
         The last two steps always stay: a local frame begins at the pose after the first one kept, with the step after.
         """
-        gone = self.steps[: max(min(number, self.end - 2) - self.begin, 0)]
-        self.steps, self.begin = self.steps[len(gone) :], self.begin + len(gone)
-        return gone
-
-    @property
-    def largest_correction(self) -> float:
-        """By how much the estimator has moved a pose in one step beyond the reported motion, at most, m."""
-        poses, motions = (np.array([getattr(step, name) for step in self.steps]) for name in ("pose", "motion"))
-        off = poses[1:, :2] - compose(poses[:-1], motions[1:])[:, :2]
-        return float(np.hypot(*off.T).max(initial=0.0))
-
-    def put_before(self, number: int, pose: FloatArray) -> None:
-        """Let the steps before ``number`` lead to a pose (3,) by the odometry alone."""
-        for at, each in enumerate(self.driven_back(pose, number)):
-            self.steps[at] = replace(self.steps[at], pose=each)
+        gone = max(min(number, self.end - 2) - self.begin, 0)
+        self.steps, self.begin = self.steps[gone:], self.begin + gone
 
     def driven_back(self, pose: FloatArray, number: int) -> FloatArray:
         """Poses (m, 3) after each step from the first one kept to the one before ``number``, by the odometry alone.
@@ -103,7 +94,7 @@ class StepLog:
         return np.array(poses[::-1])
 
 
-def carried_at(log: StepLog, placed: FloatArray, robot: RobotSpec, sensor: RangeSensor, place: KnownPlaces) -> int:
+def carried_at(log: StepLog, placed: FloatArray, robot: RobotSpec, sensor: RangeSensor, place: KnownMap) -> int:
     """The first step after a robot was carried away: earlier readings fit the poses that were believed, later ones fit
     the poses by which it was placed again.
 

@@ -1,32 +1,24 @@
-"""The place of a drive in a map, by the likelihood of its readings.
+"""The place of a drive in a map, by the likelihood of its readings: a search of the whole map.
 
-Each ray of the drive (:mod:`~limslam_agent.places.rays`) is compared with what the map predicts for it: a wall at a
-distance, free ground, or unknown ground, of which a reading says nothing. The evidence of a pose of the drive is the
-logarithm of the likelihood of all readings there, less that at a random place. Poses on a grid are weighed roughly, the
-best of them are refined, and these are weighed exactly.
+Poses on a grid are weighed roughly, the best of them are refined, and these are weighed exactly
+(:mod:`~limslam_agent.status.known_map`).
 
 A place counts by two likelihood ratios. Against all other places of the map, its evidence must lead. Against ground
-that the map does not have, and that may look alike, hardly a ray may contradict the map: a sequential test of their
-rate (A. Wald, "Sequential tests of statistical hypotheses", 1945). Rays on unknown ground take part in neither.
+that the map does not have, and that may look alike, hardly a ray may contradict the map. Rays on unknown ground take
+part in neither.
 """
 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from limslam_agent.grid.occupancy import GridView
-from limslam_agent.kernels.tables import RAY_REACH, RAY_TO_X, RAY_X
-from limslam_agent.places.matching import are_apart
-from limslam_agent.places.rays import have_ended
-from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.contradictions import log_likelihood_ratio
+from limslam_agent.status.known_map import KnownMap, PlaceFit
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose, transform_points, wrap_angle
 from limslam_env.geometry.segment import sample
@@ -41,20 +33,9 @@ _SPREAD = 0.25, math.radians(12.0)  # how far these poses are apart
 _KEPT = 20  # number of places that are tried again in the next search
 _WALL, _HIT, _MISS = 0.20, (2.5, 1.3), -8.0  # m, and evidence of a ray's end at a wall, and in free ground
 _CROSSED, _FREE = -6.0, 0.2  # evidence of a ray's way through a wall, and through free ground
-_MAP_STD = 0.045  # m: standard deviation of a wall's place in the map as seen from a refined pose
 _LIKENESS = 0.85  # largest share that the evidence of another place has of that of the best one
 _ALIKE = 2.0  # a place is a rival if its test of contradictions speaks less for it by less than this
 _UNLIKELY = 12.0  # logarithm of the number of places that a map has
-_NEAR, _NEAR_TURN = 0.5, math.radians(15.0)  # m, rad: a robot that is off by less than this may have drifted
-_STARTS = (-0.3, 0.0, 0.3), (-math.radians(8.0), 0.0, math.radians(8.0))  # m, rad: where poses near by are looked for
-_DEVIATIONS = -2.0, -1.0, 0.0, 1.0, 2.0  # and along each axis of the covariance, in standard deviations
-_LIKELY = 4.5  # a pose with at most this cost is near, however far it is: 3 standard deviations
-_LEAST_STD, _LEAST_TURN = 0.05, math.radians(1.0)  # m, rad: least deviation of the pose with respect to the map
-_OWN = 0.5  # part of the pose's standard deviation that the walls near by do not share
-_RIGHT, _WRONG = 0.02, 0.12  # shares of rays that contradict the map at the right place, and on ground that it lacks
-# The first share for a robot that was carried away. It is 0.0004 in simulated buildings. Ground that looks alike may
-# pass the test with the larger share, which bent maps need.
-_RIGHT_IF_CARRIED = 0.005
 _FOUND = 7.0  # least logarithm of the likelihood ratio of the contradictions at the place of a lost robot
 
 LEAD = 25.0
@@ -73,23 +54,15 @@ carried away.
 FAR = 1.5, math.radians(30.0)
 """A robot that is off by more than this, m and rad, has not drifted, but was carried."""
 
-DRIFT = 0.5, math.radians(15.0)
-"""A robot that is off by less than this, m and rad, has drifted, whatever its readings say of its motion."""
+APART = 0.40, math.radians(15.0)
+"""Two poses are different if they are farther apart than this, m or rad."""
+
+MATCH_STD = 0.05, math.radians(2.0)
+"""Standard deviations of position and heading of a place that was found, m and rad."""
 
 
-class KnownPlaces:
-    """A map as it is searched for the place of a drive.
-
-    Parameters
-    ----------
-    segments, grid
-        Walls (k, 4), m, and occupancy grid, which must not change any more.
-    sensor
-        How the ranges are measured. It may be assigned anew. Their bias is that of the rays.
-    """
-
-    def __init__(self, segments: FloatArray, grid: GridView, sensor: RangeSensor) -> None:
-        self.segments, self.grid, self.sensor = np.ascontiguousarray(segments), grid, sensor
+class KnownPlaces(KnownMap):
+    """A map as it is searched for the place of a drive. Its grid must not change any more."""
 
     @cached_property
     def size(self) -> float:
@@ -98,34 +71,12 @@ class KnownPlaces:
         A large map has so many places that are alike along their walls that the true place may be far behind the best
         ones of a rough search. So the number of places that are weighed exactly grows with the map.
         """
+        if not len(self.segments):
+            return 1.0
         return max(1.0, np.count_nonzero(self._rough[2]) * (_EVERY * _CELL) ** 2 / _GROUND)
 
-    def weigh(self, poses: FloatArray, rays: FloatArray) -> list["PlaceFit"]:
-        """How well rays (n, 6) fit the map, for poses (m, 3) of their frame."""
-        from limslam_agent.kernels.rays import weigh_poses
-
-        evidence, counts = np.empty(len(poses)), np.empty((len(poses), 2), dtype=np.int64)
-        std = math.hypot(_MAP_STD, self.sensor.usual_std(float(rays[:, RAY_REACH].max(initial=0.0))))
-        weigh_poses(
-            np.ascontiguousarray(poses), rays, self.segments, np.empty((len(self.segments), 5)), self.grid.values,
-            np.asarray(self.grid.low), self.grid.cell, std, float(self.sensor.cone), evidence, counts,
-        )  # fmt: skip
-        return [PlaceFit(*each) for each in zip(poses, evidence.tolist(), *counts.T.tolist(), strict=True)]
-
-    def refined(self, poses: FloatArray, rays: FloatArray) -> FloatArray:
-        """Poses (m, 3), moved so that the ends of the rays (n, 6) lie on walls."""
-        from limslam_agent.kernels.rays import refine_poses
-
-        ended, walls = rays[have_ended(rays)], np.empty((len(self.segments), 5))
-        # Poses of the middle of the rays, which a turn leaves where it is.
-        middle = np.array([*rays[:, RAY_X:RAY_TO_X].mean(axis=0), 0.0])
-        ended[:, RAY_X:RAY_TO_X] -= middle[:2]
-        placed = compose(poses, middle)
-        refine_poses(placed, ended, self.segments, float(self.sensor.cone), walls, np.empty((3, 3)), np.empty(3))
-        return np.asarray(compose(placed, -middle))
-
     def likely(self, rays: FloatArray) -> FloatArray:
-        """Poses (m, 3) at which the rays (n, 6) may fit, by a rough search of the whole map.
+        """Poses (m, 3) at which the rays (n, 7) may fit, by a rough search of the whole map.
 
         The latest rays take part, and some of the earlier ones: the robot may have left the ground of the map again.
         Contradictions cost much, because the right place of a robot that has seen little of this ground has fewer
@@ -172,49 +123,6 @@ class KnownPlaces:
         fields = np.stack((ends, ways)).astype(np.float32).reshape(2, rows // _EVERY, _EVERY, columns // _EVERY, _EVERY)
         is_tried = distance_transform_edt(~free)[::_EVERY, ::_EVERY] * _CELL < _MARGIN
         return low, np.ascontiguousarray(fields.transpose(0, 2, 4, 1, 3)), is_tried
-
-
-@dataclass(frozen=True, eq=False)
-class PlaceFit:
-    """A pose of a drive's frame in a map, and how well its rays agree with the map there.
-
-    Attributes
-    ----------
-    pose
-        The pose (3,), m and rad.
-    evidence
-        Logarithm of the likelihood of the readings, less that at a random place.
-    contradictions, tested
-        Number of rays that contradict the map, and of those that could have done so.
-    """
-
-    pose: FloatArray
-    evidence: float
-    contradictions: int
-    tested: int
-
-    @property
-    def is_on_map(self) -> float:
-        """Logarithm of the likelihood ratio of the contradictions: of the right place, and of ground like it."""
-        return self._on_map_if(_RIGHT)
-
-    @property
-    def is_clearly_on_map(self) -> bool:
-        """Whether so few rays contradict the map that a robot that was carried away may be placed here."""
-        return min(self.is_on_map, self._on_map_if(_RIGHT_IF_CARRIED)) >= _FOUND
-
-    def _on_map_if(self, right: float) -> float:
-        """The logarithm of the likelihood ratio if a share ``right`` of the rays contradicts the map at its place."""
-        return log_likelihood_ratio(self.contradictions, self.tested, right, _WRONG)
-
-    @property
-    def log_odds(self) -> float:
-        """Logarithm of the ratio of the probabilities of this place, and of ground that the map does not have.
-
-        Many places are possible, and each is as unlikely beforehand. The evidence is that of a random place, and that
-        of ground that looks alike is larger.
-        """
-        return min(self.evidence - _UNLIKELY, self.is_on_map)
 
 
 @dataclass(frozen=True, eq=False)
@@ -272,14 +180,14 @@ def localise(
     rays: FloatArray,
     before: Sequence[FloatArray] = (),
     far: float = 1.0,
-    near: Sequence["PlaceFit"] = (),
+    near: Sequence[PlaceFit] = (),
 ) -> Localisation:
     """Search a map for the place of a drive, and decide whether it counts.
 
     Parameters
     ----------
     rays
-        Rays (n, 6) of the drive.
+        Rays (n, 7) of the drive.
     before
         Poses (3,) that were likely before.
     far
@@ -313,47 +221,8 @@ def localise(
     return Localisation(best, runner_up, middle, refusal, places[:_KEPT], is_near)
 
 
-class NearFit(NamedTuple):
-    """The likeliest pose of a drive near the believed pose: how its rays fit there, and the cost of being off so far.
-
-    The cost is half the squared Mahalanobis distance.
-    """
-
-    fit: PlaceFit
-    cost: float
-
-    @property
-    def evidence(self) -> float:
-        """Evidence of the rays, less the cost."""
-        return self.fit.evidence - self.cost
-
-
-def near_fit(known: KnownPlaces, rays: FloatArray, covariance: FloatArray) -> NearFit:
-    """The likeliest pose of rays (n, 6) near the believed pose, the origin, whose covariance (3, 3) is given.
-
-    A pose is near within 0.5 m and 15 degrees, or within 3 standard deviations of the part of the pose's error that the
-    walls near by do not share. Without rays, the believed pose is as likely as any.
-    """
-    if not len(rays):
-        return NearFit(known.weigh(np.zeros((1, 3)), rays)[0], 0.0)
-    middle = rays[:, :2].mean(axis=0)
-    about, back = np.array([*middle, 0.0]), np.array([*-middle, 0.0])
-    spread = _OWN**2 * covariance + np.diag([_LEAST_STD**2, _LEAST_STD**2, _LEAST_TURN**2])
-    variances, axes = np.linalg.eigh(spread)
-    likely = np.array(list(product(_DEVIATIONS, repeat=3))) * np.sqrt(variances) @ axes.T
-    grid = np.array(list(product(_STARTS[0], _STARTS[0], _STARTS[1])))
-    starts = compose(compose(about, np.concatenate((likely, grid))), back)
-    # With few rays, a refinement may lead away from the right pose.
-    poses = np.concatenate((starts[: len(likely)], known.refined(starts, rays)))
-    off = compose(compose(back, poses), about)
-    costs = 0.5 * np.einsum("ni,ij,nj->n", off, np.linalg.inv(spread), off)
-    is_near = ((np.hypot(off[:, 0], off[:, 1]) < _NEAR) & (np.abs(off[:, 2]) < _NEAR_TURN)) | (costs < _LIKELY)
-    found = map(NearFit, known.weigh(poses[is_near], rays), costs[is_near].tolist())
-    return max(found, key=lambda each: each.evidence)
-
-
 def _sample(rays: FloatArray) -> FloatArray:
-    """The latest of the rays (n, 6), and some of the earlier ones, which lie evenly in time."""
+    """The latest of the rays (n, 7), and some of the earlier ones, which lie evenly in time."""
     earlier, latest = rays[:-_LATEST], rays[-_LATEST:]
     chosen = np.linspace(0, max(len(earlier) - 1, 0), min(_EARLIER, len(earlier))).astype(int)
     return np.ascontiguousarray(np.concatenate((earlier[chosen], latest)))
@@ -368,6 +237,23 @@ def _places(fits: Sequence[PlaceFit], middle: FloatArray) -> list[PlaceFit]:
         if all(are_apart(fit.pose, place.pose, middle) for place in places):
             places.append(fit)
     return places
+
+
+def are_apart(first: FloatArray, second: FloatArray, middle: FloatArray) -> bool:
+    """Whether two poses (3,) of a drive place its middle (2,), or turn it, differently."""
+    shift = transform_points(first, middle[None]) - transform_points(second, middle[None])
+    turn = abs(wrap_angle(float(first[2] - second[2])))
+    return float(np.hypot(*shift[0])) > APART[0] or turn > APART[1]
+
+
+def match_covariance(middle: FloatArray, pose: FloatArray) -> FloatArray:
+    """Covariance (3, 3) of a pose (3,) that follows from the place of a drive with a middle (2,) in the map.
+
+    An error of its turn moves poses that are far from there.
+    """
+    lever = np.eye(3)
+    lever[:2, 2] = middle[1] - pose[1], pose[0] - middle[0]
+    return lever @ np.diag([MATCH_STD[0] ** 2, MATCH_STD[0] ** 2, MATCH_STD[1] ** 2]) @ lever.T
 
 
 def is_far(pose: FloatArray, middle: FloatArray, most: float = FAR[0], turn: float = FAR[1]) -> bool:
@@ -389,7 +275,7 @@ def agree(first: Localisation, second: Localisation, *, may_be_bent: bool = Fals
     """
     if first.fit is None or second.fit is None or not second.is_accepted:
         return False
-    is_on_map = second.fit.is_on_map >= _FOUND if may_be_bent else second.fit.is_clearly_on_map
+    is_on_map = second.fit.is_on_map >= _FOUND and (may_be_bent or second.fit.is_on_sound_map >= _FOUND)
     if not second.is_near and not is_on_map:
         return False
     return not are_apart(first.fit.pose, second.fit.pose, second.middle)

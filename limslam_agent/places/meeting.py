@@ -1,31 +1,38 @@
-"""The search for the pose of one robot's map in another robot's map, while both grow."""
+"""The search for the place of one robot in another robot's map, while both drive."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from limslam_agent.places.decision import (
-    CONFIRMED,
-    FAR_CONFIRMED,
-    FIRST,
-    LARGEST_RUNNER_UP,
-    LONGEST,
-    SPACING,
-    Decision,
-    agree,
-    find_place,
-    match_covariance,
-    runner_up,
-)
-from limslam_agent.places.matching import best_fits
-from limslam_agent.places.place_map import PlaceMap
+from limslam_agent.grid.occupancy import GridView
+from limslam_agent.places.history import LoggedStep
+from limslam_agent.places.localisation import ON_MAP, KnownPlaces, match_covariance
+from limslam_agent.places.search import CONFIRMED, FAR_CONFIRMED, PlaceSearch, other_place
+from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.slam.slam import LineSlam
+from limslam_agent.status.rays import moved, rays_of
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, inverse, transform_points
+from limslam_env.interface import RobotSpec
+
+LONGEST = 6000
+"""Largest number of steps of a search."""
+
+FIRST = 15.0
+"""Distance that the robots drive before the first search, m, in the mean. Small maps of one room fit into another room.
+"""
+
+_MOST_REFUSED = 3  # places that the readings contradicted end the search
 
 
 class Meeting:
-    """Matches the maps of two robots. The map with the shorter walls is matched with the other one.
+    """Searches for the place of the second of two robots in the map of the first one.
+
+    Parameters
+    ----------
+    robot
+        Body and beams of each robot as specified.
 
     Attributes
     ----------
@@ -35,69 +42,74 @@ class Meeting:
         How the search ended, for ``result.json``.
     """
 
-    def __init__(self) -> None:
-        self.is_open = True
+    def __init__(self, robot: RobotSpec) -> None:
+        self._robot, self.is_open = robot, True
         self.records: list[dict[str, Any]] = []
-        self._driven, self._sought, self._steps = 0.0, FIRST - SPACING, 0
-        self._refused, self._contradicted = 0, 0
-        self._latest: Decision | None = None
-        self._is_second_local = True
-        self._unconfirmed: PlaceMap | None = None
-        self._joined_at = 0.0
+        nothing = GridView(np.zeros(2), 1.0, np.zeros((0, 0), dtype=np.int16))
+        self._search = PlaceSearch(KnownPlaces(np.zeros((0, 4)), nothing, RangeSensor(0.0)))
+        self._own: tuple[list[LoggedStep], list[LoggedStep]] = ([], [])
+        self._steps, self._contradicted = 0, 0
+        self._driven = 0.0
+        self._rays: FloatArray = np.empty((0, 7))  # those by which the place was found
+        self._unconfirmed: FloatArray | None = None
 
     def drive(self, motions: Sequence[FloatArray]) -> None:
-        """Note the motions (3,) of all robots in a step."""
-        self._driven += float(np.mean([np.hypot(*motion[:2]) for motion in motions]))
+        """Note the motions (3,) of both robots in a step."""
         self._steps += 1
+        self._driven += float(np.mean([np.hypot(*motion[:2]) for motion in motions]))
+        self._search.drive(np.mean(np.abs(motions), axis=0))
+
+    def note(self, steps: Sequence[LoggedStep]) -> None:
+        """Keep a step of each robot in its own frame."""
+        for kept, step in zip(self._own, steps, strict=True):
+            kept.append(step)
 
     @property
     def is_due(self) -> bool:
-        """Whether the maps are to be matched now."""
-        return self.is_open and self._driven - self._sought >= SPACING
+        """Whether the map of the first robot is to be searched now."""
+        return self.is_open and self._driven >= FIRST and self._search.is_due
 
     def seek(
-        self, first: PlaceMap, second: PlaceMap, start: FloatArray, covariances: Sequence[FloatArray]
+        self, slams: Sequence[LineSlam], grids: Sequence[GridView], start: FloatArray
     ) -> tuple[FloatArray, FloatArray] | None:
-        """Match two maps, whose robots have poses with covariances (3, 3) in their own maps.
+        """Search the map of the first robot for the place of the second one.
 
         Returns
         -------
         found
-            If two matches in succession find the same place: the pose (3,) in the first map of a pose (3,) in the
-            second map, with its covariance (3, 3). None otherwise.
+            If two searches in succession find the same place, and the readings of the first robot do not contradict the
+            map of the second one there: the pose (3,) in the first map of a pose (3,) in the second map, with its
+            covariance (3, 3). None otherwise.
         """
-        self._sought = self._driven
-        is_second_local = second.length <= first.length
-        known, local = (first, second) if is_second_local else (second, first)
-        before = self._latest if is_second_local == self._is_second_local else None
-        self._is_second_local = is_second_local
-        decision = self._latest = find_place(known, local)
-        self._refused += not decision.is_accepted
-        if before is None or decision.fit is None or not agree(before, decision, local):
+        places = [KnownPlaces(slam.segments, grid, slam.range_sensor) for slam, grid in zip(slams, grids, strict=True)]
+        rays = [rays_of(steps, self._robot, place.sensor) for steps, place in zip(self._own, places, strict=True)]
+        self._search.place = places[0]
+        found = self._search.seek(rays[1], may_be_bent=False)
+        if found is None or found.fit is None:
             if self._steps >= LONGEST:
                 self.end("the search took too long")
             return None
-        middle = local.middle
-        if is_second_local:
-            frame, middle = decision.fit.pose, transform_points(decision.fit.pose, middle[None])[0]
-        else:
-            frame = inverse(decision.fit.pose)
-        placed = compose(frame, start)
-        drift = sum(float(np.trace(each[:2, :2])) / 2 for each in covariances), sum(float(c[2, 2]) for c in covariances)
-        return placed, match_covariance(middle, placed, drift)
+        frame = found.fit.pose
+        (back,) = places[1].weigh(inverse(frame)[None], rays[0])
+        if back.is_on_map < -ON_MAP or back.evidence < 0.0:
+            return None
+        placed, middle = compose(frame, start), transform_points(frame, found.middle[None])[0]
+        drift = sum(slam.covariance for slam in slams)
+        self._rays = moved(rays[1], frame)
+        return placed, match_covariance(middle, placed) + np.diag(np.diag(drift))
 
     def refuse(self, reason: str) -> None:
-        """Take back the latest match, although it counted."""
+        """Take back the latest place, although it counted."""
         self._contradicted += 1
         self.records.append(self._record("match refused", reason=reason))
-        self._latest = None
-        if self._contradicted >= 3:
+        self._search.begin_anew()
+        if self._contradicted >= _MOST_REFUSED:
             self.end("the readings contradicted three matches")
 
-    def has_joined(self, start: FloatArray, local: PlaceMap) -> None:
-        """Note that the robots are a team, the second robot's own map, and its start pose (3,) in the first map."""
+    def has_joined(self, start: FloatArray) -> None:
+        """Note that the robots are a team, and the second robot's start pose (3,) in the first map."""
         self.records.append(self._record("joined", start=start.tolist()))
-        self.is_open, self._unconfirmed, self._joined_at = False, local, self._driven
+        self.is_open, self._unconfirmed, self._driven = False, self._rays, 0.0
 
     @property
     def is_doubtful(self) -> bool:
@@ -106,12 +118,10 @@ class Meeting:
 
     @property
     def is_to_be_confirmed(self) -> bool:
-        """Whether the robots have driven far enough to compare the shared map with the second robot's map again."""
-        return (
-            self.is_doubtful and self._driven - self._sought >= SPACING and self._driven - self._joined_at >= CONFIRMED
-        )
+        """Whether the robots have driven far enough to search the shared map for the second robot's place again."""
+        return self.is_doubtful and self._search.is_due and self._driven >= CONFIRMED
 
-    def confirm(self, whole: PlaceMap, *, is_complete: bool) -> str:
+    def confirm(self, whole: KnownPlaces, *, is_complete: bool) -> str:
         """End the doubt if the shared map is complete, or much of it was seen, and has no other place that fits.
 
         Returns
@@ -119,20 +129,14 @@ class Meeting:
         ambiguity
             Why the doubt remains although so much was seen, in words; empty otherwise.
         """
-        self._sought = self._driven
-        is_known = is_complete or self._driven - self._joined_at >= FAR_CONFIRMED
-        if self._unconfirmed is None or not is_known:
+        self._search.wait()
+        if self._unconfirmed is None or not (is_complete or self._driven >= FAR_CONFIRMED):
             return ""
-        fits = best_fits(whole, self._unconfirmed)
-        share = runner_up(fits) if fits else 0.0
-        if fits and share <= LARGEST_RUNNER_UP:
+        reason = other_place(whole, self._unconfirmed)
+        if not reason:
             self.records.append({"event": "confirmed", "step": max(self._steps - 1, 0)})
             self._unconfirmed = None
-        return (
-            f"ambiguous: another place of the shared map has {share:.0%} of the score"
-            if share > LARGEST_RUNNER_UP
-            else ""
-        )
+        return reason
 
     def take_back(self, reason: str) -> None:
         """The robots are no team any more, and the search has ended."""
@@ -145,5 +149,4 @@ class Meeting:
         self.is_open = False
 
     def _record(self, event: str, **details: Any) -> dict[str, Any]:
-        match = {} if self._latest is None else {"match": self._latest.record}
-        return {"event": event, "step": max(self._steps - 1, 0), **details, "refused": self._refused, **match}
+        return {"event": event, "step": max(self._steps - 1, 0), **details, **self._search.record}

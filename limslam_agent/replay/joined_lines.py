@@ -2,17 +2,18 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
-from limslam_agent.places.decision import LARGEST_RUNNER_UP, find_place, runner_up
-from limslam_agent.places.matching import best_fits
-from limslam_agent.places.place_map import PlaceMap, place_map
+from limslam_agent.places.localisation import KnownPlaces, agree, localise
+from limslam_agent.places.search import other_place
 from limslam_agent.replay.replay import Replay
 from limslam_agent.slam.core.diagnostics import AssociationRecord
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, smooth_run
+from limslam_agent.status.rays import moved, rays_of
 from limslam_agent.status.smoothed_status import smoothed_status
 from limslam_agent.status.status import LEVELS, Status
 from limslam_env.geometry import FloatArray, se2
@@ -70,14 +71,14 @@ def joined_by_lines(replays: tuple[Replay, Replay]) -> JoinedLines | NotJoined:
     settings = one.config.run_smoothing
     if not one.config.can_recover or settings is None:
         raise ValueError("two logs of wheel travel are joined by the preset graph only")
-    maps = [place_map(each.segments, each.grid) for each in replays]
-    is_second_local = maps[1].length <= maps[0].length
-    known, local = maps if is_second_local else maps[::-1]
-    decision = find_place(known, local)
-    if decision.fit is None or not decision.is_accepted:
-        return _not_joined(decision.refusal, decision.record)
-    matched = decision.fit.pose if is_second_local else se2.inverse(decision.fit.pose)
-    run = joined_run([_run_of(each) for each in replays], matched)
+    runs = [_run_of(each) for each in replays]
+    sensor = runs[0].sensor or RangeSensor(one.config.range_std)
+    rays = _rays_of(runs[1])
+    decision = localise(KnownPlaces(one.segments, one.grid, sensor), rays)
+    if decision.fit is None or not agree(decision, decision):
+        return _not_joined(decision.refusal or "too few readings fit in one place only", decision.record)
+    matched = decision.fit.pose
+    run = joined_run(runs, matched)
     smoothed = smooth_run(run, settings)
     if smoothed is None:
         return _not_joined("the logs could not be smoothed together", decision.record)
@@ -88,8 +89,8 @@ def joined_by_lines(replays: tuple[Replay, Replay]) -> JoinedLines | NotJoined:
     shift = max(
         _shift(smoothed.poses[: len(each.log), number], run.poses[:, number]) for number, each in enumerate(replays)
     )
-    shared = place_map(smoothed.segments, grid)
-    reason = _contradiction(status, frame, matched, shift) or _ambiguity(shared, local)
+    shared = KnownPlaces(smoothed.segments, grid, sensor)
+    reason = _contradiction(status, frame, matched, shift) or other_place(shared, moved(rays, frame))
     if reason:
         return _not_joined(f"joined and taken back: {reason}", decision.record)
     if status.level == "ok":
@@ -129,13 +130,17 @@ def _contradiction(status: Status, frame: FloatArray, matched: FloatArray, shift
     return status.reason if status.level != "ok" else ""
 
 
-def _ambiguity(whole: PlaceMap, local: PlaceMap) -> str:
-    """Whether a map fits in the shared map at a second place, in words; empty if it does not."""
-    fits = best_fits(whole, local)
-    share = runner_up(fits) if fits else 1.0
-    return (
-        f"ambiguous: another place of the shared map has {share:.0%} of the score" if share > LARGEST_RUNNER_UP else ""
-    )
+class _Seen(NamedTuple):
+    """Pose (3,) and readings (n_beams,) of a step. The latter are NaN where there is no new reading."""
+
+    pose: FloatArray
+    ranges: FloatArray
+
+
+def _rays_of(run: FilteredRun) -> FloatArray:
+    """The latest rays (n, 7) of a log, in its own smoothed frame."""
+    ranges = np.where(run.usable, run.ranges, np.nan)[:, 0]
+    return rays_of([_Seen(*each) for each in zip(run.poses[:, 0], ranges, strict=True)], run.robot, run.sensor)
 
 
 def _run_of(replay: Replay) -> FilteredRun:

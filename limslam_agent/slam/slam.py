@@ -111,15 +111,6 @@ class LineSlam:
         by_lines = None if ends is None or not self.is_renewable else self.map_state.by_walls(pose, ends)
         self._estimator.relocate(pose, covariance, robot, by_lines)
 
-    def shift(self, pose: FloatArray, covariance: FloatArray, robot: int = 0) -> None:
-        """Put a robot that has drifted at another pose (3,) nearby, by a match with the walls around it.
-
-        ``covariance`` (3, 3) is that of the match. The pose is as uncertain as these walls are, and has their errors.
-        Readings that are still pending are used before.
-        """
-        self.finish()
-        self._estimator.shift(pose, covariance, robot)
-
     def close(self, pose: FloatArray, covariance: FloatArray, ends: FloatArray) -> tuple[FloatArray, FloatArray] | None:
         """Close a loop: readings that end at points (n, 2) have found the pose (3,) of the robot among the walls there.
 
@@ -248,17 +239,6 @@ class LineSlam:
     def renew(self, state: MapState) -> None:
         """Replace pose and map by a better estimate of both, which knows all readings so far."""
         self._renewable.renew(state, self.robots[0].step)
-
-    def join(self, other: "LineSlam", frame: FloatArray, covariance: FloatArray, ends: FloatArray) -> None:
-        """Take over pose and map of another SLAM of the same robot, and keep the own map.
-
-        A match of readings that end at points (n, 2) has found the pose (3,) of the other SLAM's frame in this one.
-        ``covariance`` (3, 3) is that of the robot's pose by the error of the match. The other pose and map also have
-        the errors of the walls at these points. Readings that are still pending are used before.
-        """
-        self.finish()
-        other.finish()
-        self.renew(self.map_state.joined(other.map_state.moved(frame, covariance), ends))
 
     @property
     def _renewable(self) -> ConsistentEstimator:

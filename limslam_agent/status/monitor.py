@@ -1,18 +1,28 @@
-"""StatusMonitor: watches the estimate of one robot and says whether it can be trusted."""
+"""StatusMonitor: watches the estimate of one robot and says whether it can be trusted, without ground truth.
+
+Two sequential tests compare the readings with the map (A. Wald, "Sequential tests of statistical hypotheses", 1945):
+
+- *Contradictions.* Of the readings of the last metres, as few contradict the map as at the right pose, or as many as at
+  a wrong one.
+- *Carried away.* Each step at which readings changed suddenly may be the one before which the robot was carried to
+  another place. All readings since then are weighed with the map of that moment, which a wrong pose cannot change any
+  more. They speak for the believed pose, or one near it, or are no likelier there than at a random place.
+"""
 
 import math
-from collections import deque
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
+from limslam_agent.kernels.tables import RAY_BEAM, RAY_LENGTH, RAY_TO_X
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.contradictions import KnownMap, Sight, compared, log_likelihood_ratio
-from limslam_agent.status.late_beams import LateBeams
-from limslam_agent.status.status import LEVELS, Level, Status
-from limslam_agent.status.sudden_changes import LASTING, UNSURE, Moment, SuddenChanges, Suspicion
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.se2 import transform_points
+from limslam_agent.status.known_map import KnownMap, contradiction_test, near_fit
+from limslam_agent.status.rays import LASTING, moved, rays_of, step_rays
+from limslam_agent.status.status import Status
+from limslam_agent.status.sudden_changes import Change, Sight, SuddenChanges
+from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry.se2 import compose
 from limslam_env.interface import RobotSpec
 
 UNIFORM_HEADING = math.pi / math.sqrt(3.0)
@@ -22,22 +32,46 @@ UNIFORM_HEADING = math.pi / math.sqrt(3.0)
 # the same step, or when it has moved by ``LONGEST_SPACING``, m. A turn by one radian counts like ``TURN_LENGTH``, m.
 SPACING, LONGEST_SPACING, TURN_LENGTH = 0.10, 0.30, 0.40
 _WINDOW = 3.0  # m: the last part of the drive that counts
-_FEWEST, _FEWEST_PLACES = 25, 8  # readings that give a share, and the places from which they are
-_UNSURE_SHARE, _LOST_SHARE = 0.03, 0.06  # of the readings contradict the map
-# Contradicting readings of a lost estimate. They must be of two beams, and two of them must be this far apart, m.
-_FEWEST_CONTRADICTIONS, _APART = 3, 0.3
+_DOUBTFUL, _REFUTED = math.log(100.0), math.log(1000.0)  # a wrong pose is so much likelier than the right one
+_APART = 0.3  # m: contradictions of a lost estimate are of two beams, and two of them are so far apart
 _UNSURE_HEADING = math.radians(4.0)  # rad: standard deviation of the heading
-_SEARCH_EVERY = 2  # comparisons: late beams are searched for at each one with this number
-# A lost robot is found again after this distance, m, over which at least so many readings should have ended at walls of
-# the earlier map, if at least this share of them did so.
-RECOVERY_WINDOW, _FEWEST_EXPECTED, _FITTING = 10.0, 150, 0.95
+RECOVERY_WINDOW = 10.0
+"""Distance after which a lost robot may be found again where it believes to be, m."""
 # Standard deviations that the position of a lost robot gains with each metre, m, at most, m, and those of its heading,
 # rad.
 POSITION_GROWTH, POSITION_LIMIT, _HEADING_GROWTH = 2.0, 10.0, 1.0
-_MOST_SIGHTS = 100
-_FEWEST_BEAMS = 2
 _MAX_JUMP = 1.0  # m: the estimate is lost if the odometry reports a longer motion in one step
-_RATES = 0.02, 0.12  # shares of readings that contradict the map at the right pose, and at a wrong one
+_CORRECTED = 0.4  # m: an estimator that corrects the pose by more has closed a loop, and moves the map with it
+
+SUSPECTED, _CARRIED = 6.0, 10.0
+"""Evidence that a robot was carried away, with which it is unsure or lost: it outweighs the small prior probability."""
+_SUPPORTED = 15.0  # evidence of the readings since a change for the believed pose, which ends the suspicion
+_LONGEST, _MOST = 1500, 8  # number of steps that a change is suspected, and number of changes
+_DATED = 3.0  # evidence of a change that says when the robot was carried away
+
+CARRIED = Status("lost", "readings changed at once, and those since then do not fit the place")
+MAYBE_CARRIED = Status("unsure", CARRIED.reason)
+
+
+class Loss(NamedTuple):
+    """Why a robot is lost, and since when.
+
+    Attributes
+    ----------
+    status
+        The status.
+    ago
+        Number of steps for which the estimate has been doubtful; 0 if the doubt began in this step.
+    is_dated
+        Whether the readings of that step say so themselves.
+    is_carried
+        Whether the readings say that the robot was carried away before that step.
+    """
+
+    status: Status
+    ago: int
+    is_dated: bool = False
+    is_carried: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,31 +80,33 @@ class _Check:
 
     Attributes
     ----------
-    place
-        Where in the drive the comparison was made, m.
-    counts
-        Numbers of beams: compared, contradicting the map, expected to end at a wall, and fitting that wall.
+    place, step
+        Where in the drive the comparison was made, m, and the number of the step.
+    tested
+        Number of beams that could contradict the map.
     beams, points
         The beams (k,) that contradict the map, and where (k, 2), m: at the wall that the beam passed through, or where
         it ended in free space.
-    step
-        Number of the step.
     """
 
     place: float
-    counts: tuple[int, int, int, int]
+    step: int
+    tested: int
     beams: IntArray
     points: FloatArray
-    step: int
+
+    @property
+    def evidence(self) -> float:
+        """Logarithm of the likelihood ratio of a wrong pose and of the right one."""
+        return contradiction_test(len(self.beams), self.tested)
 
 
 class StatusMonitor:
     """Watches one robot.
 
     At each step the monitor gets the motion that the odometry reports, and the readings. Each time that the robot has
-    moved far enough, the monitor compares the readings with the map. The level follows from the share of contradictions
-    in the last metres, from the uncertainty of the heading, from beams that report late, and from jumps of the
-    odometry.
+    moved far enough, it compares the readings with the map. The level follows from the two tests, from the uncertainty
+    of the heading, and from jumps of the odometry.
 
     A robot that is lost is compared with the map of the moment when it became lost. Otherwise the wrong pose would
     erase the walls that contradict it. Until the readings fit that map again, the status stays ``lost`` and the
@@ -79,9 +115,9 @@ class StatusMonitor:
     Parameters
     ----------
     robot
-        Body, and beams as they are taken to be mounted.
+        Body and beams as specified.
     sensor
-        How ranges are measured.
+        How ranges are measured, and by what the beams are turned.
     free_space_counts
         Whether a reading that ends in free space contradicts the map.
 
@@ -93,26 +129,23 @@ class StatusMonitor:
         The present status.
     by_readings
         The same by the readings alone, however uncertain the heading is.
+    jump
+        Length of the jumps of the odometry since the robot is lost, m.
+    loss
+        Why the robot is lost, and since when; None while it is not.
     """
 
     def __init__(self, robot: RobotSpec, sensor: RangeSensor, *, free_space_counts: bool = True) -> None:
         self._robot, self.sensor, self._free_space_counts = robot, sensor, free_space_counts
-        self._step, self._place, self._checked = -1, 0.0, -math.inf
-        # The latest steps that no comparison has used.
-        self._sights: deque[tuple[int, Sight]] = deque(maxlen=_MOST_SIGHTS)
-        self._checks: deque[_Check] = deque()
-        self._count = 0
-        self._late_beams = LateBeams(robot)
+        self._step, self._place, self._checked, self._weighed = -1, 0.0, -math.inf, -math.inf
+        self._sights, self._first = list[Sight](), 0  # the latest steps, and the number of the first of them
+        self._checks: list[_Check] = []
+        self._finder, self._changes = SuddenChanges(robot), list[Change]()
+        self._suspect: tuple[Change, Status] | None = None
         self._reference: KnownMap | None = None
-        self._jump, self._driven, self._since = 0.0, 0.0, 0.0
-        self._doubted, self._contradicted = 0, 0
-        self._sudden_changes = SuddenChanges(robot, free_space_counts=free_space_counts)
+        self.jump, self._driven, self._lost_at = 0.0, 0.0, 0.0
+        self.loss: Loss | None = None
         self.status = self.by_readings = Status()
-
-    def mount(self, robot: RobotSpec, sensor: RangeSensor) -> None:
-        """The beams are known to be mounted otherwise, as those of this robot. All doubts remain."""
-        self._robot = self._late_beams.robot = self._sudden_changes.robot = robot
-        self.sensor = sensor
 
     def observe(self, sight: Sight, *, is_busy: bool) -> bool:
         """Note the motion and the readings of one step.
@@ -130,17 +163,20 @@ class StatusMonitor:
         due
             Whether :meth:`check` is to be called now.
         """
-        self._step += 1
         x, y, turn = sight.increment.tolist()
         distance = math.hypot(x, y)
         is_jump = distance > _MAX_JUMP
+        if self._sights and not is_jump:
+            expected = compose(self._sights[-1].pose, sight.increment)
+            if math.hypot(*(sight.pose - expected)[:2].tolist()) > _CORRECTED:
+                self._changes, self._suspect = [], None
         if is_jump:
-            self._jump, distance = self._jump + distance, 0.0
+            self.jump, distance = self.jump + distance, 0.0
+        self._step += 1
+        self._sights.append(sight)
         self._place += distance + TURN_LENGTH * abs(turn)
         self._driven += distance
-        self._sights.append((self._step, sight))
-        spacing = SPACING if is_busy else LONGEST_SPACING
-        return is_jump or self._place - self._checked >= spacing
+        return is_jump or self._place - self._checked >= (SPACING if is_busy else LONGEST_SPACING)
 
     def check(self, covariance: FloatArray, present: KnownMap) -> None:
         """Compare the readings since the last comparison with the map, and update the status.
@@ -152,189 +188,129 @@ class StatusMonitor:
         present
             The map as it is now, without the latest readings in its grid.
         """
-        self._checked, usable = self._place, self._usable()
+        self._checked = self._place
         if self._reference is None:
-            self._look_for_sudden_changes(covariance, present, usable)
-        self._compare(covariance, self._reference or present, usable)
-        self._look_for_late_beams(covariance, present.segments)
-        while self._place - self._checks[0].place > RECOVERY_WINDOW:
-            self._checks.popleft()
+            self._look_for_changes(covariance, present)
+        self._compare(covariance, self._reference or present)
+        oldest = min([each.step for each in self._changes], default=self._step)
+        begin = max(min(oldest, self._step - 2 * LASTING) - self._first, 0)
+        self._sights, self._first = self._sights[begin:], self._first + begin
+        self._checks = self._recent(RECOVERY_WINDOW)
         if self._reference is None:
             self._judge(float(covariance[2, 2]), present)
         elif self._fits_again():
-            self._reference, self._jump, self.status = None, 0.0, Status()
-            self.by_readings = self.status
+            self._reference, self.loss, self.jump = None, None, 0.0
+            self.status = self.by_readings = Status()
 
     @property
-    def jump(self) -> float:
-        """Length of the jumps of the odometry since the robot is lost, m."""
-        return self._jump
+    def is_suspicious(self) -> bool:
+        """Whether the robot may have been carried away, so that the map since then may be wrong."""
+        return self._suspect is not None
 
     @property
     def added_covariance(self) -> FloatArray:
         """What has to be added to the covariance (3, 3) of the pose; zero if the robot is not lost."""
-        if self._reference is None:
-            return np.zeros((3, 3))
-        return covariance_of_lost(self._jump, self._driven)
+        return np.zeros((3, 3)) if self._reference is None else covariance_of_lost(self.jump, self._driven)
 
-    @property
-    def doubted(self) -> int:
-        """For how many steps the estimate of a lost robot has been doubtful; 0 if the doubt began in this step."""
-        return self._step - self._doubted
+    def _look_for_changes(self, covariance: FloatArray, known: KnownMap) -> None:
+        """Look for new changes, and weigh all of them now and then, and when there is a new one."""
+        found = self._finder.find(self._sights, self._first, known, covariance)
+        self._changes = (self._changes + found)[-_MOST:]
+        if found or self._place - self._weighed >= LONGEST_SPACING:
+            self._weighed = self._place
+            self._weigh_changes(covariance)
 
-    @property
-    def contradicted(self) -> int:
-        """The same by the share of contradictions alone, even if readings changed suddenly before."""
-        return self._step - self._contradicted
+    def _weigh_changes(self, covariance: FloatArray) -> None:
+        """Weigh the changes by the readings since then, and find the likeliest one that makes the robot doubtful.
 
-    @property
-    def carried(self) -> Suspicion | None:
-        """The suspicion by which the robot was carried away; None if nothing suffices to say so.
-
-        If the contradictions already say that the robot is lost, no further comparison has to confirm a suspicion.
+        Both the evidence of the readings and the test of their contradictions can speak for a change. A doubt remains
+        until the readings clearly fit.
         """
-        changes = self._sudden_changes
-        return changes.probable if self.status.level == "lost" else changes.certain
+        kept, least, before, self._suspect = list[Change](), SUSPECTED, self._suspect, None
+        for change in self._changes:
+            rays = rays_of(self._sights[change.step - self._first :], self._robot, self.sensor)
+            change.known.sensor = self.sensor
+            here = change.known.explained(rays)
+            if self._step - change.step > _LONGEST or here.evidence.sum() > _SUPPORTED:
+                continue
+            kept.append(change)
+            by_ray = max(-here.evidence, here.test, key=np.sum)
+            evidence = change.evidence + float(by_ray.sum())
+            if evidence >= least:  # or it has drifted
+                near = near_fit(change.known, rays, covariance)
+                there = max(-near.evidence, contradiction_test(near.fit.contradictions, near.fit.tested))
+                evidence = min(evidence, change.evidence + there)
+            if evidence >= least:
+                # A beam alone may be broken.
+                by_beam = change.by_beam + np.bincount(rays[:, RAY_BEAM].astype(int), by_ray, len(change.by_beam))
+                is_lost = evidence >= _CARRIED and by_beam.sum() - by_beam.max() >= SUSPECTED
+                least, self._suspect = evidence, (change, CARRIED if is_lost else MAYBE_CARRIED)
+        self._changes = kept
+        if self._suspect is None and before is not None and before[0] in kept:
+            self._suspect = before[0], MAYBE_CARRIED
 
-    def changes(self, steps: int) -> list[tuple[int, Suspicion]]:
-        """The sudden changes of the readings in the latest steps, each with the number of steps ago."""
-        latest = [(self._step - each.step, each) for each in self._sudden_changes.latest]
-        return [(ago, each) for ago, each in latest if ago < steps]
-
-    def _first_doubt(self) -> int:
-        """The step since which the readings of the last metres contradict the map, or the present step."""
-        if self._jump:
-            return self._step
-        return self._contradicted if self.carried is None else self.carried.step
-
-    def _likeliest_change(self) -> int:
-        """The step at which the share of contradictions has most likely changed. One long before it says nothing."""
-        recent = self._recent(_WINDOW)
-        sums = np.cumsum([_contradiction_evidence(check) for check in reversed(recent)])[::-1]
-        return recent[int(sums.argmax())].step
-
-    def _look_for_sudden_changes(self, covariance: FloatArray, known: KnownMap, usable: BoolArray) -> None:
-        """Follow the suspicions that the robot was carried away, until it is lost."""
-        if len(self._sights) == self._sights.maxlen:
-            self._sudden_changes.forget()
-        seen = [(check.step, check.points) for check in self._checks if len(check.points)]
-        moment = Moment(self._place, covariance, known, self.sensor, usable, self._ignored(), seen)
-        self._sudden_changes.note(list(self._sights), moment)
-
-    def _ignored(self) -> BoolArray:
-        """The beam that reports late, if there is one, as a mask (n_beams,)."""
-        late = self._late_beams.found
-        return np.asarray(np.arange(len(self._robot.beams)) == (-1 if late is None else late.beam))
-
-    def _usable(self) -> BoolArray:
-        """The latest readings (n_beams,) that can be compared with a map.
-
-        A reading that saw nothing, shortly after one that saw a wall, may be a dropout of the sensor.
-        """
-        sights = list(self._sights)[-LASTING:]
-        nothing = np.array([sight.ranges >= self._robot.too_far for _, sight in sights])
-        return np.asarray(sights[-1][1].measured & ~(nothing[-1] & ~nothing.all(axis=0)) & ~self._ignored())
-
-    def _compare(self, covariance: FloatArray, known: KnownMap, usable: BoolArray) -> None:
+    def _compare(self, covariance: FloatArray, known: KnownMap) -> None:
         """Compare the latest readings with a map, and note the outcome.
 
-        Readings of neighbouring steps show nearly the same, so that only the latest ones count.
+        Readings of neighbouring steps show nearly the same, so that only the latest ones count. A reading that saw
+        nothing, shortly after one that saw a wall, may be a dropout of the sensor.
         """
-        robot, last = self._robot, self._sights[-1][1]
-        outcome, expected = compared(
-            robot, last, usable, known, covariance, self.sensor, free_space_counts=self._free_space_counts
-        )
-        beams = np.flatnonzero(outcome.through | outcome.in_free)
-        reached = np.where(outcome.through, np.minimum(expected.ranges[0], robot.max_ranges), last.ranges)[beams]
-        points = transform_points(
-            last.pose, robot.beam_origins[beams] + reached[:, None] * robot.beam_directions[beams]
-        )
-        self._checks.append(_Check(self._place, outcome.counts, beams, points, self._step))
-
-    def _look_for_late_beams(self, covariance: FloatArray, segments: FloatArray) -> None:
-        """Pass the steps since the last comparison to the search for late beams, which is made now and then."""
-        late, sights = self._late_beams, [sight for _, sight in self._sights]
-        if len(sights) == self._sights.maxlen:
-            late.forget()
-        late.note([(each.pose, each.increment, each.ranges, each.measured) for each in sights], covariance)
-        self._sights.clear()
-        self._count += 1
-        if self._reference is None and self._count % _SEARCH_EVERY == 0:
-            late.search(segments, self.sensor)
+        last, known.sensor = self._sights[-1], self.sensor
+        nothing = np.array([sight.ranges >= self._robot.too_far for sight in self._sights[-LASTING:]])
+        ranges = np.where(nothing[-1] & ~nothing.all(axis=0), np.nan, last.ranges)
+        rays = moved(step_rays(ranges, self.sensor.mounted(self._robot), self.sensor.bias), last.pose)
+        found = known.explained(rays, covariance)
+        contradicts = found.against > 0.0
+        if not self._free_space_counts:
+            contradicts &= found.against < rays[:, RAY_LENGTH]
+        points = rays[contradicts, :2] + found.against[contradicts, None] * rays[contradicts, RAY_TO_X:RAY_LENGTH]
+        tested, beams = int(np.count_nonzero(found.tested)), rays[contradicts, RAY_BEAM].astype(int)
+        self._checks.append(_Check(self._place, self._step, tested, beams, points))
 
     def _judge(self, heading_variance: float, present: KnownMap) -> None:
         """Find the status of a robot that was not lost so far. If it is lost now, keep the map of this moment."""
-        self.status = self.by_readings = self._status()
+        self.loss = self._loss()
+        self.status = self.by_readings = self._doubts() if self.loss is None else self.loss.status
         heading_std = math.sqrt(max(heading_variance, 0.0))
         if self.status.level == "ok" and heading_std > _UNSURE_HEADING:
             words = f"the heading's standard deviation is {math.degrees(heading_std):.1f} deg"
             self.status = Status("unsure", words)
-        if self.status.level == "lost":
-            self._contradicted = self._likeliest_change()
-            self._doubted = self._first_doubt()
-            self._reference = self.carried.known if self.carried is not None else present.frozen
-            self._driven, self._since = 0.0, self._place
-            self._checks.clear()
+        if self.loss is not None:
+            self._reference = present.frozen if self._suspect is None else self._suspect[0].known
+            self._driven, self._lost_at = 0.0, self._place
+            self._checks = []
 
-    def _status(self) -> Status:
-        """The status by the readings of the last metres of the drive, with the most serious reason."""
-        if self._jump:
-            return Status("lost", f"the odometry reports a motion of {self._jump:.1f} m in one step")
-        if self.carried is not None:
-            return Status("lost", self.carried.words)
-        contradictions = self._by_contradictions()
-        if contradictions.level != "lost" and self._late_beams.found is not None:
-            return Status("unsure", self._late_beams.found.words)
-        if contradictions.level != "ok":
-            return contradictions
-        suspicion = self._sudden_changes.strongest
-        if suspicion is not None and suspicion.evidence >= UNSURE:
-            return Status("unsure", suspicion.words)
-        return Status()
-
-    def _by_contradictions(self) -> Status:
-        """The status by the share of readings that contradict the map.
-
-        Contradictions make a robot lost only when it is known whether the readings changed suddenly before: that says
-        when the robot was carried away, and which map was right.
-        """
+    def _loss(self) -> Loss | None:
+        """Why the robot is lost now; None if it is not."""
+        if self.jump:
+            return Loss(Status("lost", f"the odometry reports a motion of {self.jump:.1f} m in one step"), 0)
         recent = self._recent(_WINDOW)
-        found = self._by_share(recent)
-        if found.level == "lost":
-            weighed = [check for check in recent if check.step <= self._sudden_changes.weighed]
-            return found if weighed and self._by_share(weighed).level == "lost" else Status("unsure", found.reason)
-        return found
+        # Contradictions alone make a robot lost only when it is known whether the readings changed suddenly before.
+        is_refuted = _refutes([check for check in recent if check.step <= self._finder.weighed], self._robot)
+        if self._suspect is not None and (is_refuted or self._suspect[1].level == "lost"):
+            change, _ = self._suspect
+            return Loss(CARRIED, self._step - change.step, change.evidence >= _DATED, is_carried=True)
+        if is_refuted and _refutes(recent, self._robot):
+            sums = np.cumsum([check.evidence for check in reversed(recent)])[::-1]
+            return Loss(Status("lost", _words(recent)), self._step - recent[int(sums.argmax())].step)
+        return None
 
-    def _by_share(self, recent: list[_Check]) -> Status:
-        count, contradicting, _, _ = _sums(recent)
-        beams = np.unique(np.concatenate([check.beams for check in recent]))
-        # A few wrong readings are no proof, however few there are in all. A beam alone may be broken, and at a single
-        # place a short wall may be missing.
-        is_proof = (
-            contradicting >= _FEWEST_CONTRADICTIONS
-            and len(beams) >= min(_FEWEST_BEAMS, len(self._robot.beams))
-            and _has_places(np.concatenate([check.points for check in recent]), _APART)
-        )
-        limits = (0.0, _UNSURE_SHARE, _LOST_SHARE if is_proof else math.inf)
-        is_enough = count >= _FEWEST and len(recent) >= _FEWEST_PLACES
-        share = contradicting / count if is_enough else 0.0
-        level: Level = LEVELS[max(number for number, limit in enumerate(limits) if share >= limit)]
-        if level == "ok":
+    def _doubts(self) -> Status:
+        """The status of a robot that is not lost by its readings."""
+        if self._suspect is not None:
+            return MAYBE_CARRIED
+        recent = self._recent(_WINDOW)
+        if sum(check.evidence for check in recent) < _DOUBTFUL:
             return Status()
-        alone = ""
-        if len(beams) == 1 and contradicting >= _FEWEST_CONTRADICTIONS:
-            alone = f", all of the beam at {math.degrees(self._robot.beam_angles[beams[0]]):.0f} deg"
-        return Status(level, f"{contradicting} of {count} readings contradict the map{alone}")
+        beams, words = np.unique(_beams(recent)), _words(recent)
+        if len(beams) == 1 and len(_beams(recent)) > 1:
+            words += f", all of the beam at {math.degrees(self._robot.beam_angles[beams[0]]):.0f} deg"
+        return Status("unsure", words)
 
     def _fits_again(self) -> bool:
         """Whether the readings of the last metres fit the map of the moment when the robot became lost."""
-        count, contradicting, expected, fitting = _sums(self._recent(RECOVERY_WINDOW))
-        return (
-            self._place - self._since >= RECOVERY_WINDOW
-            and expected >= _FEWEST_EXPECTED
-            and fitting >= _FITTING * expected
-            and contradicting < _UNSURE_SHARE * count
-        )
+        fits = sum(check.evidence for check in self._checks) < -_REFUTED
+        return self._place - self._lost_at >= RECOVERY_WINDOW and fits
 
     def _recent(self, window: float) -> list[_Check]:
         return [check for check in self._checks if self._place - check.place <= window]
@@ -347,18 +323,23 @@ def covariance_of_lost(jump: float, driven: float, *, knows_heading: bool = True
     return np.diag([position**2, position**2, heading**2])
 
 
-def _sums(checks: list[_Check]) -> tuple[int, ...]:
-    """The sums of ``_Check.counts``."""
-    return tuple(map(sum, zip(*(check.counts for check in checks), strict=True)))
+def _refutes(checks: list[_Check], robot: RobotSpec) -> bool:
+    """Whether comparisons say that the pose is wrong.
+
+    A beam alone may be broken, and at a single place a short wall may be missing.
+    """
+    if sum(check.evidence for check in checks) < _REFUTED:
+        return False
+    points = np.concatenate([check.points for check in checks])
+    is_wide = float(np.hypot(*(points - points[0]).T).max()) >= _APART
+    return is_wide and len(np.unique(_beams(checks))) >= min(2, len(robot.beams))
 
 
-def _contradiction_evidence(check: _Check) -> float:
-    """Logarithm of the likelihood ratio of the contradictions of a comparison: of a wrong pose and of the right one."""
-    count, contradicting, _, _ = check.counts
-    right, wrong = _RATES
-    return log_likelihood_ratio(contradicting, count, wrong, right)
+def _beams(checks: list[_Check]) -> IntArray:
+    """The beams (k,) that contradict the map."""
+    return np.concatenate([check.beams for check in checks])
 
 
-def _has_places(points: FloatArray, apart: float) -> bool:
-    """Whether two of the points (n, 2) are at least so far ``apart``, m."""
-    return bool(len(points)) and float(np.hypot(*(points - points[0]).T).max()) >= apart
+def _words(checks: list[_Check]) -> str:
+    """How many readings contradict the map."""
+    return f"{len(_beams(checks))} of {sum(check.tested for check in checks)} readings contradict the map"

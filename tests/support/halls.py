@@ -1,16 +1,15 @@
 """A hall in which no two places look alike, drives in it, and the map of a drive."""
 
 from itertools import pairwise
-from unittest.mock import patch
 
 import numpy as np
+from support.drives import ranges_at
 
 from limslam_agent.config.exploration import GridConfig
 from limslam_agent.grid.occupancy import drawn_grid
 from limslam_agent.places.history import LoggedStep
 from limslam_agent.places.localisation import KnownPlaces
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.contradictions import expected_ranges
 from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import RobotSpec
 
@@ -38,10 +37,11 @@ def poses_along(corners, spacing=0.03):
 
 
 def readings(poses, segments, sensor=SENSOR):
-    """What a robot reads (n, n_beams), m: its beams end at walls up to their very ends."""
-    with patch("limslam_agent.status.contradictions.INSET", 0.0):
-        found = expected_ranges(ROBOT, poses, np.zeros((3, 3)), segments, sensor).ranges
-    return np.minimum(found, ROBOT.max_ranges)
+    """What a robot reads (n, n_beams), m: a wide beam reads the nearest point of a wall inside of it."""
+    fans = np.linspace(-sensor.cone, sensor.cone, 41) if sensor.cone else [0.0]
+    robots = [SENSOR._replace(turns=(float(fan),) * len(ROBOT.beams)).mounted(ROBOT) for fan in fans]
+    found = [[ranges_at(pose, segments, robot) for pose in poses] for robot in robots]
+    return np.minimum(np.min(found, axis=0) + sensor.bias, ROBOT.max_ranges)
 
 
 def drive(corners, segments, frame=(0.0, 0.0, 0.0), sensor=SENSOR):

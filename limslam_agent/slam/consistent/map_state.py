@@ -4,11 +4,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limslam_agent.slam.consistent.wall_map import NEW, Wall
+from limslam_agent.slam.consistent.wall_map import Wall
 from limslam_agent.slam.core.ekf import POSE
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import direction, normal
-from limslam_env.geometry.se2 import compose, transform_points, wrap_angle
+from limslam_env.geometry.se2 import wrap_angle
 
 _AT_WALL = 0.2  # m: a reading that ends farther from a wall says nothing of it
 _AROUND = 0.5  # m: lines that are nearer count alike for the motion around an anchor
@@ -44,19 +44,6 @@ class MapState:
         rows = np.append(np.arange(POSE), [POSE + 2 * index + part for index in chosen for part in (0, 1)]).astype(int)
         covariance, walls = self.covariance[np.ix_(rows, rows)], [self.walls[index] for index in chosen]
         return MapState(self.pose, self.lines[chosen], self.anchors[chosen], covariance, walls)
-
-    def moved(self, frame: FloatArray, covariance: FloatArray) -> "MapState":
-        """The state in another frame, in which the pose (3,) of its own frame is known by a match.
-
-        ``covariance`` (3, 3) is that of the moved pose of the robot by the error of the match alone.
-        """
-        pose, anchors = compose(frame, self.pose), transform_points(frame, self.anchors)
-        lines, turn = self.lines + np.array([0.0, frame[2]]), np.eye(len(self.covariance))
-        cos, sin = np.cos(frame[2]), np.sin(frame[2])
-        turn[:2, :2] = [[cos, -sin], [sin, cos]]
-        state = MapState(pose, lines, anchors, turn @ self.covariance @ turn.T, self.walls)
-        by_match = state.moved_with
-        return replace(state, covariance=state.covariance + by_match @ covariance @ by_match.T)
 
     @property
     def moved_with(self) -> FloatArray:
@@ -130,28 +117,6 @@ class MapState:
             anchors=self.anchors + along[:, None] * direction(lines),
             covariance=transport @ after.covariance @ transport.T,
         ), motions
-
-    def joined(self, other: "MapState", ends: FloatArray) -> "MapState":
-        """The lines of both states, with the pose of the other one.
-
-        The other state was placed in this one by readings that end at points (n, 2), and has the errors of the walls
-        there. The landmarks of the other state are ``NEW``.
-        """
-        count, size = 2 * len(self.lines), 2 * len(self.lines) + len(other.covariance)
-        covariance, own = np.zeros((size, size)), slice(POSE, POSE + count)
-        others = np.append(np.arange(POSE), np.arange(POSE + count, size))
-        by_lines = other.moved_with @ self.by_walls(other.pose, ends)
-        covariance[own, own] = self.covariance[POSE:, POSE:]
-        joint = by_lines @ covariance[own, own]
-        covariance[others, own], covariance[own, others] = joint, joint.T
-        covariance[np.ix_(others, others)] = other.covariance + joint @ by_lines.T
-        return MapState(
-            pose=other.pose,
-            lines=np.vstack((self.lines, other.lines)),
-            anchors=np.vstack((self.anchors, other.anchors)),
-            covariance=covariance,
-            walls=[*self.walls, *(replace(wall, number=NEW) for wall in other.walls)],
-        )
 
 
 def _motions_around(state: MapState, lines: FloatArray) -> FloatArray:

@@ -82,17 +82,6 @@ class LineEKF(ExtendedKalmanFilter):
             by_state[:, self._first : self._first + by_lines.shape[1]] = by_lines
         self._put(robot, pose, covariance, by_state)
 
-    def shift(self, pose: FloatArray, covariance: FloatArray, robot: int = 0) -> None:
-        """Put a robot at another pose (3,) nearby, as seen from the walls around it.
-
-        What is unknown of these walls remains unknown of the pose. The shift adds a covariance (3, 3).
-        """
-        at, by_state = POSE * robot, np.zeros((POSE, len(self.x)))
-        by_state[:, at : at + POSE] = np.eye(POSE)
-        x, y = (pose - self.x[at : at + POSE])[:2].tolist()
-        by_state[:2, at + 2] = -y, x  # an error of the heading turns the walls, and the shift with them
-        self._put(robot, pose, covariance, by_state)
-
     def _put(self, robot: int, pose: FloatArray, covariance: FloatArray, by_state: FloatArray) -> None:
         """Replace a robot's pose by a pose (3,) that has the derivative (3, n) by the state so far.
 

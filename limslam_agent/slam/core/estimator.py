@@ -112,10 +112,6 @@ class Estimator:
         """Put a robot at another pose (3,), with a derivative (3, 2 N) by the lines: see :meth:`LineEKF.relocate`."""
         self._belief.relocate(pose, covariance, robot, by_lines)
 
-    def shift(self, pose: FloatArray, covariance: FloatArray, robot: int) -> None:
-        """Put a robot at another pose (3,) nearby, which is as uncertain as before, plus a covariance (3, 3)."""
-        self._belief.shift(pose, covariance, robot)
-
     def know(self, landmarks: Sequence[Landmark], segments: FloatArray) -> None:
         """Begin with the walls (k, 4), m, of an earlier map, and the landmarks that they lie on."""
         raise NotImplementedError

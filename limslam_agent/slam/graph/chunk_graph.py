@@ -12,7 +12,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory, integrate
-from limslam_agent.slam.graph.least_squares import NormalEquations, loop_weights, pose_columns, relation_factor
+from limslam_agent.slam.graph.least_squares import loop_weights, pose_columns, relation_factor
+from limslam_agent.slam.least_squares.normal_equations import NormalEquations
 from limslam_env.geometry import FloatArray, IntArray, se2
 
 # The covariance of a hop is the local graph's covariance times the first number, plus the squares of these standard

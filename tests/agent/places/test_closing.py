@@ -1,25 +1,14 @@
-"""A robot that is found where its covariance explains has closed a loop, and a refuted place leaves nothing behind."""
-
-from dataclasses import replace
-from types import SimpleNamespace
+"""A robot that is found where its covariance explains has closed a loop: the map moves with it."""
 
 import numpy as np
 import pytest
-from support.halls import HALL, PART, ROBOT, SENSOR, WAY, drive, known
 
-from limslam_agent import preset
 from limslam_agent.config.exploration import GridConfig
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
-from limslam_agent.places.absence import Absence
-from limslam_agent.places.history import StepLog
-from limslam_agent.places.localisation import FAR_SHARE, Localisation, PlaceFit, agree, localise
-from limslam_agent.places.rays import rays_of
-from limslam_agent.places.recovery import Recovery
 from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with, poses_moved_with
 from limslam_agent.slam.consistent.wall_map import Wall
-from limslam_agent.status.status import Status
 from limslam_env.geometry.line import direction, normal
-from limslam_env.geometry.se2 import compose, transform_points
+from limslam_env.geometry.se2 import transform_points
 from limslam_env.geometry.segment import sample
 
 MATCH = np.diag([0.05, 0.05, 0.03]) ** 2
@@ -105,119 +94,3 @@ def test_a_turn_about_a_wall_takes_no_cells_from_the_border(turn):
     near = grid.view.centres(np.argwhere(grid.view.values == -3))
     away = np.hypot(*(turned[:, None] - near).T).min(axis=0)
     assert away.max() < 0.1
-
-
-@pytest.fixture(scope="module")
-def whole():
-    return known(WAY, HALL)
-
-
-def lost(whole, **details):
-    recovery = Recovery(ROBOT, preset("graph"))
-    recovery.log = StepLog(0, drive(PART, HALL))
-    recovery.absence = Absence(None, details.pop("first", 1), "", 0.0, whole, **details)
-    return recovery
-
-
-@pytest.mark.parametrize(
-    ("details", "is_break"), [({}, False), ({"is_carried": True}, True), ({"is_astray": True}, True)]
-)
-def test_the_odometry_holds_for_a_robot_whose_covariance_explains_its_place(whole, details, is_break):
-    recovery = lost(whole, **details)
-    recovery.absence.known = SimpleNamespace(explains=lambda *_: True, step=-1)
-    rays = rays_of(recovery.log.steps, ROBOT)
-    (fit,) = whole.weigh(np.array([[3.0, 0.0, 0.0]]), rays)
-    found = Localisation(fit, 0.0, rays[:, :2].mean(axis=0), "")
-    recovery.absence.decisions.append(found)
-    recovery.has_joined(recovery._placement(recovery.absence, rays, found, SENSOR), None if is_break else whole)
-    assert recovery.breaks == ([1] if is_break else [])
-    assert recovery.absence.is_unlikely is ("is_astray" in details)
-
-
-def monitor(change=None, **details):
-    status = Status("lost", "a reason")
-    carried = None if change is None else SimpleNamespace(change=change)
-    found = {
-        "doubted": 3,
-        "contradicted": 9,
-        "added_covariance": np.zeros((3, 3)),
-        "changes": lambda _: [],
-        "jump": 0.0,
-    }
-    return SimpleNamespace(status=status, carried=carried, **{**found, **details})
-
-
-def test_a_place_that_is_refuted_is_taken_back_as_a_whole(whole):
-    recovery, believed = lost(whole, first=10), np.array([7.0, 8.0, 0.3])
-    recovery.absence = replace(recovery.absence, believed=believed, placed=1.0)
-    recovery.breaks = [3, 8]
-    slam = SimpleNamespace(covariance=np.eye(3), range_sensor=SENSOR)
-    recovery.lose(monitor(), slam, None)
-    assert (recovery.absence.first, recovery.breaks, recovery.absence.is_astray) == (10, [3], False)
-    np.testing.assert_allclose(recovery.log[9].pose, believed)
-    recovery.absence = replace(recovery.absence, placed=1.0)
-    recovery.breaks = [8]
-    recovery.log.forget_before(20)
-    recovery.lose(monitor(), slam, None)
-    assert recovery.absence.is_astray, "the pose from before is no longer kept"
-    assert recovery.absence.is_carried
-    recovery.losses = [2, 5]
-    for jump, losses in ((0.0, [2, 5]), (1.1, []), (0.0, [])):
-        recovery.lose(monitor(jump=jump), slam, None)
-        assert recovery.losses == losses, "the odometry does not say how the robot moved since then"
-
-
-@pytest.mark.parametrize(("away", "is_undone"), [((3.0, 0.0, 0.0), True), ((0.3, 0.0, 0.0), False)])
-@pytest.mark.parametrize("is_closed", [True, False])
-def test_a_loop_that_is_refuted_is_taken_back_and_a_drift_near_by_is_not(whole, away, is_undone, is_closed):
-    recovery, believed = lost(whole, first=10), np.array([7.0, 8.0, 0.3])
-    recovery.absence.known, recovery.absence.believed = SimpleNamespace(explains=lambda *_: True, step=-1), believed
-    rays = rays_of(recovery.log.steps, ROBOT)
-    (fit,) = whole.weigh(np.array([away]), rays)
-    found = Localisation(fit, 0.0, rays[:, :2].mean(axis=0), "")
-    recovery.absence.decisions.append(found)
-    recovery.has_joined(recovery._placement(recovery.absence, rays, found, SENSOR), whole if is_closed else None)
-    recovery.breaks = [3]
-    recovery.absence.decisions.clear()  # as a renewal does
-    before, last = recovery.log[9].pose, recovery.log.end - 1
-    recovery.lose(monitor(), SimpleNamespace(covariance=np.eye(3), range_sensor=SENSOR), None)
-    np.testing.assert_array_equal(recovery.log[9].pose, believed if is_undone else before)
-    assert recovery.absence.first == (10 if is_undone else last - 3)
-    assert recovery.breaks == [3], "the odometry held"
-
-
-def test_a_robot_that_is_lost_again_in_its_local_frame_was_carried_away_before(whole):
-    recovery = lost(whole, first=30, since=12)
-    rays = rays_of(recovery.log.since(30), ROBOT)
-    (fit,) = whole.weigh(np.array([[3.0, 0.0, 0.0]]), rays)
-    found = Localisation(fit, 0.0, rays[:, :2].mean(axis=0), "")
-    placement = recovery._placement(recovery.absence, rays, found, SENSOR)
-    assert placement.step == 12
-    np.testing.assert_allclose(placement.pose, compose(fit.pose, recovery.log[29].pose))
-
-
-@pytest.mark.parametrize(("change", "is_carried"), [(1.2, False), (7.0, True)])
-def test_a_change_that_says_little_by_itself_carries_nobody(whole, change, is_carried):
-    """The rest of the evidence may be walls of a bent map."""
-    recovery = lost(whole)
-    recovery.absence = None
-    recovery._kidnapping.is_refuted = lambda *_: False
-    slam = SimpleNamespace(covariance=np.eye(3), range_sensor=SENSOR)
-    _, first, is_dated, was_carried, _ = recovery._first_doubt(monitor(change), slam)
-    assert (is_dated, was_carried) == (is_carried, is_carried)
-    assert first == recovery.log.end - 1 - (3 if is_carried else 9)
-
-
-def test_the_likeliest_place_near_the_believed_one_is_compared_with_far_ones(whole):
-    frame = np.array([3.5, -1.0, -0.4])
-    steps = [replace(step, pose=compose(frame, step.pose)) for step in drive(PART, HALL)]
-    rays = rays_of(steps, ROBOT)
-    alone = localise(whole, rays, far=FAR_SHARE)
-    assert not alone.is_near
-    near = PlaceFit(np.zeros(3), 0.6 * alone.fit.evidence, 3, 90)
-    found = localise(whole, rays, far=FAR_SHARE, near=[near])
-    assert found.fit is near
-    assert found.is_near
-    assert found.is_accepted, "contradictions need only not speak against a place near the believed one"
-    assert agree(found, found)
-    assert not localise(whole, rays, far=FAR_SHARE, near=[replace(near, contradictions=6)]).is_accepted

@@ -1,19 +1,22 @@
 """Two robots with unknown relative starts join when their maps fit together in one place only, and else stay apart."""
 
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from support.command_line import call
+from support.halls import HALL, PART, ROBOT, SENSOR, WAY, drive, known, poses_along, readings
 
 from limslam_agent import preset
 from limslam_agent.cli.main import main
-from limslam_agent.grid.occupancy import GridView
+from limslam_agent.config.exploration import GridConfig
+from limslam_agent.grid.occupancy import GridView, drawn_grid
 from limslam_agent.joining import NOT_YET_CONFIRMED, NOT_YET_JOINED, JoiningMapper
 from limslam_agent.mapper import Mapper
 from limslam_agent.output.summary import record_summary
-from limslam_agent.places.meeting import Meeting
-from limslam_agent.places.place_map import place_map
+from limslam_agent.places.localisation import KnownPlaces
+from limslam_agent.places.meeting import FIRST, Meeting
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import write_episode
@@ -31,7 +34,7 @@ HERE = np.zeros(3)
 
 @pytest.fixture(scope="module")
 def episode():
-    return run_episode(RunConfig("env2", NOISE, seed=201, robots=2, unknown_starts=True, max_time=66.0))
+    return run_episode(RunConfig("env2", NOISE, seed=201, robots=2, unknown_starts=True, max_time=92.0))
 
 
 @pytest.fixture(scope="module")
@@ -62,19 +65,66 @@ def test_two_robots_become_a_team(episode):
     np.testing.assert_allclose(episode.odometry[0, 1], event["start"], atol=1e-9)
 
 
+def hall_slams():
+    """The second robot knows the hall in a frame of its own, and the first one in the world."""
+    frame = np.array([2.0, -1.0, 0.7])
+    maps = [known(WAY, HALL), known(WAY, HALL)]
+    turned = transform_points(inverse(frame), HALL.reshape(-1, 2)).reshape(-1, 4)
+    maps[1] = KnownPlaces(turned, known_grid(frame), SENSOR)
+    slams = [SimpleNamespace(segments=each.segments, range_sensor=SENSOR, covariance=np.zeros((3, 3))) for each in maps]
+    return slams, [each.grid for each in maps], frame
+
+
+def known_grid(frame):
+    poses = poses_along(WAY)
+    ranges = readings(poses, HALL)[:, None]
+    local = compose(inverse(frame), poses)
+    return drawn_grid(GridConfig(), ROBOT, local[:, None], ranges, np.ones(ranges.shape, dtype=bool))
+
+
+def met():
+    """A meeting in which both robots have driven in the hall, each in its own frame."""
+    slams, grids, frame = hall_slams()
+    meeting = Meeting(ROBOT)
+    for first, second in zip(drive(PART, HALL), drive(PART, HALL, frame), strict=True):
+        meeting.note([first, second])
+        meeting.drive([np.array([0.03, 0.0, 0.0])] * 2)
+    assert not meeting.is_due, "small maps fit in many places"
+    meeting.drive([np.array([FIRST, 0.0, 0.0])] * 2)
+    return meeting, slams, grids, frame
+
+
+def test_two_searches_in_succession_find_the_other_robot():
+    meeting, slams, grids, frame = met()
+    assert meeting.is_due
+    start = np.array([0.3, 0.2, 0.1])
+    assert meeting.seek(slams, grids, start) is None, "one search is not enough"
+    found = meeting.seek(slams, grids, start)
+    np.testing.assert_allclose(found[0], compose(frame, start), atol=0.05)
+    assert np.linalg.eigvalsh(found[1]).min() > 0.0
+    assert not meeting.is_due
+
+
 def test_a_place_is_unsure_until_the_map_has_no_other_one():
-    walls, grid = room(4, 3, [[0, 2, 1.5, 2], [1.5, 2, 1.5, 2.4], [3, 0, 3, 1.2]])
-    own, alike = place_map(walls, grid), place_map(np.concatenate((walls, walls + 10.0)), grid)
-    meeting, metre = Meeting(), [np.array([1.0, 0.0, 0.0])] * 2
-    meeting.has_joined(HERE, own)
+    meeting, slams, grids, _ = met()
+    while meeting.seek(slams, grids, HERE) is None:
+        pass
+    meeting.has_joined(HERE)
     for _ in range(3):
         assert not meeting.is_to_be_confirmed
-        meeting.drive(metre)
+        meeting.drive([np.array([1.0, 0.0, 0.0])] * 2)
     assert meeting.is_to_be_confirmed
-    meeting.confirm(own, is_complete=False)
-    meeting.confirm(alike, is_complete=True)
+    hall = known(WAY, HALL)
+    assert meeting.confirm(hall, is_complete=False) == ""
     assert meeting.is_doubtful
-    meeting.confirm(own, is_complete=True)
+    twice = np.concatenate((HALL, HALL + 20.0))
+    low, cells = hall.grid.low, hall.grid.values.shape
+    values = np.zeros((cells[0] + 200, cells[1] + 200), dtype=np.int16)
+    values[: cells[0], : cells[1]] = values[200:, 200:] = hall.grid.values
+    alike = KnownPlaces(twice, GridView(low, 0.1, values), SENSOR)
+    assert meeting.confirm(alike, is_complete=True).startswith("ambiguous")
+    assert meeting.is_doubtful
+    assert meeting.confirm(hall, is_complete=True) == ""
     assert not meeting.is_doubtful
     assert [each["event"] for each in meeting.records] == ["joined", "confirmed"]
 
@@ -186,44 +236,6 @@ def test_the_body_of_a_robot_that_is_not_known_contradicts_no_map():
     assert met.joined is None
     assert (met.wall_seen[:, 0] == -2).sum() > 50, "the first robot has seen the second one"
     assert met.levels[:, 0].max() < LEVELS.index("lost")
-
-
-def room(width, height, corner):
-    """A closed room with a short wall that stands at a corner of it, and the ground in it."""
-    walls = [[0, 0, width, 0], [width, 0, width, height], [width, height, 0, height], [0, height, 0, 0]]
-    segments = np.array([*walls, *corner], dtype=float)
-    values = np.full((round(10 * height), round(10 * width)), 4, dtype=np.int16)
-    return segments, GridView(np.zeros(2), 0.1, values)
-
-
-def turned(segments, pose):
-    return transform_points(pose, segments.reshape(-1, 2)).reshape(-1, 4)
-
-
-def test_a_room_that_looks_the_same_after_a_turn_joins_nobody():
-    meeting, first = Meeting(), place_map(*room(4, 3, []))
-    for _ in range(3):
-        meeting.drive([np.array([1.0, 0.0, 0.0])] * 2)
-        assert meeting.seek(first, first, HERE, [np.zeros((3, 3))] * 2) is None
-    meeting.end("over")
-    assert meeting.records[0]["refused"] == 3
-    assert meeting.records[0]["match"]["reason"].startswith("ambiguous")
-
-
-@pytest.mark.parametrize("is_second_smaller", [True, False])
-def test_either_map_may_be_the_smaller_one(is_second_smaller):
-    corner = [[0, 2, 1.5, 2], [1.5, 2, 1.5, 2.4], [3, 0, 3, 1.2]]
-    whole, grid = room(4, 3, corner)
-    pose = np.array([0.5, 0.3, 0.0])
-    part = (turned(whole[[0, 2, 3, 4, 5, 6]], inverse(pose)), GridView(-pose[:2], 0.1, grid.values))
-    maps = [place_map(whole, grid), place_map(*part)]
-    first, second = maps if is_second_smaller else maps[::-1]
-    meeting, none = Meeting(), [np.zeros((3, 3))] * 2
-    assert meeting.seek(first, second, HERE, none) is None, "one match is not enough"
-    found = meeting.seek(first, second, HERE, none)
-    assert found is not None
-    np.testing.assert_allclose(found[0], pose if is_second_smaller else inverse(pose), atol=0.03)
-    assert np.linalg.eigvalsh(found[1]).min() > 0.0
 
 
 @pytest.mark.parametrize(

@@ -6,14 +6,12 @@ import numpy as np
 import pytest
 from support.halls import readings
 
-from limslam_agent import preset
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.kernels.rays import scan_poses
-from limslam_agent.places.absence import Absence
 from limslam_agent.places.localisation import KnownPlaces
-from limslam_agent.places.rays import rays_of
-from limslam_agent.places.recovery import _LOST_SPACING, Recovery
+from limslam_agent.places.search import PlaceSearch
 from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.status.rays import rays_of
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec
 
@@ -67,10 +65,9 @@ def test_more_places_of_a_large_map_are_weighed():
 
 
 def test_searches_of_a_large_map_are_farther_apart():
-    recovery = Recovery(ROBOT, preset("graph"))
+    ways = []
     for place in (SMALL, LARGE):
-        spacing = _LOST_SPACING * np.sqrt(place.size)
-        recovery.absence = Absence(None, 0, "", 0.0, place, moved=spacing - 1e-6)
-        assert not recovery.is_due()
-        recovery.absence.moved = spacing + 1e-6
-        assert recovery.is_due()
+        search = PlaceSearch(place)
+        search.wait()
+        ways.append(next(number for number in range(1000) if search.drive(np.array([0.01, 0.0, 0.0])) or search.is_due))
+    assert ways[1] == pytest.approx(ways[0] * np.sqrt(LARGE.size), abs=2.0)

@@ -4,16 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.halls import HALL, PART, ROBOT, SQUARE, STD, WAY, drive, known, poses_along
+from support.halls import HALL, PART, ROBOT, SQUARE, STD, WAY, drive, known
 
 from limslam_agent import preset
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.kernels.tables import RAY_LENGTH
-from limslam_agent.places.history import LoggedStep, StepLog
-from limslam_agent.places.localisation import LEAD, ON_MAP, KnownPlaces, PlaceFit, agree, localise
-from limslam_agent.places.rays import ends_of, have_ended, moved, rays_of
+from limslam_agent.places.history import StepLog
+from limslam_agent.places.localisation import LEAD, ON_MAP, KnownPlaces, agree, localise
 from limslam_agent.places.recovery import Recovery
 from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.status.known_map import PlaceFit
+from limslam_agent.status.rays import ends_of, have_ended, moved, rays_of
 from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from limslam_env.geometry.segment import distances
 
@@ -167,21 +168,6 @@ def test_a_drive_that_has_left_the_ground_of_the_map_is_still_found(whole):
     seen = np.concatenate((rays, away))
     found = whole.refined(whole.likely(seen), seen)
     assert np.hypot(*found[:, :2].T)[np.abs(found[:, 2]) < 0.1].min() < 0.1
-
-
-def test_a_place_with_little_evidence_is_no_better_than_ground_that_looks_alike(whole):
-    rays = rays_of(drive(PART, HALL), ROBOT)
-    few, many = (whole.weigh(np.zeros((1, 3)), some)[0] for some in (rays[:3], rays))
-    assert few.log_odds < 0.0
-    assert many.log_odds == many.is_on_map > 0.0
-
-
-def test_the_largest_correction_of_a_log_is_that_of_the_estimator():
-    poses = poses_along([[0.0, 0.0], [1.0, 0.0]], spacing=0.1)
-    poses[6:, 1] += 0.5
-    steps = [LoggedStep({}, pose, np.array([0.1, 0.0, 0.0]), np.zeros(6)) for pose in poses]
-    assert StepLog(0, steps).largest_correction == pytest.approx(0.5)
-    assert StepLog(0, steps[:6]).largest_correction == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_log_whose_first_steps_are_forgotten_gives_all_that_are_left():

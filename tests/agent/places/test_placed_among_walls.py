@@ -1,10 +1,9 @@
 """A kidnapped robot is placed among the walls that it was matched with, and is as uncertain as they are."""
 
 import numpy as np
-import pytest
 
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
-from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with, poses_moved_with
+from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with
 from limslam_agent.slam.consistent.wall_map import Wall
 from limslam_env.geometry.line import direction
 from limslam_env.geometry.segment import sample
@@ -50,6 +49,9 @@ def test_a_placed_robot_moves_with_the_walls_that_it_was_matched_with():
     )
 
 
+WORLD_OF_ONE = lines_moved_with((2.5, 1.0), LINES[:1] * [0.0, 1.0], np.array([[2.0, 0.0]]))[:, 1:]
+
+
 def test_a_placed_robot_is_independent_of_walls_that_say_nothing_of_its_place():
     """One wall says nothing of the position along it."""
     _, state = room_in_an_uncertain_world(1)
@@ -58,20 +60,3 @@ def test_a_placed_robot_is_independent_of_walls_that_say_nothing_of_its_place():
     np.testing.assert_allclose(by_lines[1:] @ WORLD_OF_ONE, [[1.0, 0.0], [0.0, 1.0]], atol=1e-12)
     assert not state.by_walls(POSE, ends(4)[-5:] + 1.0).any(), "no reading ends on the wall"
     assert room_in_an_uncertain_world(0)[1].by_walls(POSE, ends(4)).shape == (3, 0)
-
-
-WORLD_OF_ONE = lines_moved_with((2.5, 1.0), LINES[:1] * [0.0, 1.0], np.array([[2.0, 0.0]]))[:, 1:]
-
-
-def test_a_local_map_that_was_placed_moves_with_the_walls_too():
-    _, state = room_in_an_uncertain_world(4)
-    local = MapState(np.zeros(3), np.zeros((1, 2)), np.array([[1.0, 0.5]]), 1e-6 * np.eye(5), [Wall(0)])
-    joined = state.joined(local.moved(POSE, MATCH), ends(4))
-    np.testing.assert_allclose(joined.covariance[:3, :3], WORLD + MATCH, atol=1e-5)
-    by_world = lines_moved_with((0.0, 0.0), joined.lines, joined.anchors)
-    new = joined.covariance[-2, -2]
-    assert new == pytest.approx((by_world[-2:] @ WORLD @ by_world[-2:].T)[0, 0], abs=0.01)
-    # The new wall and the robot have the same error of the room.
-    shared = poses_moved_with((0.0, 0.0), POSE[None]) @ WORLD @ by_world[-2:].T
-    np.testing.assert_allclose(joined.covariance[:3, -2:], shared, atol=0.01)
-    assert np.linalg.eigvalsh(joined.covariance).min() > -1e-9

@@ -1,13 +1,12 @@
 """A robot that is carried away in the middle of an exploration goes on in a local frame and finds its place again."""
 
 import json
-import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from limslam_agent import LineSlam, Mapper, preset
+from limslam_agent import Mapper, preset
 from limslam_agent.config.presets import with_until
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.output.summary import record_summary
@@ -18,14 +17,12 @@ from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import score, write_episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.runs.smoothing import final_status
-from limslam_agent.slam.consistent.map_state import MapState
-from limslam_agent.slam.consistent.wall_map import Wall
 from limslam_agent.slam.core.motion import OdometryCalibration
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph.problem import make_problem, state_from_motions, state_from_poses
 from limslam_agent.slam.line_graph.smoother import FilteredRun, with_breaks
 from limslam_agent.status.status import Status
-from limslam_env.geometry.se2 import compose, transform_points, wrap_angle
+from limslam_env.geometry.se2 import compose, wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.worlds.world import WorldError
 
@@ -110,7 +107,7 @@ def test_the_folder_says_what_happened(episode, tmp_path):
 def test_a_robot_that_never_finds_its_place_keeps_its_earlier_map(tmp_path, monkeypatch):
     settings = with_until(preset("graph", NominalNoise(NOISE)), "walls")
     # The robot never drives as far as it has to before it looks for its place.
-    monkeypatch.setattr("limslam_agent.places.recovery._LOST_FIRST", 1e3)
+    monkeypatch.setattr("limslam_agent.places.search._FIRST", 1e3)
     config = RunConfig("env3", NOISE, seed=113, kidnap_at=30.0, max_time=50.0, settings=settings)
     episode = run_episode(config)
     assert (episode.places.breaks, episode.places.revisions) == ([], [])
@@ -129,32 +126,6 @@ def test_a_robot_that_never_finds_its_place_keeps_its_earlier_map(tmp_path, monk
     scores = score(episode)
     assert scores["wall_f1_aligned"] > scores["wall_f1"] - 0.05
     assert scores["wall_f1_aligned_online"] > scores["wall_f1_online"] - 0.05
-
-
-def test_a_robot_that_was_lost_for_long_knows_afterwards_when_it_was_carried_away(monkeypatch):
-    joined, join = [], LineSlam.join
-
-    def noted(slam, *others):
-        join(slam, *others)
-        joined.append(slam.pose[:2])
-
-    monkeypatch.setattr(LineSlam, "join", noted)
-    settings = with_until(preset("graph", NominalNoise(NOISE)), "walls")
-    # Only the last 10 s are kept, and the search begins later than that.
-    for name, value in {"LONGEST": 100, "_LOST_FIRST": 3.0, "_LOST_SPACING": 0.1}.items():
-        monkeypatch.setattr(f"limslam_agent.places.recovery.{name}", value)
-    config = RunConfig("env3", NOISE, seed=110, kidnap_at=90.0, max_time=125.0, settings=settings)
-    episode = run_episode(config)
-    events = {event["event"]: event for event in episode.places.records}
-    assert events["found"]["step"] > 900 + 110
-    assert episode.places.breaks == [900]
-    poses, covariances = revised(episode.estimated, episode.covariances, episode.places.revisions)
-    assert errors(poses, episode.true).max() < 0.3
-    assert errors(episode.estimated, episode.true)[910:1000].min() > 0.5
-    assert len(joined) == 1, "the map has the walls of the steps that are no longer kept"
-    assert np.hypot(*(joined[0] - episode.true[900:1010, 0, :2]).T).min() < 0.1
-    assert covariances[900:, 0, 0, 0].max() < 1.0
-    assert errors(episode.smoothed.poses, episode.true).max() < 0.25
 
 
 def test_settings_without_a_search_leave_a_robot_lost():
@@ -342,41 +313,3 @@ def test_a_frame_gets_back_what_was_found_in_a_local_frame(episode, monkeypatch)
     assert mapper.frame == 2
     assert mapper.slam.odometry_calibration is not None
     assert mapper.slam.sensor == SENSOR
-
-
-def test_a_local_map_joins_the_known_map_with_its_pose(episode):
-    def drive(start, steps):
-        mapper = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), start)
-        for number in steps:
-            wheels = episode.wheels[number, 0] * (number > steps.start)
-            mapper.step({"ranges": episode.ranges[number, 0], "wheels": wheels})
-        return mapper
-
-    known, local = drive(episode.true[0, 0], range(300)), drive(np.zeros(3), range(299, 500))
-    frame, covariance = known.slam.pose, known.slam.covariance
-    alone = known.slam.map_state
-    known.slam.join(local.slam, frame, covariance, np.empty((0, 2)))
-    known._present.grid.absorb(local.grid, frame)
-    both = known.slam.map_state
-    assert np.hypot(*(known.slam.pose - episode.true[499, 0])[:2]) < 0.15
-    off = known.slam.pose - compose(frame, local.slam.pose)
-    assert np.abs(off).max() < 0.15
-    assert len(both.walls) > len(alone.walls)
-    assert np.linalg.eigvalsh(both.covariance).min() > -1e-9
-    cells = known.grid.cells(compose(frame, np.array([local.slam.pose]))[:, :2])
-    assert (known.grid.values[tuple(cells.T)] > 0).all()
-
-
-def test_a_match_moves_lines_and_their_covariance_with_the_pose():
-    lines, anchors = np.array([[0.2, 0.7]]), np.array([[1.0, 2.0]])
-    state = MapState(np.array([0.5, 0.2, 0.3]), lines, anchors, 0.01 * np.eye(5), [Wall(0)])
-    frame = np.array([3.0, -1.0, 1.1])
-    moved = state.moved(frame, np.zeros((3, 3)))
-    np.testing.assert_allclose(moved.pose, compose(frame, state.pose))
-    foot, normal = anchors + 0.2 * np.array([math.cos(0.7), math.sin(0.7)]), np.array([math.cos(1.8), math.sin(1.8)])
-    np.testing.assert_allclose(moved.anchors + 0.2 * normal, transform_points(frame, foot))
-    # A turn of the match about the robot moves the line by its lever.
-    turned = state.moved(frame, np.diag([0.0, 0.0, 1e-6])).covariance - moved.covariance
-    lever = moved.anchors[0] - moved.pose[:2]
-    across = float(normal @ np.array([-lever[1], lever[0]]))
-    np.testing.assert_allclose(turned[2:, 2:], 1e-6 * np.outer([1.0, across, 1.0], [1.0, across, 1.0]), atol=1e-12)

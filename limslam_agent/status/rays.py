@@ -1,4 +1,4 @@
-"""The readings of a drive as rays in its own frame: what is compared with a map to find the place of the drive."""
+"""The readings of a drive as rays in its own frame: what is compared with a map."""
 
 import math
 from collections.abc import Sequence
@@ -8,7 +8,6 @@ import numpy as np
 
 from limslam_agent.kernels.tables import RAY_LENGTH, RAY_REACH, RAY_TO_X, RAY_X
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.sudden_changes import dropouts
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec
@@ -19,6 +18,10 @@ for the others, m. What is seen twice is no news."""
 
 _BEAMS = 36  # largest number of beams whose readings are used: neighbours of so many see nearly the same
 _STEPS, _RAYS = 1500, 600  # largest number of latest steps and rays: the frame of a longer drive is bent
+
+
+LASTING = 4
+"""Number of steps in succession in which a beam has to see nothing, so that it is no dropout of the sensor."""
 
 
 class Seen(Protocol):
@@ -34,7 +37,8 @@ class Seen(Protocol):
 
 
 def rays_of(steps: Sequence[Seen], robot: RobotSpec, sensor: RangeSensor | None = None) -> FloatArray:
-    """The latest rays (n, 6) of steps, in the order of time: origin, direction, reading and longest reading, m.
+    """The latest rays (n, 7) of steps, in the order of time: origin, direction, reading and longest
+    reading, m, and number of the beam.
 
     A beam that has seen nothing has its longest reading. A reading that says nothing, because it is not new, too short,
     or perhaps missed by the sensor, has no ray. ``robot`` has its beams as specified. ``sensor`` is known to turn beams
@@ -52,18 +56,20 @@ def rays_of(steps: Sequence[Seen], robot: RobotSpec, sensor: RangeSensor | None 
     directions = np.einsum("tij,bj->tbi", turns, robot.beam_directions[used])
     reaches = np.broadcast_to(robot.max_ranges[used], ranges.shape)
     lengths = _lengths(ranges, bias, seen_nothing, reaches)
-    rays = np.concatenate((origins, directions, lengths[..., None], reaches[..., None]), axis=2)[usable]
+    numbers = np.broadcast_to(np.arange(len(robot.beams), dtype=float)[used], ranges.shape)
+    others = (each[..., None] for each in (lengths, reaches, numbers))
+    rays = np.concatenate((origins, directions, *others), axis=2)[usable]
     return np.ascontiguousarray(rays[_latest(rays)][-_RAYS:])
 
 
 def step_rays(ranges: FloatArray, robot: RobotSpec, bias: float) -> FloatArray:
-    """The rays (m, 6) of the readings (n_beams,), m, of one step, in the frame of the robot.
+    """The rays (m, 7) of the readings (n_beams,), m, of one step, in the frame of the robot.
 
     ``robot`` has its beams as they are mounted, and its readings are too long by ``bias``, m. Readings that saw nothing
     count, since no other step says whether they are dropouts.
     """
     lengths = _lengths(ranges, bias, ranges >= robot.too_far, robot.max_ranges)
-    columns = robot.beam_origins, robot.beam_directions, lengths, robot.max_ranges
+    columns = robot.beam_origins, robot.beam_directions, lengths, robot.max_ranges, np.arange(len(ranges))
     return np.ascontiguousarray(np.column_stack(columns)[ranges > robot.too_near])
 
 
@@ -84,8 +90,20 @@ def _missed(seen_nothing: BoolArray, measured: BoolArray) -> BoolArray:
     return found
 
 
+def dropouts(nothing: BoolArray) -> BoolArray:
+    """Which of the readings (m, n_beams) may have seen nothing only because the sensor missed what was there.
+
+    ``nothing`` says whether each beam saw nothing in each of successive steps (m, n_beams).
+    """
+    from limslam_agent.kernels.readings import mark_dropouts
+
+    found = np.empty(nothing.shape, dtype=bool)
+    mark_dropouts(nothing, LASTING, found)
+    return found
+
+
 def moved(rays: FloatArray, pose: FloatArray) -> FloatArray:
-    """The rays (n, 6) with their frame at a pose (3,)."""
+    """The rays (n, 7) with their frame at a pose (3,)."""
     result = rays.copy()
     result[:, RAY_X:RAY_TO_X] = transform_points(pose, rays[:, RAY_X:RAY_TO_X])
     result[:, RAY_TO_X:RAY_LENGTH] = transform_points(np.array([0.0, 0.0, pose[2]]), rays[:, RAY_TO_X:RAY_LENGTH])
@@ -93,12 +111,12 @@ def moved(rays: FloatArray, pose: FloatArray) -> FloatArray:
 
 
 def ends_of(rays: FloatArray) -> FloatArray:
-    """Where the rays (n, 6) end (n, 2), m."""
+    """Where the rays (n, 7) end (n, 2), m."""
     return rays[:, RAY_X:RAY_TO_X] + rays[:, RAY_LENGTH, None] * rays[:, RAY_TO_X:RAY_LENGTH]
 
 
 def wall_points(rays: FloatArray) -> FloatArray:
-    """Where those of the rays (n, 6) end that have seen something (m, 2), m."""
+    """Where those of the rays (n, 7) end that have seen something (m, 2), m."""
     return ends_of(rays[have_ended(rays)])
 
 

@@ -1,0 +1,216 @@
+"""Whether readings fit a map: the one likelihood of readings given a map, and the test of their contradictions.
+
+Each ray (:mod:`~limslam_agent.status.rays`) is compared with what the map predicts for it: a wall at a distance, free
+ground, or unknown ground, of which a reading says nothing. The *evidence* of rays is the logarithm of their likelihood,
+less that of readings at a random place. A ray *contradicts* the map if it passes through a wall, or ends where the map
+is known to be free. Hardly a ray does so at the right place, and many do at a wrong one, so that the number of
+contradictions is tested by a sequential test of their rate (A. Wald, "Sequential tests of statistical hypotheses",
+1945).
+"""
+
+import math
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limslam_agent.grid.occupancy import GridView
+from limslam_agent.kernels.tables import RAY_REACH, RAY_TO_X, RAY_X
+from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.status.rays import have_ended
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.se2 import compose
+
+_MAP_STD = 0.045  # m: standard deviation of a wall's place in the map as seen from a refined pose
+_RIGHT, _WRONG = 0.005, 0.12  # shares of rays that contradict a map at the right place, and at a wrong one
+_RIGHT_IF_BENT = 0.02  # the first share in a map that may be bent, or whose furniture may have been moved
+_WALL_COLUMNS = 5
+_STARTS = (-0.3, 0.0, 0.3), (-math.radians(8.0), 0.0, math.radians(8.0))  # m, rad: where poses near by are looked for
+_DEVIATIONS = -2.0, -1.0, 0.0, 1.0, 2.0  # and along each axis of the covariance, in standard deviations
+_LIKELY = 4.5  # a pose with at most this cost is near, however far it is: 3 standard deviations
+_LEAST_STD, _LEAST_TURN = 0.05, math.radians(1.0)  # m, rad: least deviation of the pose with respect to the map
+_OWN = 0.5  # part of the pose's standard deviation that the walls near by do not share
+
+DRIFT = 0.5, math.radians(15.0)
+"""A robot that is off by less than this, m and rad, may have drifted, whatever its readings say of its motion."""
+
+
+def contradiction_test(contradicting: int, tested: int, *, may_be_bent: bool = False) -> float:
+    """Logarithm of the likelihood ratio of a wrong place and of the right one, by the number of contradictions.
+
+    ``tested`` is the number of rays that could have contradicted the map.
+    """
+    right = _RIGHT_IF_BENT if may_be_bent else _RIGHT
+    fitting = tested - contradicting
+    return contradicting * math.log(_WRONG / right) + fitting * math.log((1.0 - _WRONG) / (1.0 - right))
+
+
+class Explained(NamedTuple):
+    """What a map says of n rays in its frame, each (n,).
+
+    Attributes
+    ----------
+    evidence
+        Logarithm of the likelihood of the reading, less that at a random place.
+    against
+        Distance along the ray at which it contradicts the map, m; 0 if it does not. It is less than the reading if the
+        ray has passed through a wall.
+    tested
+        Whether it could have contradicted the map.
+    """
+
+    evidence: FloatArray
+    against: FloatArray
+    tested: BoolArray
+
+    @property
+    def test(self) -> FloatArray:
+        """What each ray contributes (n,) to :func:`contradiction_test`."""
+        at_all = np.where(self.against > 0.0, contradiction_test(1, 1), contradiction_test(0, 1))
+        return np.where(self.tested, at_all, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class PlaceFit:
+    """A pose of a drive's frame in a map, and how well its rays agree with the map there.
+
+    Attributes
+    ----------
+    pose
+        The pose (3,), m and rad.
+    evidence
+        Logarithm of the likelihood of the readings, less that at a random place.
+    contradictions, tested
+        Number of rays that contradict the map, and of those that could have done so.
+    """
+
+    pose: FloatArray
+    evidence: float
+    contradictions: int
+    tested: int
+
+    @property
+    def is_on_map(self) -> float:
+        """Logarithm of the likelihood ratio of the contradictions: of the right place in a map that may be bent, and of
+        ground like it.
+        """
+        return -contradiction_test(self.contradictions, self.tested, may_be_bent=True)
+
+    @property
+    def is_on_sound_map(self) -> float:
+        """The same in a map that is not bent."""
+        return -contradiction_test(self.contradictions, self.tested)
+
+
+class KnownMap:
+    """A map with which readings are compared.
+
+    Parameters
+    ----------
+    segments, grid
+        Walls (k, 4), m, and occupancy grid, which must not change as long as the map is used.
+    sensor
+        How the ranges are measured. It may be assigned anew. Their bias is that of the rays.
+    """
+
+    def __init__(self, segments: FloatArray, grid: GridView, sensor: RangeSensor) -> None:
+        self.segments, self.grid, self.sensor = np.ascontiguousarray(segments), grid, sensor
+
+    @property
+    def frozen(self) -> "KnownMap":
+        """The map as it is now, which later steps do not change. The values of a grid's view change with the grid."""
+        return KnownMap(self.segments, replace(self.grid, values=self.grid.values.copy()), self.sensor)
+
+    def weigh(self, poses: FloatArray, rays: FloatArray) -> list[PlaceFit]:
+        """How well rays (n, 7) fit the map, for poses (m, 3) of their frame."""
+        from limslam_agent.kernels.rays import weigh_poses
+
+        evidence, counts = np.empty(len(poses)), np.empty((len(poses), 2), dtype=np.int64)
+        weigh_poses(
+            np.ascontiguousarray(poses), rays, self.segments, *self._as_arrays, (self._variance(rays), 0.0),
+            float(self.sensor.cone), evidence, counts,
+        )  # fmt: skip
+        return [PlaceFit(*each) for each in zip(poses, evidence.tolist(), *counts.T.tolist(), strict=True)]
+
+    def explained(self, rays: FloatArray, covariance: FloatArray | None = None) -> Explained:
+        """What the map says of rays (n, 7) in its frame.
+
+        ``covariance`` (3, 3) is that of the poses of the robot relative to the map; zero without it.
+        """
+        from limslam_agent.kernels.rays import weigh_rays
+
+        near, turning = self._variance(rays), 0.0
+        if covariance is not None:
+            near, turning = near + float(covariance[0, 0] + covariance[1, 1]), float(covariance[2, 2])
+        found = np.empty((len(rays), 3))
+        weigh_rays(rays, self.segments, *self._as_arrays, (near, turning), float(self.sensor.cone), found)
+        return Explained(found[:, 0], found[:, 1], found[:, 2] > 0.0)
+
+    def refined(self, poses: FloatArray, rays: FloatArray) -> FloatArray:
+        """Poses (m, 3), moved so that the ends of the rays (n, 7) lie on walls."""
+        from limslam_agent.kernels.rays import refine_poses
+
+        ended, walls = rays[have_ended(rays)], np.empty((len(self.segments), _WALL_COLUMNS))
+        # Poses of the middle of the rays, which a turn leaves where it is.
+        middle = np.array([*rays[:, RAY_X:RAY_TO_X].mean(axis=0), 0.0])
+        ended[:, RAY_X:RAY_TO_X] -= middle[:2]
+        placed = compose(poses, middle)
+        refine_poses(placed, ended, self.segments, float(self.sensor.cone), walls, np.empty((3, 3)), np.empty(3))
+        return np.asarray(compose(placed, -middle))
+
+    def fit_here(self, rays: FloatArray) -> PlaceFit:
+        """How well rays (n, 7) fit the map where they are."""
+        return self.weigh(np.zeros((1, 3)), rays)[0]
+
+    @property
+    def _as_arrays(self) -> tuple[FloatArray, NDArray[np.int16], FloatArray, float]:
+        """Scratch for the walls, and the grid's values, corner and cell, as the kernels take them."""
+        grid = self.grid
+        # One kind of array, or the kernels would be compiled for each kind.
+        values = np.array(grid.values) if not grid.values.flags.writeable else grid.values
+        return np.empty((len(self.segments), _WALL_COLUMNS)), values, np.asarray(grid.low), float(grid.cell)
+
+    def _variance(self, rays: FloatArray) -> float:
+        return _MAP_STD**2 + self.sensor.usual_std(float(rays[:, RAY_REACH].max(initial=0.0))) ** 2
+
+
+class NearFit(NamedTuple):
+    """The likeliest pose of a drive near the believed pose: how its rays fit there, and the cost of being off so far.
+
+    The cost is half the squared Mahalanobis distance.
+    """
+
+    fit: PlaceFit
+    cost: float
+
+    @property
+    def evidence(self) -> float:
+        """Evidence of the rays, less the cost."""
+        return self.fit.evidence - self.cost
+
+
+def near_fit(known: KnownMap, rays: FloatArray, covariance: FloatArray) -> NearFit:
+    """The likeliest pose of rays (n, 7) near the believed pose, the origin, whose covariance (3, 3) is given.
+
+    A pose is near within ``DRIFT``, or within 3 standard deviations of the part of the pose's error that the walls near
+    by do not share. Without rays, the believed pose is as likely as any.
+    """
+    if not len(rays):
+        return NearFit(known.fit_here(rays), 0.0)
+    middle = rays[:, :2].mean(axis=0)
+    about, back = np.array([*middle, 0.0]), np.array([*-middle, 0.0])
+    spread = _OWN**2 * covariance + np.diag([_LEAST_STD**2, _LEAST_STD**2, _LEAST_TURN**2])
+    variances, axes = np.linalg.eigh(spread)
+    likely = np.array(list(product(_DEVIATIONS, repeat=3))) * np.sqrt(variances) @ axes.T
+    grid = np.array(list(product(_STARTS[0], _STARTS[0], _STARTS[1])))
+    starts = compose(compose(about, np.concatenate((likely, grid))), back)
+    # With few rays, a refinement may lead away from the right pose.
+    poses = np.concatenate((starts[: len(likely)], known.refined(starts, rays)))
+    off = compose(compose(back, poses), about)
+    costs = 0.5 * np.einsum("ni,ij,nj->n", off, np.linalg.inv(spread), off)
+    is_near = (np.hypot(off[:, 0], off[:, 1]) < DRIFT[0]) & (np.abs(off[:, 2]) < DRIFT[1])
+    is_near |= costs < _LIKELY
+    found = map(NearFit, known.weigh(poses[is_near], rays), costs[is_near].tolist())
+    return max(found, key=lambda each: each.evidence)
