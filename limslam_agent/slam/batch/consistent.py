@@ -22,7 +22,7 @@ from limslam_agent.slam.batch.clone_ekf import (
 from limslam_agent.slam.batch.compilation import algebra, compiled
 from limslam_agent.slam.batch.hough import extract_lines
 from limslam_agent.slam.batch.pending_readings import collect, is_due, place_of, readings_of
-from limslam_agent.slam.batch.segmentation import ANGLE_STD, EXTENT, MIDDLE_X, MIDDLE_Y, THETA, hole, wall_segments
+from limslam_agent.slam.batch.segmentation import ANGLE_STD, EXTENT, MIDDLE_X, MIDDLE_Y, THETA, wall_segments
 from limslam_agent.slam.batch.state import (
     CLONE,
     CLONES,
@@ -50,7 +50,6 @@ from limslam_agent.slam.batch.wall_map import (
 from limslam_agent.slam.batch.wall_map import merge as merge_walls
 from limslam_agent.slam.consistent.consistent import SHORTEST
 from limslam_agent.slam.consistent.limits import (
-    AMBIGUITY,
     BEYOND_ANGLE_STD,
     BEYOND_GATE,
     BEYOND_LENGTH,
@@ -206,14 +205,12 @@ def incorporate(
             break
         number = candidates(ekf, walls, places, readings, points, segment, settings, scores, rows, details)
     best, second = scores[0] if number else np.inf, scores[1] if number > 1 else np.inf
-    if second <= settings.gate and second - best < AMBIGUITY:
-        return True
     is_enough = len(points) >= settings.new_readings * settings.std
-    is_sure = is_enough and segment[ANGLE_STD] <= MAX_ANGLE_STD and is_whole(points, segment, settings)
+    is_sure = is_enough and segment[ANGLE_STD] <= MAX_ANGLE_STD
     gate = FAR_GATE if is_sure and second >= FAR_GATE else settings.gate
     if best <= gate:
         index = rows[0]
-        if not fits(ekf, walls, index, points, segment, settings, best, details[index, 0], details[index, 1]):
+        if not fits(ekf, walls, index, points, segment, best, details[index, 0], details[index, 1]):
             return False
         update(ekf, walls, places, readings, index, settings, ITERATIONS)
         return True
@@ -314,8 +311,8 @@ def is_near(
 
 @algebra
 def fits(
-    ekf: Filter, walls: Walls, index: int, points: FloatArray, segment: FloatArray, settings: Settings,
-    of_line: float, left: float, used: float,
+    ekf: Filter, walls: Walls, index: int, points: FloatArray, segment: FloatArray, of_line: float, left: float,
+    used: float,
 ) -> bool:  # fmt: skip
     """Whether a wall segment of a known landmark is good enough to update by."""
     if turn_between(ekf.x, index, segment[THETA]) > max(MIN_KINK, TURN_SIGMAS * segment[ANGLE_STD]):
@@ -326,19 +323,8 @@ def fits(
     (low, high), inside = ends_of(walls, index), 0
     for along in along_line(ekf, index, points):
         inside += low - END_SLACK < along < high + END_SLACK
-    is_clear = (
-        segment[EXTENT] >= BEYOND_LENGTH
-        and of_line <= BEYOND_GATE
-        and segment[ANGLE_STD] <= BEYOND_ANGLE_STD
-        and is_whole(points, segment, settings)
-    )
+    is_clear = segment[EXTENT] >= BEYOND_LENGTH and of_line <= BEYOND_GATE and segment[ANGLE_STD] <= BEYOND_ANGLE_STD
     return inside / len(points) >= 0.5 or is_clear
-
-
-@algebra
-def is_whole(points: FloatArray, segment: FloatArray, settings: Settings) -> bool:
-    """Whether no hole in a segment is so wide that its points may lie on two walls."""
-    return hole(points, segment[THETA]) <= settings.max_hole
 
 
 @algebra

@@ -27,7 +27,7 @@ from limslam_agent.slam.batch.state import Filter, Settings
 from limslam_agent.slam.consistent.segmentation import AROUND_KINK, DEEPEST
 from limslam_env.geometry import FloatArray, IntArray
 
-__all__ = ["ANGLE_STD", "EXTENT", "MIDDLE_X", "MIDDLE_Y", "THETA", "hole", "wall_segments"]
+__all__ = ["ANGLE_STD", "EXTENT", "MIDDLE_X", "MIDDLE_Y", "THETA", "wall_segments"]
 
 MOST_SEGMENTS = 2**DEEPEST
 
@@ -71,15 +71,6 @@ def wall_segments(
         else:
             own.append(these)
     return segments, own[1:]
-
-
-@algebra
-def hole(points: FloatArray, theta: float) -> float:
-    """Largest distance between neighbouring points (n, 2) along a wall whose normal has the direction theta, m."""
-    cos, sin, along = math.cos(theta), math.sin(theta), np.empty(len(points))
-    for i in range(len(points)):
-        along[i] = -sin * points[i, 0] + cos * points[i, 1]
-    return np.diff(np.sort(along)).max()
 
 
 @algebra

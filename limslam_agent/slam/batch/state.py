@@ -160,7 +160,6 @@ class Settings(NamedTuple):
     theta_step: float
     near_line: float
     segment_gap: float
-    max_hole: float
     segment_length: float
     only_best: bool
     cell: float
@@ -194,7 +193,6 @@ def spec_of(robot: RobotSpec, config: AgentConfig, estimator: ConsistentConfig) 
         "wheel_variance": config.noise.wheel_variance,
         "axle": robot.axle,
         "radius": robot.radius,
-        "max_hole": estimator.segmentation.max_hole_share * robot.reach,
         "new_length": creation.min_length,
         "new_readings": creation.readings_per_std,
         "closes_loops": estimator.merging.enabled,

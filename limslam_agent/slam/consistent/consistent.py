@@ -103,8 +103,8 @@ class ConsistentEstimator(Estimator):
     def association_limits(self) -> dict[str, float]:
         """The limits that decide about associations and loops, for diagnostics to show beside the values."""
         return {
-            "gate": self._settings.association.gate, "far_gate": limits.FAR_GATE, "ambiguity": limits.AMBIGUITY,
-            "angle": limits.MAX_ANGLE, "offset": limits.MAX_OFFSET, "gap": limits.MAX_END_GAP,
+            "gate": self._settings.association.gate, "far_gate": limits.FAR_GATE, "angle": limits.MAX_ANGLE,
+            "offset": limits.MAX_OFFSET, "gap": limits.MAX_END_GAP,
             "loop_gate": limits.ONE_WALL_GATE, "loop_overlap": limits.MIN_OVERLAP, "loop_offset": limits.MAX_OFFSET,
         }  # fmt: skip
 
@@ -327,8 +327,6 @@ class ConsistentEstimator(Estimator):
             self.on_comparison(
                 comparison(robot, step, readings, segment, known, other_side, self._filter, self._map, gate)
             )
-        if second <= usual_gate and second - best < limits.AMBIGUITY:
-            return True
         if best <= gate:
             return self._observe(robot, step, readings, segment, candidates[0])
         least = limits.LENGTH_IF_COMPLETE if is_complete else self._settings.creation.min_length
@@ -418,18 +416,13 @@ class ConsistentEstimator(Estimator):
             segment.length >= limits.BEYOND_LENGTH
             and known.of_line <= limits.BEYOND_GATE
             and segment.angle_std <= limits.BEYOND_ANGLE_STD
-            and self._is_whole(segment)
         )
         return bool(is_inside or is_clear)
 
     def _is_sure(self, segment: WallSegment) -> bool:
         """Whether a segment is good enough for a new landmark, but for its length."""
         is_enough = len(segment.members) >= self._settings.creation.readings_per_std * self._usual_std
-        return bool(is_enough and segment.angle_std <= limits.MAX_ANGLE_STD and self._is_whole(segment))
-
-    def _is_whole(self, segment: WallSegment) -> bool:
-        """Whether no hole in a segment is so wide that its points may lie on two walls."""
-        return segment.hole <= self._settings.segmentation.max_hole_share * self.robot.reach
+        return bool(is_enough and segment.angle_std <= limits.MAX_ANGLE_STD)
 
     def _add(self, robot: int, step: int, readings: Readings, segment: WallSegment) -> None:
         self._sensor.count(segment)

@@ -28,9 +28,6 @@ They update the landmark if every other one has this chi-square or more, and if 
 ends and would be good enough for a new landmark but for their length. Otherwise they stay pending.
 """
 
-AMBIGUITY = 9.0
-"""Readings are discarded if the chi-square of a second landmark within the gate is larger by less than this."""
-
 # Updates of a landmark by a piece of wall.
 LEAST_LENGTH = 0.15
 """Shorter pieces update nothing."""

@@ -64,12 +64,6 @@ class WallSegment:
     residuals: FloatArray
     ranges: FloatArray
 
-    @property
-    def hole(self) -> float:
-        """Largest distance between neighbouring end points along the wall, m."""
-        along = np.sort(self.points @ direction(np.array([0.0, self.theta])))
-        return float(np.diff(along).max())
-
 
 class _Fit(NamedTuple):
     """A fitted segment, where its readings are along it, and what splits it."""

@@ -154,16 +154,6 @@ def test_cones_are_modelled_alike(cone: float) -> None:
     assert np.abs(slam.pose - followed(observations, stated)[0].pose).max() > 1e-3
 
 
-def test_walls_with_a_hole_between_them_create_no_landmark_alike() -> None:
-    config = config_of(0.0)
-    assert isinstance(config.estimator, ConsistentConfig)
-    segmentation = replace(config.estimator.segmentation, max_hole_share=9.0)
-    bridging = replace(config, estimator=replace(config.estimator, segmentation=segmentation))
-    walls = np.array([[2.0, -2.0, 2.0, -0.2], [2.0, 0.2, 2.0, 2.0]])
-    observations, _ = drive(walls, START, straight(1.0))
-    assert [followed(observations, each)[1].num_landmarks[0] for each in (config, bridging)] == [0, 1]
-
-
 def test_walls_are_taken_back_alike() -> None:
     walls = np.array([[-1.0, 0.5, 4.0, 0.5], [-1.0, -0.5, 4.0, -0.5]])
     there, _ = drive(walls, START, straight(2.0))

@@ -83,7 +83,7 @@ def test_association_gates(recorded: ConsistentEstimator, state: States) -> None
         for left in (0.0, 100.0):
             for index in range(recorded._filter.num_lines):
                 known = _Candidate(5.0, left, 20, index)
-                told_fit = fits(ekf, state.walls, index, segment.points, row, settings, 5.0, left, 20.0)
+                told_fit = fits(ekf, state.walls, index, segment.points, row, 5.0, left, 20.0)
                 assert told_fit == recorded._fits(segment, known)
                 fitting.add(bool(told_fit))
     assert compared > 5

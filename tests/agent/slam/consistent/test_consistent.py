@@ -24,8 +24,6 @@ from support.drives import (
 
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig, preset
-from limslam_agent.runs.episode import run_episode
-from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.slam.consistent.consistent import ConsistentEstimator
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Comparison
 from limslam_agent.slam.core.line_map import Landmark
@@ -65,15 +63,6 @@ ROOM = np.vstack((room(-0.5, -0.5, 3.5, 2.5), room(0.5, 0.5, 2.5, 1.5)))
 def with_creation(**changes: float) -> AgentConfig:
     """The settings with other ones for new landmarks."""
     return replace(CONFIG, estimator=replace(SETTINGS, creation=replace(SETTINGS.creation, **changes)))
-
-
-def with_max_hole(config: AgentConfig, share: float) -> AgentConfig:
-    """Settings with another widest hole of a segment, m."""
-    estimator = config.estimator
-    assert isinstance(estimator, ConsistentConfig)
-    return replace(
-        config, estimator=replace(estimator, segmentation=replace(estimator.segmentation, max_hole_share=share))
-    )
 
 
 def off_line(mark: Landmark, wall: FloatArray) -> FloatArray:
@@ -130,52 +119,6 @@ def test_a_new_landmark_is_made_of_enough_readings() -> None:
     more = with_creation(readings_per_std=(count + 0.5) / CONFIG.range_std)
     _, later = slam_after(observations, more, np.zeros(3))
     assert all(len(record.readings) > count for record in later if record.is_new)
-
-
-@pytest.mark.parametrize("noise", [0.0, 0.02])
-@pytest.mark.parametrize("door", [0.0, 0.4, 0.6])
-def test_two_walls_ahead_with_a_hole_between_them_create_no_landmark(noise: float, door: float) -> None:
-    # Two beams 30 degrees apart see a wall ahead at two places, and nothing in between.
-    walls = np.array([[2.0, -2.0, 2.0, -0.5 * door], [2.0, 0.5 * door, 2.0, 2.0]])
-    observations, _ = drive(walls, np.zeros(3), straight(1.0), noise=noise)
-    config = preset("consistent", NominalNoise(noise))
-    slam, records = slam_after(observations, config, np.zeros(3))
-    assert not records
-    assert not slam.all_landmarks
-    # Without the limit the two walls become one landmark.
-    bridged, _ = slam_after(observations, with_max_hole(config, 9.0), np.zeros(3))
-    assert len(bridged.all_landmarks) == 1
-
-
-def test_a_segment_with_a_hole_updates_a_landmark_inside_its_known_ends() -> None:
-    # Along a wall to the left, back to its middle, and then straight towards it.
-    wall = np.array([[-1.0, 1.0, 4.0, 1.0]])
-    wheels = [*straight(3.0), *straight(-1.5), *turn(90.0), *straight(0.2)]
-    observations, poses = drive(wall, np.zeros(3), wheels)
-    slam, records = slam_after(observations, CONFIG, np.zeros(3))
-    towards = len(observations) - len(straight(0.2))
-    ahead = [record for record in records if record.readings[:, 0].min() >= towards]
-    ahead = [record for record in ahead if set(record.readings[:, 1].tolist()) == {2, 3}]
-    assert ahead
-    for record in ahead:
-        left, right = (record.readings[record.readings[:, 1] == beam] for beam in (2, 3))
-        hits = [hits_of(poses, observations, each)[:, 0] for each in (left, right)]
-        assert hits[1].min() - hits[0].max() > SETTINGS.segmentation.max_hole_share * ROBOT.reach
-        assert not record.is_new
-    assert len(slam.all_landmarks) == 1
-
-
-def largest_error(config: AgentConfig) -> float:
-    """Largest error of the position, m, in the first minute of a tour of the world env3."""
-    run = RunConfig("env3", seed=112, policy="tour", max_time=60.0, settings=config)
-    episode = run_episode(run)
-    return float(np.linalg.norm((episode.estimated - episode.true)[..., :2], axis=-1).max())
-
-
-def test_a_tour_of_env3_is_not_bent_where_segments_bridge_holes() -> None:
-    # The two beams ahead see two facets of a rounded obstacle as one segment.
-    assert largest_error(CONFIG) < 0.04
-    assert largest_error(with_max_hole(CONFIG, 9.0)) > 0.07
 
 
 @pytest.mark.parametrize("end", [0.8, 0.9, 1.0, 1.1])
