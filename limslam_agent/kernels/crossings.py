@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from limslam_agent.kernels.algebra import wrapped
 from limslam_agent.kernels.compilation import compiled, lean_entry
-from limslam_agent.kernels.range_sensor import reading_of
+from limslam_agent.kernels.measurement import reading_of
 from limslam_agent.kernels.tables import ANGLE, FARTHEST, FROM_X, FROM_Y, TOO_FAR, TOO_NEAR, TOWARDS_X, TOWARDS_Y
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_agent.slam.consistent.wall_extent import BIN
+from limslam_agent.kernels.tables import BIN
 from limslam_agent.slam.line_graph import line_kernels as kernels
 from limslam_agent.slam.line_graph.line_smoother import calibration_chi_square, wheel_chi_square
 from limslam_agent.slam.line_graph.problem import Problem

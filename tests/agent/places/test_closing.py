@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from support.halls import HALL, PART, ROBOT, SENSOR, WAY, drive, known
+from support.walls import wall_along
 
 from limslam_agent import preset
 from limslam_agent.config.exploration import GridConfig
@@ -16,7 +17,6 @@ from limslam_agent.places.localisation import FAR_SHARE, Localisation, PlaceFit,
 from limslam_agent.places.rays import rays_of
 from limslam_agent.places.recovery import Recovery
 from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with, poses_moved_with
-from limslam_agent.slam.consistent.wall_map import Wall
 from limslam_agent.status.status import Status
 from limslam_env.geometry.line import direction, normal
 from limslam_env.geometry.se2 import compose, transform_points
@@ -34,8 +34,7 @@ def walls_of(segments):
     lines = np.column_stack((np.zeros(len(segments)), np.arctan2(*(segments[:, 2:] - segments[:, :2]).T[::-1])))
     lines[:, 1] -= 0.5 * np.pi
     for number, (segment, line, middle) in enumerate(zip(segments, lines, middles, strict=True)):
-        walls.append(Wall(number))
-        walls[-1].extent.hit((sample(segment[None], 0.05)[0] - middle) @ direction(line))
+        walls.append(wall_along(number, (sample(segment[None], 0.05)[0] - middle) @ direction(line)))
     return lines, middles, walls
 
 

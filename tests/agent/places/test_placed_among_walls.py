@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
+from support.walls import wall_along
 
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with, poses_moved_with
-from limslam_agent.slam.consistent.wall_map import Wall
 from limslam_env.geometry.line import direction
 from limslam_env.geometry.segment import sample
 
@@ -22,8 +22,7 @@ def room_in_an_uncertain_world(count):
         points, _ = sample(segment[None], 0.05)
         middle = points.mean(axis=0)
         ekf.add_known_line(line, 1e-8 * np.eye(2), middle)
-        walls.append(Wall(number))
-        walls[-1].extent.hit((points - middle) @ direction(line))
+        walls.append(wall_along(number, (points - middle) @ direction(line)))
     by_world = lines_moved_with((0.0, 0.0), ekf.anchored, ekf.anchors)
     ekf.P[3:, 3:] += by_world @ WORLD @ by_world.T
     return ekf, MapState(ekf.pose, ekf.anchored, ekf.anchors, ekf.marginal(), walls)
@@ -65,7 +64,9 @@ WORLD_OF_ONE = lines_moved_with((2.5, 1.0), LINES[:1] * [0.0, 1.0], np.array([[2
 
 def test_a_local_map_that_was_placed_moves_with_the_walls_too():
     _, state = room_in_an_uncertain_world(4)
-    local = MapState(np.zeros(3), np.zeros((1, 2)), np.array([[1.0, 0.5]]), 1e-6 * np.eye(5), [Wall(0)])
+    local = MapState(
+        np.zeros(3), np.zeros((1, 2)), np.array([[1.0, 0.5]]), 1e-6 * np.eye(5), [wall_along(0, np.zeros(1))]
+    )
     joined = state.joined(local.moved(POSE, MATCH), ends(4))
     np.testing.assert_allclose(joined.covariance[:3, :3], WORLD + MATCH, atol=1e-5)
     by_world = lines_moved_with((0.0, 0.0), joined.lines, joined.anchors)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.walls import wall_along
 
 from limslam_agent import LineSlam, Mapper, preset
 from limslam_agent.config.presets import with_until
@@ -19,7 +20,6 @@ from limslam_agent.runs.results import score, write_episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.runs.smoothing import final_status
 from limslam_agent.slam.consistent.map_state import MapState
-from limslam_agent.slam.consistent.wall_map import Wall
 from limslam_agent.slam.core.motion import OdometryCalibration
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph.problem import make_problem, state_from_motions, state_from_poses
@@ -369,7 +369,7 @@ def test_a_local_map_joins_the_known_map_with_its_pose(episode):
 
 def test_a_match_moves_lines_and_their_covariance_with_the_pose():
     lines, anchors = np.array([[0.2, 0.7]]), np.array([[1.0, 2.0]])
-    state = MapState(np.array([0.5, 0.2, 0.3]), lines, anchors, 0.01 * np.eye(5), [Wall(0)])
+    state = MapState(np.array([0.5, 0.2, 0.3]), lines, anchors, 0.01 * np.eye(5), [wall_along(0, np.zeros(1))])
     frame = np.array([3.0, -1.0, 1.1])
     moved = state.moved(frame, np.zeros((3, 3)))
     np.testing.assert_allclose(moved.pose, compose(frame, state.pose))
