@@ -52,22 +52,6 @@ class PendingReadingsConfig(Bounded):
 
 
 @dataclass(frozen=True)
-class SegmentationConfig(Bounded):
-    """When the readings of one piece of wall may lie on two walls.
-
-    Attributes
-    ----------
-    max_hole_share
-        A segment with a wider hole between neighbouring points, as a share of the longest range that its robot can
-        measure, creates no landmark, and it updates a landmark only if most of its points lie inside the landmark's
-        known ends. The points on either side of such a hole may lie on two different walls. Holes between beams grow
-        with the distance of the wall, and beams that reach farther meet farther walls.
-    """
-
-    max_hole_share: NonNegative = 0.2
-
-
-@dataclass(frozen=True)
 class WallAssociationConfig(Bounded):
     """When the readings of one straight piece of wall belong to a known landmark.
 
@@ -206,8 +190,6 @@ class ConsistentConfig:
         Which readings are collected, and how long they are pending.
     hough
         Extraction of lines from the pending readings of a side.
-    segmentation
-        Division of the readings on a line into straight pieces of wall.
     association
         When a piece belongs to a known landmark.
     creation
@@ -224,7 +206,6 @@ class ConsistentConfig:
 
     pending: PendingReadingsConfig = field(default_factory=PendingReadingsConfig)
     hough: HoughConfig = field(default_factory=lambda: HoughConfig(min_length=0.15))
-    segmentation: SegmentationConfig = field(default_factory=SegmentationConfig)
     association: WallAssociationConfig = field(default_factory=WallAssociationConfig)
     creation: CreationConfig = field(default_factory=CreationConfig)
     extents: ExtentConfig = field(default_factory=ExtentConfig)

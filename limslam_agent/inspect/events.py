@@ -68,9 +68,7 @@ def explain_waiting(event: Event, limits: dict[str, float]) -> None:
     """Say why a line was not used, from the distances of the walls that it was compared with."""
     fits = sorted((test["d2"], test["wall"]) for test in event["tests"] if test["out"] == "" and test["d2"] is not None)
     near = [test for test in event["tests"] if test["d2"] is not None and test["d2"] <= limits.get("far_gate", 0.0)]
-    if len(fits) > 1 and "ambiguity" in limits and fits[1][0] - fits[0][0] < limits["ambiguity"]:
-        event |= {"kind": "ambiguous", "why": f"walls {fits[0][1]} and {fits[1][1]} both fit: the points are dropped"}
-    elif fits:
+    if fits:
         event["why"] = f"wall {fits[0][1]} fits, but its points are too few, not straight enough, or beyond its ends"
     elif near:
         event["why"] = f"it is neither clearly wall {near[0]['wall']} nor clearly another wall: the points wait"

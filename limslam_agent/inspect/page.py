@@ -20,7 +20,6 @@ _HERE = "limslam_agent.inspect"
 
 EXPLANATIONS = {
     "waits": ("Wait: this line is not used yet.", "A wrong association would spoil the map, so doubtful points wait."),
-    "ambiguous": ("Refuse: two walls fit this line.", "Which wall the points belong to is open, so they are dropped."),
     "status": ("The status has changed.", "Readings that contradict the map, or an uncertain heading, change it."),
     "place": ("The robot's place is in question.", "A lost robot maps in a local frame until its place is clear."),
     "restart": (

@@ -8,6 +8,9 @@ from limslam_agent.kernels.algebra import sort_with, wrapped
 from limslam_agent.kernels.compilation import compiled, entry
 from limslam_env.geometry import FloatArray, IntArray
 
+BESIDE_CORNER = 0.15
+"""A point this close to the end of another line, m along it, may belong to either line."""
+
 
 @compiled
 def fit_line(points: FloatArray, members: IntArray, ends: FloatArray) -> tuple[float, float]:
@@ -70,7 +73,7 @@ def refined(
 @compiled
 def refine_lines(
     points: FloatArray, candidates: FloatArray, limits: tuple[float, float], votes: int, gap: float, least: float,
-    only_best: bool, owner: IntArray, listed: IntArray, lines: FloatArray, ends: FloatArray,
+    only_best: bool, owner: IntArray, lines: FloatArray, ends: FloatArray,
 ) -> int:  # fmt: skip
     """Refine candidate lines on their points, and cut them at gaps; the number k of lines.
 
@@ -84,13 +87,12 @@ def refine_lines(
         Longest gap in a line, and its least length, m.
     only_best
         Whether to stop after the first candidate that has lines.
-    owner, listed
-        Set to the line of each point (n,), -1 for none, and to the points of all lines (n,), line by line, in the order
-        along each line.
+    owner
+        Set to the line of each point (n,), -1 for none.
     lines, ends
         Set to the lines (k, 2) as (r, theta), and their end points (k, 2, 2), m.
     """
-    total, size, done, middle_x, middle_y = len(points), 0, 0, 0.0, 0.0
+    total, size, middle_x, middle_y = len(points), 0, 0.0, 0.0
     for i in range(total):
         owner[i] = -1
         middle_x += points[i, 0]
@@ -115,8 +117,7 @@ def refine_lines(
             if math.sqrt(x * x + y * y) >= least:
                 lines[size, 0], lines[size, 1] = r_part, theta_part
                 for each in part:
-                    owner[each], free[each], listed[done] = size, False, each
-                    done += 1
+                    owner[each], free[each] = size, False
                 left -= len(part)
                 size += 1
         if (only_best and size > before) or left < votes:
@@ -125,9 +126,37 @@ def refine_lines(
 
 
 @entry
+def uncontested(
+    points: FloatArray, owner: IntArray, lines: FloatArray, ends: FloatArray, index: int, most: float
+) -> IntArray:
+    """Indices (n,) of a line's points without those near a corner that could also belong to another line.
+
+    Points, their lines, the lines and the end points of these are those of :func:`refine_lines`. A point may belong to
+    a line that is less than ``most`` away, m.
+    """
+    chosen, count = np.empty(len(points), dtype=np.int64), 0
+    for i in range(len(points)):
+        is_own = owner[i] == index
+        for other in range(len(lines)):
+            if not is_own or other == index:
+                continue
+            cos, sin = math.cos(lines[other, 1]), math.sin(lines[other, 1])
+            first = -sin * ends[other, 0, 0] + cos * ends[other, 0, 1]
+            last = -sin * ends[other, 1, 0] + cos * ends[other, 1, 1]
+            along = -sin * points[i, 0] + cos * points[i, 1]
+            is_beside = min(first, last) - BESIDE_CORNER < along < max(first, last) + BESIDE_CORNER
+            off = abs(points[i, 0] * cos + points[i, 1] * sin - lines[other, 0])
+            is_own = not (is_beside and off < most)
+        if is_own:
+            chosen[count] = i
+            count += 1
+    return chosen[:count]
+
+
+@entry
 def find_lines(
     points: FloatArray, candidates: FloatArray, limits: tuple[float, float], votes: int, gap: float, least: float,
-    only_best: bool, owner: IntArray, listed: IntArray, lines: FloatArray, ends: FloatArray,
+    only_best: bool, owner: IntArray, lines: FloatArray, ends: FloatArray,
 ) -> int:  # fmt: skip
     """:func:`refine_lines`, as Python calls it."""
-    return refine_lines(points, candidates, limits, votes, gap, least, only_best, owner, listed, lines, ends)
+    return refine_lines(points, candidates, limits, votes, gap, least, only_best, owner, lines, ends)

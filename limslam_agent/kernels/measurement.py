@@ -1,17 +1,51 @@
 """Measurement model of a range beam that meets a line, and how errors move with the world.
 
-``slam.consistent.beam_model`` explains the model. Readings come as ``places`` (n,), the places of their clones in the
-state, and ``readings`` (n, 5): the beam's origin x, y in the robot's frame (m), its direction (rad), its range (m), and
-half its opening angle (rad). The clones begin in the state ``x`` at the index ``start``.
+A line is stored as (d, theta) relative to an anchor a, a fixed point of the world near the line:
+n . (p - a) = d with n = (cos theta, sin theta). This form has three advantages over (r, theta) relative to the world's
+origin: d and theta are nearly uncorrelated, d may change its sign, and lines through the origin are not singular.
+
+A beam may be a cone with half an opening angle c. It then reads the nearest point of the wall inside the cone. That is
+the foot of the perpendicular if the cone contains it, and otherwise the end of the border ray that is nearer to the
+perpendicular (J. Leonard and H. Durrant-Whyte, "Directed sonar sensing for mobile robot navigation", 1992). So a cone
+measures what a ray measures that is turned towards the wall's normal, by c or until it is perpendicular to the wall.
+The derivatives are those of this ray, too: where it follows the normal, its range does not depend on its direction.
+
+Readings come as ``places`` (n,), the places of their clones in the
+state, and ``readings`` (n, 6): the beam's origin x, y in the robot's frame (m), its direction (rad), its range (m),
+half its opening angle (rad), and the number of the beam. The clones begin in the state ``x`` at the index ``start``.
 """
 
 import math
 
 import numpy as np
 
-from limslam_agent.kernels.compilation import algebra, entry
+from limslam_agent.kernels.compilation import algebra, compiled, entry
 from limslam_agent.kernels.tables import FLATTEST, LEAST_COSINE, POSE
 from limslam_env.geometry import FloatArray, IntArray
+
+
+@compiled
+def read_share(cosine: float, width: float) -> float:
+    """The share of its distance that a wall reads, given the cosine between the beam and the wall's normal.
+
+    The beam has half an opening angle ``width``, rad. It reads the nearest point of the wall inside of it.
+    """
+    if width == 0.0:
+        return 1.0
+    steep, sine = abs(cosine), math.sqrt(max(1.0 - cosine * cosine, 0.0))
+    turned = steep * math.cos(width) + sine * math.sin(width)
+    return steep if sine <= math.sin(width) else steep / turned
+
+
+@compiled
+def reading_of(sensor: tuple[float, float, float, float], distance: float, cosine: float) -> tuple[float, float]:
+    """The range, m, that a sensor reads of a wall at a distance along the middle of its beam, and its variance, m^2.
+
+    ``sensor`` is ``RangeSensor.numbers``, and the cosine is that of :func:`read_share`.
+    """
+    std, growth, cone, bias = sensor
+    seen = distance * read_share(cosine, cone)
+    return seen + bias, std**2 + (growth * seen**2) ** 2
 
 
 @algebra
@@ -29,7 +63,7 @@ def ray_angle(reading: FloatArray, heading: float, theta: float) -> float:
 
 @algebra
 def towards(x: FloatArray, start: int, places: IntArray, readings: FloatArray, theta: float) -> FloatArray:
-    """The rays (n, 5) that measure a line with its normal at ``theta``, rad, as the beams do."""
+    """The rays (n, 6) that measure a line with its normal at ``theta``, rad, as the beams do."""
     rays = readings.copy()
     for i in range(len(places)):
         rays[i, 2] = ray_angle(readings[i], x[start + POSE * places[i] + 2], theta)
@@ -136,18 +170,6 @@ def error_transport(x: FloatArray, begins: tuple[int, int, int], anchors: FloatA
     moved = np.empty((len(x), POSE))
     fill_transport(x, len(x), begins, anchors, len(anchors), moved)
     return moved
-
-
-@entry
-def ranges_to_line(
-    x: FloatArray, places: IntArray, readings: FloatArray, line: FloatArray, anchor: FloatArray
-) -> FloatArray:
-    """:func:`predict_ranges` of all readings, from poses x (3 k,) that begin at 0, as Python calls it: (n, 7)."""
-    out = np.empty((len(places), 7))
-    predict_ranges(
-        x, 0, places, readings, np.arange(len(places)), (line[0], line[1]), (anchor[0], anchor[1]), out
-    )  # fmt: skip
-    return out
 
 
 @entry

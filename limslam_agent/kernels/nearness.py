@@ -1,4 +1,4 @@
-"""Ends of beams beside walls and beside the body, and the places of lines that beams have passed through."""
+"""Ends of beams beside walls and beside the body, and lines near a place."""
 
 import math
 
@@ -139,79 +139,6 @@ def count_on_walls(pose: FloatArray, ranges: FloatArray, beams: FloatArray, segm
             if math.sqrt((away_x - along * span_x) ** 2 + (away_y - along * span_y) ** 2) < near:
                 count += 1
                 break
-    return count
-
-
-@lean_entry
-def aim_beams(
-    pose: FloatArray, ranges: FloatArray, measured: BoolArray, beams: FloatArray,
-    variances: tuple[float, float, float, float], origins: FloatArray, towards: FloatArray, reaches: FloatArray,
-    stds: FloatArray,
-) -> int:  # fmt: skip
-    """Take the new beams that went farther than the shortest reading into the world; their number n.
-
-    Parameters
-    ----------
-    pose
-        Pose (3,), m and rad.
-    ranges, measured, beams
-        Readings (b,), m, which of them are new, and ``RobotSpec.beam_table``.
-    variances
-        Variance of a short range, m^2, and the growth of ``RangeSensor``, 1/m; variances of the position, m^2, and of
-        the heading, rad^2.
-    origins, towards, reaches, stds
-        The first n rows are set to where the beams begin (b, 2), m, their directions (b, 2), how far they went (b,), m,
-        and the standard deviations of that (b,), m.
-    """
-    cos, sin, count = math.cos(pose[2]), math.sin(pose[2]), 0
-    for beam in range(len(ranges)):
-        if measured[beam] and ranges[beam] > beams[beam, TOO_NEAR]:
-            heading = pose[2] + beams[beam, ANGLE]
-            origins[count, 0], origins[count, 1] = beam_end(pose, cos, sin, beams, beam, 0.0)
-            towards[count, 0], towards[count, 1] = math.cos(heading), math.sin(heading)
-            reach = ranges[beam]
-            grown = variances[1] * (reach * reach)
-            reaches[count] = reach
-            stds[count] = math.sqrt(variances[0] + grown * grown + variances[2] + variances[3] * (reach * reach))
-            count += 1
-    return count
-
-
-@lean_entry
-def passed_lines(
-    origins: FloatArray, towards: FloatArray, ranges: FloatArray, margins: FloatArray, lines: FloatArray,
-    anchors: FloatArray, slack: float, grazing: float, numbers: IntArray, places: FloatArray,
-) -> int:  # fmt: skip
-    """Find the places of lines that beams have passed through; their number m.
-
-    Parameters
-    ----------
-    origins, towards, ranges
-        Where the beams begin (n, 2), m, their directions (n, 2), and how far they went (n,), m.
-    margins
-        How much farther than to the line a beam must have gone that meets it at a right angle (n,), m.
-    lines, anchors
-        The lines (k, 2) as distance, m, and angle, rad, about anchors (k, 2), m.
-    slack
-        Is added to the margin at any angle, m.
-    grazing
-        Least cosine between a beam and a line's normal at which the beam counts.
-    numbers, places
-        The first m entries (n * k,) are set to the number of the line, and to the position along it from its anchor, m.
-    """
-    count = 0
-    for beam in range(len(ranges)):
-        for line in range(len(lines)):
-            nx, ny = math.cos(lines[line, 1]), math.sin(lines[line, 1])
-            cosine = towards[beam, 0] * nx + towards[beam, 1] * ny
-            if abs(cosine) <= grazing:
-                continue
-            from_x, from_y = origins[beam, 0] - anchors[line, 0], origins[beam, 1] - anchors[line, 1]
-            ahead = (lines[line, 0] - from_x * nx - from_y * ny) / cosine
-            if ahead > 0.0 and ahead + margins[beam] / abs(cosine) + slack < ranges[beam]:
-                numbers[count] = line
-                places[count] = (from_y + ahead * towards[beam, 1]) * nx - (from_x + ahead * towards[beam, 0]) * ny
-                count += 1
     return count
 
 

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from limslam_agent.kernels.algebra import wrapped
 from limslam_agent.kernels.compilation import compiled, lean_entry
-from limslam_agent.kernels.range_sensor import read_share
+from limslam_agent.kernels.measurement import read_share
 from limslam_agent.kernels.tables import GRAZING, RAY_LENGTH, RAY_REACH, RAY_TO_X, RAY_TO_Y, RAY_X, RAY_Y
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 

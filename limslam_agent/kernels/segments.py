@@ -1,7 +1,8 @@
 """Tests whether readings show one straight piece of wall, with the covariance of the poses that they were taken from.
 
-``slam.consistent.segmentation`` explains the tests. Readings, ``places`` and the state are those of
-:mod:`~limslam_agent.kernels.measurement`.
+The tests are generalised least squares with the joint covariance of the poses that the readings were taken from. So a
+bend that comes from the odometry's error is not taken for a corner, and two sides of a rounded obstacle are not taken
+for one wall. Readings, ``places`` and the state are those of :mod:`~limslam_agent.kernels.measurement`.
 """
 
 import math
@@ -10,11 +11,18 @@ import numpy as np
 
 from limslam_agent.kernels.algebra import dot, factorise, leave_beside, orthonormalise, quantile, sort_with, whiten
 from limslam_agent.kernels.compilation import algebra, entry
+from limslam_agent.kernels.lines import fit_line
 from limslam_agent.kernels.measurement import end_of_beam, predict_ranges, ray_angle
 from limslam_agent.kernels.tables import (
+    ANGLE_STD,
+    AROUND_KINK,
+    BEND_AT,
+    BENT,
     CURVE_GATE,
+    DEEPEST,
     END_GATE,
     END_ZONE,
+    EXTENT,
     FEWEST,
     FEWEST_FOR_SHAPE,
     GRAZING,
@@ -22,15 +30,15 @@ from limslam_agent.kernels.tables import (
     KINKS_AT,
     LEAST_GAIN,
     LEAST_SPREAD,
+    MIDDLE_X,
+    MIDDLE_Y,
     MIN_KINK,
     POSE,
+    THETA,
+    R,
 )
 from limslam_agent.kernels.updates import covariance_of, dense_block, involved
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-
-THETA, MIDDLE_X, MIDDLE_Y, EXTENT, ANGLE_STD, R, BENT, BEND_AT = range(8)
-"""Columns of a segment: the wall's direction, its middle, its length and the direction's standard deviation; then what
-splits it: r about the world's origin, whether it is bent, and where."""
 
 
 @algebra
@@ -245,16 +253,74 @@ def mark_loose_ends(
                     loose[clear[i]] = True
 
 
+@algebra
+def cut_at_bends(
+    x: FloatArray, start: int, block: FloatArray, begins: IntArray, places: IntArray, readings: FloatArray,
+    points: FloatArray, members: IntArray, line: FloatArray, std: float, variances: FloatArray,
+) -> tuple[FloatArray, IntArray, FloatArray]:  # fmt: skip
+    """Cut readings near one line into straight segments: at bends, and at ends that bend away.
+
+    Parameters
+    ----------
+    x, start, places, readings, points
+        As of :func:`fit_segment`.
+    block, begins
+        Covariance of all clones that the members were taken from, and where each member's clone begins in it (n,).
+    members, line
+        Indices (n,) of the readings, and the line (2,) as (r, theta), as the Hough transform found it.
+    std, variances
+        Standard deviation of a short range, m, and the variances of all ranges, m^2.
+
+    Returns
+    -------
+    segments
+        The segments (k, 8), in order along the line.
+    owner
+        The segment of each member (n,); -1 for none.
+    residuals
+        Residuals of the members (n,), in standard deviations; infinite where a member grazes its segment.
+    """
+    segments, count, ends = np.empty((2**DEEPEST, 8)), 0, np.empty((2, 2))
+    owner, residuals = np.full(len(members), -1), np.full(len(members), np.inf)
+    todo, lines, depths = [np.arange(len(members))], [(line[0], line[1])], [DEEPEST]
+    along, loose = np.empty(len(members)), np.empty(len(members), dtype=np.bool_)
+    while todo:
+        these, this, depth = todo.pop(), lines.pop(), depths.pop()
+        segment = segments[count]
+        left, clear = fit_segment(
+            x, start, block, begins[these], places, readings, points, members[these], this, std,
+            variances[members[these]], segment, along, loose,
+        )  # fmt: skip
+        if not len(clear):
+            continue
+        here, is_loose = along[: len(these)], loose[: len(these)]
+        if depth and segment[BENT] > 0.0:
+            # The first half is processed first.
+            for half in (these[here > segment[BEND_AT] + AROUND_KINK], these[here < segment[BEND_AT] - AROUND_KINK]):
+                if len(half) >= FEWEST:
+                    todo.append(half)
+                    lines.append(fit_line(points, members[half], ends))
+                    depths.append(depth - 1)
+        elif depth and is_loose.any():
+            if len(these) - is_loose.sum() >= FEWEST:
+                todo.append(these[~is_loose])
+                lines.append((segment[R], segment[THETA]))
+                depths.append(depth - 1)
+        else:
+            owner[these] = count
+            for i in range(len(clear)):
+                residuals[these[clear[i]]] = left[i]
+            count += 1
+    return segments[:count], owner, residuals
+
+
 @entry
-def fit_readings(
+def straight_segments(
     x: FloatArray, P: FloatArray, start: int, places: IntArray, readings: FloatArray, points: FloatArray,
-    members: IntArray, line: tuple[float, float], std: float, variances: FloatArray,
-) -> tuple[FloatArray, FloatArray, BoolArray, FloatArray, IntArray]:  # fmt: skip
-    """:func:`fit_segment` with a whole covariance P, as Python calls it; what that fills, and what it returns."""
+    members: IntArray, line: FloatArray, std: float, variances: FloatArray,
+) -> tuple[FloatArray, IntArray, FloatArray]:  # fmt: skip
+    """:func:`cut_at_bends` with a whole covariance P, as Python calls it."""
     columns, begins = involved(places, members, (len(x) - start) // POSE, start, -1)
-    segment, along, loose = np.empty(8), np.empty(len(members)), np.empty(len(members), dtype=np.bool_)
-    left, clear = fit_segment(
-        x, start, dense_block(P, columns), begins, places, readings, points, members, line, std, variances,
-        segment, along, loose,
-    )  # fmt: skip
-    return segment, along, loose, left, clear
+    return cut_at_bends(
+        x, start, dense_block(P, columns), begins, places, readings, points, members, line, std, variances
+    )

@@ -1,6 +1,12 @@
-"""Constants that plain and compiled functions share."""
+"""Constants and arrays that plain and compiled functions share. This module does not load numba."""
 
 import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from limslam_env.geometry import FloatArray, IntArray
 
 FROM_X, FROM_Y, TOWARDS_X, TOWARDS_Y, TOO_NEAR, TOO_FAR, ANGLE, FARTHEST = range(8)
 """Columns of ``RobotSpec.beam_table``."""
@@ -30,6 +36,14 @@ FEWEST_TO_COMPARE = 4
 LEAST_RESIDUAL = 1e-9
 """Least residual that the Huber weight divides by, m."""
 
+THETA, MIDDLE_X, MIDDLE_Y, EXTENT, ANGLE_STD, R, BENT, BEND_AT = range(8)
+"""Columns of a segment: the wall's direction, its middle, its length and the direction's standard deviation; then what
+splits it: r about the world's origin, whether it is bent, and where."""
+
+OF_LINE, LEFT, USED, LANDMARK = range(4)
+"""Columns of a landmark that a segment may show: chi-square due to the landmark's line, chi-square that no line
+explains, the number of readings that were compared, and the landmark's index."""
+
 FEWEST = 6
 """Least number of readings of a wall segment."""
 
@@ -44,6 +58,9 @@ KINK_GATE, MIN_KINK = 12.0, math.radians(8.0)
 
 CURVE_GATE = 14.0
 """Least gain in chi-square (three degrees of freedom) of a smooth curve."""
+
+AROUND_KINK, DEEPEST = 0.02, 4
+"""Readings within this distance of a kink, m, are in neither half; a line is cut at most this many times in a row."""
 
 END_ZONE, END_GATE = 0.10, 6.0
 """Points within this distance of an end, m, belong to another wall if chi-square falls by more than this without them.
@@ -61,3 +78,55 @@ LEAST_GAIN = 1e-9
 
 NOTHING = 0.5
 """Likelihood that a beam sees nothing at a random place."""
+
+BIN = 0.05
+"""Length of a bin, m."""
+
+LOW, LENGTH, GROUPS, READINGS, NUMBER, CHANGES = range(6)
+"""Columns of ``Walls.table``: the first bin, the number of bins, the updates and the readings in them, a number that
+identifies the landmark (an older landmark has a smaller number), and how often the extent has changed."""
+
+HITS, MISSES = range(2)
+"""Rows of ``Walls.counted``."""
+
+LEAST, MOST = range(2)
+"""Rows of ``Walls.reached``, and columns of ``Walls.ends``."""
+
+NEXT_NUMBER, CLOSURES, OVERFLOWS = range(3)
+"""Places in ``Walls.tally``: the number of the next landmark, how many pairs were merged, and how often there was no
+room in the arrays."""
+
+
+class Walls(NamedTuple):
+    """The landmarks of one map, in the order in which the filter holds their lines, with room for further ones.
+
+    For the n maps of a batch, each array has one more axis in front.
+
+    Attributes
+    ----------
+    table
+        (landmarks, 6), whose columns are named above.
+    counted, reached
+        (landmarks, 2, bins): beams that ended and that passed; least and largest position of a hit, m along the line.
+    ends
+        Positions of the outermost hits (landmarks, 2), m along the line.
+    tally
+        (3,), whose places are named above.
+    """
+
+    table: IntArray
+    counted: NDArray[np.int32]
+    reached: FloatArray
+    ends: FloatArray
+    tally: IntArray
+
+
+def empty_walls(landmarks: int, bins: int, *maps: int) -> Walls:
+    """Room for so many landmarks and bins, in one map or in an array of maps."""
+    return Walls(
+        table=np.zeros((*maps, landmarks, 6), dtype=np.int64),
+        counted=np.zeros((*maps, landmarks, 2, bins), dtype=np.int32),
+        reached=np.zeros((*maps, landmarks, 2, bins)),
+        ends=np.zeros((*maps, landmarks, 2)),
+        tally=np.zeros((*maps, 3), dtype=np.int64),
+    )

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.drives import along, drive, room
+from support.walls import wall_along
 
 from limslam_agent import LineSlam, Mapper, preset
 from limslam_agent.config.smoother import RenewalConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.renewal import Renewal
 from limslam_agent.slam.consistent.map_state import MapState
-from limslam_agent.slam.consistent.wall_extent import WallExtent
-from limslam_agent.slam.consistent.wall_map import NEW, Wall
+from limslam_agent.slam.consistent.wall_map import NEW
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph.renewal import renewed
 from limslam_env.geometry.se2 import compose, wrap_angle
@@ -274,10 +274,7 @@ def walls(*given):
     """A map of walls along x between -1 and 1 m: for each its y, m, and the landmark that it was recognised as."""
     found = []
     for _, known in given:
-        extent = WallExtent()
-        extent.hit(np.linspace(-1.0, 1.0, 21))
-        seen = np.array([[-1.0, 1.0], [np.inf, -np.inf]])
-        found.append(Wall(NEW, extent, 1, 21, seen, known_as=known))
+        found.append(wall_along(NEW, np.linspace(-1.0, 1.0, 21), known))
     count = len(given)
     return MapState(
         pose=np.zeros(3),

@@ -6,20 +6,15 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 from support.drives import ROBOT, along, drive, room
+from support.readings import Readings
 
 from limslam_agent.config.presets import AgentConfig, ConsistentConfig, preset
 from limslam_agent.slam.batch.batch_slam import state_of
 from limslam_agent.slam.batch.compilation import entry
 from limslam_agent.slam.batch.state import (
-    BEAM,
-    CLONE,
     CLONES,
-    DRIVEN,
-    DRIVEN_THEN,
     LINES,
     NEXT_CLONE,
-    PENDING,
-    RANGE,
     Capacity,
     Filter,
     Spec,
@@ -29,8 +24,7 @@ from limslam_agent.slam.batch.state import (
 )
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.consistent import ConsistentEstimator
-from limslam_agent.slam.consistent.pending_readings import SIDES
-from limslam_agent.slam.consistent.wall_map import WallMap
+from limslam_agent.slam.consistent.pending_readings import BEAM, CLONE, RANGE, TAKEN_AT, WAITING
 from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
@@ -75,22 +69,9 @@ def estimator_after(steps: int) -> ConsistentEstimator:
 
 
 def state_from(estimator: ConsistentEstimator) -> States:
-    """The state of one robot that equals the plain estimator's."""
+    """The state of one robot that equals the single estimator's."""
     state = state_of.py_func(states_for(ROBOT, estimator_config(), 1, Capacity()), 0)  # type: ignore[attr-defined]
-    fill_filter(state.filter, estimator._filter)
-    fill_walls(state, estimator._map)
-    pending = estimator._pending[0]
-    state.travel[DRIVEN] = pending.driven
-    for number, side in enumerate(SIDES):
-        state.filter.counts[PENDING + number] = len(pending.by_side[side])
-        for place, reading in enumerate(pending.by_side[side]):
-            row = state.pending[number, place]
-            row[CLONE], row[BEAM], row[RANGE] = reading.clone, reading.beam, reading.distance
-            row[DRIVEN_THEN] = reading.driven
-    return state
-
-
-def fill_filter(ekf: Filter, plain: CloneEKF) -> None:
+    ekf, plain = state.filter, estimator.belief
     size = len(plain.x)
     ekf.x[:size], ekf.top[:, :size] = plain.x, plain.P[:POSE]
     for row in range(size):
@@ -99,15 +80,17 @@ def fill_filter(ekf: Filter, plain: CloneEKF) -> None:
     ekf.clones[: plain.num_clones] = plain._clones.numbers
     ekf.counts[LINES], ekf.counts[CLONES] = plain.num_lines, plain.num_clones
     ekf.counts[NEXT_CLONE] = plain._clones.next
+    return state
 
 
-def fill_walls(state: States, plain: WallMap) -> None:
-    for index, wall in enumerate(plain.walls):
-        extent, length = wall.extent, len(wall.extent._hits)
-        state.walls.table[index] = extent._low, length, wall.groups, wall.readings
-        state.walls.counted[index, :, :length] = extent._hits, extent._misses
-        state.walls.reached[index, :, :length] = extent._least, extent._most
-        state.walls.seen[index], state.walls.behind[index] = wall.seen, wall.behind
+def waiting_readings(estimator: ConsistentEstimator, side: int) -> Readings:
+    """The pending readings of a side of the only robot."""
+    rows = estimator._pending[side, : estimator._fill[side, WAITING]]
+    beams = rows[:, BEAM].astype(int)
+    return Readings(
+        rows[:, CLONE].astype(int), ROBOT.beam_origins[beams], ROBOT.beam_angles[beams], rows[:, RANGE],
+        rows[:, [TAKEN_AT, BEAM]].astype(int),
+    )  # fmt: skip
 
 
 def covariance_of(ekf: Filter) -> FloatArray:

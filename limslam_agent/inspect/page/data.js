@@ -22,7 +22,7 @@ async function unpack(text) {
 }
 
 const CORRECTIONS = new Set(['new', 'again']);
-const DECISIONS = new Set(['new', 'again', 'waits', 'ambiguous']);
+const DECISIONS = new Set(['new', 'again', 'waits']);
 
 class Recording {
   constructor(meta, arrays) {

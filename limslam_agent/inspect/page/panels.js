@@ -6,7 +6,6 @@ const KINDS = {
   new: {name: 'new walls', stages: [3, 4], weight: 5, shown: true, colour: 'good'},
   again: {name: 'walls seen again', stages: [3, 4], weight: 2, shown: false, colour: 'wall'},
   loop: {name: 'loops', stages: [5], weight: 7, shown: true, colour: 'plan'},
-  ambiguous: {name: 'ambiguous lines', stages: [3], weight: 3, shown: true, colour: 'glow'},
   waits: {name: 'lines that wait', stages: [3], weight: 1, shown: false, colour: 'faint'},
   hough: {name: 'extractions', stages: [2], weight: 1, shown: false, colour: 'right'},
   goal: {name: 'goals', stages: [6], weight: 4, shown: true, colour: 'frontierInk'},
@@ -53,7 +52,6 @@ function wordsOf(event, robots) {
     again: () => `wall ${event.wall} seen again`,
     loop: () => `loop closed: wall ${event.wall} is wall ${event.other}`,
     waits: () => `line waits`,
-    ambiguous: () => `two walls fit one line`,
     hough: () => `${event.side === 'none' ? 'beams ahead' : `${event.side} buffer`}: ${event.lines.length === 1 ? '1 line' : `${event.lines.length} lines`} found`,
     goal: () => `new goal at (${event.goal.map((value) => value.toFixed(1)).join(', ')})`,
   };
@@ -75,8 +73,8 @@ function captionOf(recording, frame, window) {
   }
   const [lesson, explanation] = lessons[best.kind];
   const topic = lesson.split(':')[0];
-  const isWaiting = best.kind === 'waits' || best.kind === 'ambiguous', words = wordsOf(best, recording.robots);
-  const headline = {loop: `Close the loop: ${words.split(': ')[1]}.`, waits: lesson, ambiguous: lesson}[best.kind];
+  const isWaiting = best.kind === 'waits', words = wordsOf(best, recording.robots);
+  const headline = {loop: `Close the loop: ${words.split(': ')[1]}.`, waits: lesson}[best.kind];
   return {
     stages: KINDS[best.kind].stages,
     headline: headline || `${topic}: ${words}.`,

@@ -11,41 +11,40 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from limslam_agent.config.presets import AgentConfig, ConsistentConfig, preset
+from limslam_agent.kernels.extents import clear_along_beams
+from limslam_agent.kernels.tables import ANGLE, CLOSURES, LENGTH, LOW, OVERFLOWS, READINGS, TOO_FAR, TOO_NEAR, Walls
 from limslam_agent.readings import as_readings
-from limslam_agent.slam.batch.clone_ekf import predict
-from limslam_agent.slam.batch.compilation import algebra, compiled, entry
-from limslam_agent.slam.batch.consistent import measure, process
+from limslam_agent.slam.batch.clone_ekf import clone, predict
+from limslam_agent.slam.batch.compilation import algebra, entry
+from limslam_agent.slam.batch.compiled_steps import (
+    collect,
+    compiled_step,
+    has_ended,
+    is_due,
+    new_memory,
+    process,
+    prune,
+    slip,
+    slip_covariance,
+)
 from limslam_agent.slam.batch.grid import CropArray, crop, update
 from limslam_agent.slam.batch.motion import motion_from_wheels
-from limslam_agent.slam.batch.pending_readings import has_ended
 from limslam_agent.slam.batch.state import (
-    ANGLE,
-    CLOSURES,
-    DRIVEN,
-    DRIVEN_AT,
-    FRESH,
+    CLONES,
     LINES,
-    OVERFLOWS,
     PERIOD,
     REFUSED,
     STEP,
-    TOO_FAR,
-    TOO_NEAR,
-    TURNED,
-    TURNED_AT,
     Capacity,
     Filter,
-    Settings,
     Spec,
     States,
-    Walls,
     spec_of,
     states_for,
 )
 from limslam_agent.slam.consistent.limits import MAX_GAP, THROUGH_TOLERANCE, WALL_END
-from limslam_agent.slam.consistent.pending_readings import SIDES
-from limslam_agent.slam.consistent.wall_extent import WallExtent
-from limslam_agent.slam.core import contact
+from limslam_agent.slam.consistent.pending_readings import DRIVEN, DRIVEN_AT, FRESH, SIDES, TURNED, TURNED_AT
+from limslam_agent.slam.consistent.wall_map import WallExtent
 from limslam_agent.slam.core.ekf import POSE
 from limslam_env.compilation import next_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -55,11 +54,7 @@ from limslam_env.interface import RobotSpec
 
 _NUM_SIDES = len(SIDES)
 
-slip, slip_covariance, forgotten = (
-    compiled(contact.slip),
-    compiled(contact.slip_covariance),
-    compiled(contact.new_memory),
-)
+clear = compiled_step(clear_along_beams)
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,11 +201,11 @@ class BatchSlam:
         settings, (belief, walls) = self._extents, (self._states.filter, self._states.walls)
         found = [np.zeros((0, 4))]
         for index in range(belief.counts[number, LINES]):
-            low, length, _, readings = walls.table[number, index]
-            if readings < settings.min_readings:
+            wall = walls.table[number, index]
+            if wall[READINGS] < settings.min_readings:
                 continue
-            counts, reached = walls.counted[number, index, :, :length], walls.reached[number, index, :, :length]
-            extent = WallExtent.counted(int(low), counts, reached)
+            counted = walls.counted[number, index, :, : wall[LENGTH]]
+            extent = WallExtent(int(wall[LOW]), counted, walls.reached[number, index, :, : wall[LENGTH]])
             line = belief.x[number, POSE + 2 * index : POSE + 2 * index + 2]
             intervals = extent.intervals(MAX_GAP, THROUGH_TOLERANCE)
             found.append((belief.anchors[number, index] + at(line, intervals)).reshape(-1, 4))
@@ -225,7 +220,7 @@ class BatchSlam:
     @property
     def num_closures(self) -> IntArray:
         """Number of pairs of landmarks that each robot has merged (n,)."""
-        return self._states.filter.counts[:, CLOSURES].copy()
+        return self._states.walls.tally[:, CLOSURES].copy()
 
     @property
     def overflows(self) -> IntArray:
@@ -233,7 +228,7 @@ class BatchSlam:
 
         While the number is 0, the robot's estimates equal those of ``LineSlam``.
         """
-        return self._states.filter.counts[:, OVERFLOWS].copy()
+        return self._states.walls.tally[:, OVERFLOWS].copy()
 
     @property
     def refused_readings(self) -> IntArray:
@@ -283,19 +278,20 @@ def state_of(states: States, number: int) -> States:
             ekf.counts[number],
         ),
         Walls(
-            walls.table[number], walls.counted[number], walls.reached[number], walls.seen[number], walls.behind[number]
+            walls.table[number], walls.counted[number], walls.reached[number], walls.ends[number], walls.tally[number]
         ),
-        states.travel[number], states.pending[number], states.contact[number], states.grid[number],
-        states.window[number],
+        states.travel[number], states.pending[number], states.fill[number], states.contact[number],
+        states.grid[number], states.window[number],
     )  # fmt: skip
 
 
 @algebra
 def accept(
-    state: States, ranges: FloatArray, wheels: FloatArray, settings: Settings, beams: FloatArray, measured: BoolArray
-) -> None:
+    state: States, ranges: FloatArray, wheels: FloatArray, spec: Spec, measured: BoolArray
+) -> None:  # fmt: skip
     """Predict by the wheel travel (2,), m, and collect the new readings; fills which readings (b,) are new."""
-    ekf, hits = state.filter, np.zeros(len(ranges), dtype=np.bool_)
+    settings, beams, travel = spec.settings[0], spec.beams, state.travel
+    ekf, walls, hits = state.filter, state.walls, np.zeros(len(ranges), dtype=np.bool_)
     ekf.counts[STEP] += 1
     for beam in range(len(ranges)):
         is_number = math.isfinite(ranges[beam])
@@ -306,9 +302,16 @@ def accept(
     angles, too_near, radius = beams[:, ANGLE], beams[:, TOO_NEAR], settings.radius
     variance, angle, _ = slip(state.contact, ranges, measured, increment[0], angles, too_near, radius, settings.std)
     predict(ekf, increment, covariance + slip_covariance(variance, angle) if variance else covariance)
-    state.travel[DRIVEN] += math.hypot(increment[0], increment[1])
-    state.travel[TURNED] += abs(increment[2])
-    measure(ekf, state.walls, state.travel, state.pending, ranges, measured, hits, settings, beams)
+    travel[DRIVEN] += math.hypot(increment[0], increment[1])
+    travel[TURNED] += abs(increment[2])
+    lines = ekf.x[POSE : POSE + 2 * ekf.counts[LINES]].reshape(ekf.counts[LINES], 2)
+    unsure, noise = (ekf.top[0, 0] + ekf.top[1, 1], ekf.top[2, 2]), (settings.std, settings.growth)
+    clear(walls, lines, ekf.anchors, ekf.x[:POSE], unsure, ranges, measured, beams, noise)
+    if is_due(travel, hits, spec.sides, settings):
+        if ekf.counts[CLONES] == len(ekf.clones):
+            walls.tally[OVERFLOWS] += 1
+            prune(ekf, state.pending, state.fill, len(ekf.clones) - 1)
+        collect(travel, state.pending, state.fill, ekf.counts[STEP], ranges, hits, spec.sides, clone(ekf))
 
 
 @entry
@@ -336,11 +339,14 @@ def step_some(
         number = chosen[place]
         state = state_of(states, number)
         ekf, travel = state.filter, state.travel
-        accept(state, ranges[number], wheels[number], settings, spec.beams, measured)
+        accept(state, ranges[number], wheels[number], spec, measured)
         for side in range(_NUM_SIDES):
-            is_over = has_ended(ekf.counts, travel, side, WALL_END)
-            if ekf.counts[FRESH + side] >= settings.batch or is_over:
-                process(ekf, state.walls, state.pending, side, travel[DRIVEN], settings, spec.beams, is_over)
+            is_over = has_ended(travel, state.fill, side, WALL_END)
+            if state.fill[side, FRESH] >= settings.batch or is_over:
+                process(
+                    ekf, state.walls, state.pending, state.fill, side, travel[DRIVEN], settings, spec.beams, is_over,
+                    None,
+                )  # fmt: skip
         pose[number] = ekf.x[:POSE]
         covariance[number] = ekf.top[:, :POSE]
         update(
@@ -360,7 +366,9 @@ def begin(state: States, start: FloatArray, cell: float) -> None:
     ekf.x[:POSE] = start
     ekf.top[:, :POSE] = 0.0
     state.travel[:] = 0.0
-    state.contact[:] = forgotten(len(state.contact) // 2)
+    state.fill[:] = 0
+    state.walls.tally[:] = 0
+    state.contact[:] = new_memory(len(state.contact) // 2)
     state.travel[DRIVEN_AT], state.travel[TURNED_AT] = -np.inf, -np.inf
     state.grid[:] = 0
     half = state.grid.shape[0] // 2

@@ -1,5 +1,7 @@
 """The filter of one robot in fixed arrays: compiled counterpart of ``consistent.clone_ekf``.
 
+The functions that ``consistent.filter_access`` names are those that the decisions of a step call.
+
 Letters x, P, F, Q, H, S, W are those of the literature. :class:`~limslam_agent.slam.batch.state.Filter` says how P is
 stored. Functions that inner loops call take arrays instead of the filter, because each array of a tuple that is passed
 on costs as much time as a beam.
@@ -9,18 +11,24 @@ import math
 
 import numpy as np
 
+from limslam_agent.kernels import updates
 from limslam_agent.kernels.algebra import wrapped
+from limslam_agent.kernels.measurement import hit_points, towards
+from limslam_agent.kernels.segments import cut_at_bends
 from limslam_agent.kernels.tables import FEWEST_TO_COMPARE
-from limslam_agent.kernels.updates import clear_readings, compare, involved, iterate, stack_changes
+from limslam_agent.kernels.updates import clear_readings, gathered, involved, iterate, stack_changes
 from limslam_agent.slam.batch.algebra import add_products, block_of, gather_rows
 from limslam_agent.slam.batch.compilation import algebra
+from limslam_agent.slam.batch.hough import extract_lines
 from limslam_agent.slam.batch.state import CLONES, LINES, NEXT_CLONE, Filter
 from limslam_agent.slam.consistent.clone_ekf import EQUALITY_NOISE, LINE_PRIOR
+from limslam_agent.slam.consistent.limits import HUBER
 from limslam_agent.slam.core import carried_anchors
 from limslam_agent.slam.core.carried_anchors import KNOWN_PLACE
 from limslam_agent.slam.core.ekf import POSE
-from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_env.geometry import FloatArray, IntArray
+
+__all__ = ["extract_lines"]
 
 _by_carried_anchor = algebra(carried_anchors.by_carried_anchor)
 
@@ -98,14 +106,14 @@ def keep(ekf: Filter, kept: IntArray, size: int) -> None:
 
 
 @algebra
-def keep_clones(ekf: Filter, wanted: np.ndarray) -> None:
-    """Marginalise the clones that are not ``wanted`` (n,). What they contributed to other states remains."""
+def keep_clones(ekf: Filter, wanted: FloatArray) -> None:
+    """Marginalise all clones but the wanted ones (n,), in order. What they contributed to other states remains."""
     start, number, size = clones_from(ekf), ekf.counts[CLONES], 0
     kept = np.empty(size_of(ekf), dtype=np.int64)
     for place in range(start):
         kept[place] = place
     for place in range(number):
-        if wanted[place]:
+        if size < len(wanted) and ekf.clones[place] == wanted[size]:
             ekf.clones[size] = ekf.clones[place]
             for k in range(POSE):
                 kept[start + POSE * size + k] = start + POSE * place + k
@@ -145,31 +153,79 @@ def add_line(ekf: Filter, theta: float, anchor_x: float, anchor_y: float) -> int
 
 
 @algebra
-def disagreement(
-    ekf: Filter, places: IntArray, readings: FloatArray, index: int, std: float
-) -> tuple[float, float, int, float, float]:
-    """The fields of ``consistent.Disagreement``; no readings were used if too few of them can be compared."""
-    start, line, anchor = clones_from(ekf), POSE + 2 * index, (ekf.anchors[index, 0], ekf.anchors[index, 1])
-    chosen = clear_readings(ekf.x, start, places, readings, line, anchor)
-    if len(chosen) < FEWEST_TO_COMPARE:
-        return 0.0, 0.0, 0, 0.0, 0.0
-    columns, begins = involved(places, chosen, len(ekf.clones), start, line)
-    block, variances = block_of(ekf.top, ekf.rest, columns), np.full(len(places), std**2)
-    return compare(ekf.x, start, block, begins, places, readings, chosen, line, anchor, variances)
+def num_lines(ekf: Filter) -> int:
+    """How many lines the filter holds."""
+    return ekf.counts[LINES]
 
 
 @algebra
-def side_of(ekf: Filter, places: IntArray, readings: FloatArray, index: int) -> int:
-    """From which side readings hit a line: ``POSITIVE`` or ``NEGATIVE``."""
-    total, start, theta = 0.0, clones_from(ekf), ekf.x[POSE + 2 * index + 1]
-    for i in range(len(places)):
-        total += math.cos(ekf.x[start + POSE * places[i] + 2] + readings[i, 2] - theta)
-    return POSITIVE if total < 0.0 else NEGATIVE
+def line_of(ekf: Filter, index: int) -> tuple[float, float]:
+    """A line as (d, theta) about its anchor, m and rad."""
+    return ekf.x[POSE + 2 * index], ekf.x[POSE + 2 * index + 1]
+
+
+@algebra
+def anchor_of(ekf: Filter, index: int) -> tuple[float, float]:
+    """The anchor of a line, m."""
+    return ekf.anchors[index, 0], ekf.anchors[index, 1]
+
+
+@algebra
+def lines_near(ekf: Filter, theta: float, x: float, y: float, angle: float, offset: float) -> IntArray:
+    """Lines (k,) with a direction within ``angle``, rad, that pass a point, m, at less than ``offset``, m."""
+    found, count = np.empty(ekf.counts[LINES], dtype=np.int64), 0
+    for index in range(ekf.counts[LINES]):
+        d, own = ekf.x[POSE + 2 * index], ekf.x[POSE + 2 * index + 1]
+        turn = abs((own - theta + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
+        off = (x - ekf.anchors[index, 0]) * math.cos(own) + (y - ekf.anchors[index, 1]) * math.sin(own) - d
+        if turn < angle and abs(off) < offset:
+            found[count] = index
+            count += 1
+    return found[:count]
+
+
+@algebra
+def places_of(ekf: Filter, clones: FloatArray) -> IntArray:
+    """Places (n,) of clones (n,) in the state."""
+    return np.searchsorted(ekf.clones[: ekf.counts[CLONES]], clones.astype(np.int64))
+
+
+@algebra
+def end_points(ekf: Filter, places: IntArray, readings: FloatArray, theta: float) -> FloatArray:
+    """End points (n, 2), m, of readings on a wall with its normal at ``theta``, rad; on the middle of beams if NaN."""
+    rays = readings if math.isnan(theta) else towards(ekf.x, clones_from(ekf), places, readings, theta)
+    return hit_points(ekf.x, clones_from(ekf), places, rays, readings[:, 3])
+
+
+@algebra
+def straight_segments(
+    ekf: Filter, places: IntArray, readings: FloatArray, points: FloatArray, members: IntArray, line: FloatArray,
+    std: float, variances: FloatArray,
+) -> tuple[FloatArray, IntArray, FloatArray]:  # fmt: skip
+    """Cut readings near one line into straight segments: ``kernels.segments.cut_at_bends``."""
+    start = clones_from(ekf)
+    columns, begins = involved(places, members, len(ekf.clones), start, -1)
+    block = block_of(ekf.top, ekf.rest, columns)
+    return cut_at_bends(ekf.x, start, block, begins, places, readings, points, members, line, std, variances)
+
+
+@algebra
+def compare(
+    ekf: Filter, places: IntArray, readings: FloatArray, index: int, variances: FloatArray
+) -> tuple[float, float, int]:
+    """How badly readings fit a line: ``kernels.updates.compare``; no reading is used if too few can be compared."""
+    start, line, anchor = clones_from(ekf), POSE + 2 * index, (ekf.anchors[index, 0], ekf.anchors[index, 1])
+    chosen = clear_readings(ekf.x, start, places, readings, line, anchor)
+    if len(chosen) < FEWEST_TO_COMPARE:
+        return 0.0, 0.0, 0
+    columns, begins = involved(places, chosen, len(ekf.clones), start, line)
+    block = block_of(ekf.top, ekf.rest, columns)
+    return updates.compare(ekf.x, start, block, begins, places, readings, chosen, line, anchor, variances)
 
 
 @algebra
 def observe(
-    ekf: Filter, places: IntArray, readings: FloatArray, index: int, std: float, iterations: int, huber: float
+    ekf: Filter, places: IntArray, readings: FloatArray, index: int, variances: FloatArray, iterations: int
 ) -> None:
     """Update by readings of one line: the iterated EKF with Huber weights, linearised anew at each iteration."""
     start, size, line = clones_from(ekf), size_of(ekf), POSE + 2 * index
@@ -179,16 +235,16 @@ def observe(
     if not len(chosen):
         return
     columns, begins = involved(places, chosen, len(ekf.clones), start, line)
-    rows, variances = gather_rows(ekf.top, ekf.rest, columns, size), np.full(len(chosen), std**2)
+    rows = gather_rows(ekf.top, ekf.rest, columns, size)
     moved, _, _, W, _, change = iterate(
         ekf.x, size, (POSE, POSE, start), ekf.anchors, ekf.counts[LINES], ekf.top, rows, columns, begins, places,
-        readings, chosen, index, variances, iterations, huber,
+        readings, chosen, index, gathered(variances, chosen), iterations, HUBER,
     )  # fmt: skip
     correct(ekf, moved, W, change)
 
 
 @algebra
-def difference(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatArray, IntArray, FloatArray]:
+def equality(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatArray, IntArray, FloatArray]:
     """Difference (2,) of two lines about the younger's anchor, m and rad, with H (2, n), its columns, and H P H^T."""
     a, b = POSE + 2 * older, POSE + 2 * younger
     between_x = ekf.anchors[younger, 0] - ekf.anchors[older, 0]
@@ -212,11 +268,16 @@ def difference(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, Float
 
 
 @algebra
-def merge(ekf: Filter, younger: int, H: FloatArray, columns: IntArray, S: FloatArray, off: FloatArray) -> None:
-    """Merge two lines: update by the constraint that they are equal, and marginalise the younger one.
+def difference(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatArray]:
+    """Difference (2,) of two lines about the younger's anchor, m and rad, and its covariance (2, 2)."""
+    off, _, _, covariance = equality(ekf, older, younger)
+    return off, covariance
 
-    The other arguments are those that :func:`difference` returns.
-    """
+
+@algebra
+def merge(ekf: Filter, older: int, younger: int, iterations: int) -> None:  # noqa: ARG001 (a batch renews no map)
+    """Merge two lines: update by the constraint that they are equal, and marginalise the younger one."""
+    off, H, columns, S = equality(ekf, older, younger)
     size = size_of(ekf)
     first_line = len(columns) - 4
     HP = np.ascontiguousarray(H[:, first_line:]) @ gather_rows(ekf.top, ekf.rest, columns[first_line:], size)

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from limslam_agent.kernels.cells import SKIPPED, GridArray, StampArray, change_cells, touched_cells
 from limslam_agent.slam.batch.compilation import compiled
-from limslam_agent.slam.batch.state import Settings
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 CropArray: TypeAlias = NDArray[np.uint8]
@@ -39,7 +38,7 @@ def shift(grid: GridArray, window: IntArray, axis: int, low: int, high: int) -> 
 
 @compiled
 def update(
-    pose: FloatArray, grid: GridArray, window: IntArray, ranges: FloatArray, measured: BoolArray, settings: Settings,
+    pose: FloatArray, grid: GridArray, window: IntArray, ranges: FloatArray, measured: BoolArray, settings: np.void,
     beams: FloatArray, stamps: StampArray, stamp: int,
 ) -> None:  # fmt: skip
     """Update a grid by one step's readings (b,), m, of which those ``measured`` (b,) are new.

@@ -5,14 +5,13 @@ import math
 import numpy as np
 
 from limslam_agent.slam.batch.compilation import algebra
-from limslam_agent.slam.batch.state import Settings
 from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.core.motion import LEAST_VARIANCE
 from limslam_env.geometry import FloatArray
 
 
 @algebra
-def motion_from_wheels(wheels: FloatArray, settings: Settings) -> tuple[FloatArray, FloatArray]:
+def motion_from_wheels(wheels: FloatArray, settings: np.void) -> tuple[FloatArray, FloatArray]:
     """The arc of left and right wheel travel (2,), m, as a pose increment (3,), and its covariance (3, 3)."""
     distance, turn = 0.5 * (wheels[0] + wheels[1]), (wheels[1] - wheels[0]) / settings.axle
     half = 0.5 * turn

@@ -1,33 +1,26 @@
 """State of each robot of a batch in arrays of fixed size, and the settings as compiled functions read them."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig
-from limslam_agent.slam.consistent.pending_readings import SIDES, thinned
+from limslam_agent.kernels.tables import Walls, empty_walls
+from limslam_agent.slam.consistent.pending_readings import SIDES, most_clones, sides_of
+from limslam_agent.slam.consistent.step_settings import step_settings
 from limslam_agent.slam.core.contact import new_memory
 from limslam_agent.slam.core.ekf import POSE
-from limslam_agent.slam.core.hough import bin_size, max_distance
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 
-# Places in ``Filter.counts``; those of FRESH and PENDING are followed by one place for each further side.
-LINES, CLONES, NEXT_CLONE, STEP, FRESH, PENDING, CLOSURES, OVERFLOWS, REFUSED = 0, 1, 2, 3, 4, 7, 10, 11, 12
-# Places in ``States.travel``; that of LAST_HIT is followed by one place for each further side.
-DRIVEN, TURNED, DRIVEN_AT, TURNED_AT, LAST_HIT = 0, 1, 2, 3, 4
-# Columns of ``States.pending``.
-CLONE, BEAM, RANGE, DRIVEN_THEN = 0, 1, 2, 3
-# Columns of ``Spec.beams``. The occupancy grid uses the first six.
-FROM_X, FROM_Y, TOWARDS_X, TOWARDS_Y, TOO_NEAR, TOO_FAR, ANGLE, FARTHEST, PERIOD, SIDE = 0, 1, 2, 3, 4, 5, 6, 7, 8, 9
-# Columns of ``Walls.table``.
-LOW, LENGTH, GROUPS, READINGS = 0, 1, 2, 3
-# Rows of ``Walls.counted`` and of ``Walls.reached``.
-HITS, MISSES = 0, 1
-LEAST, MOST = 0, 1
+# Places in ``Filter.counts``.
+LINES, CLONES, NEXT_CLONE, STEP, REFUSED = range(5)
+PERIOD = 8
+"""The column of ``Spec.beams`` after those of ``RobotSpec.beam_table``: steps between two measurements of a beam."""
 
 
 @dataclass(frozen=True)
@@ -79,7 +72,7 @@ class Filter(NamedTuple):
     clones
         Numbers of the clones (n, clones), in order.
     counts
-        (n, 13), numbers of lines, clones and so on, whose places are named above.
+        (n, 5), numbers of lines, clones and so on, whose places are named above.
     """
 
     x: FloatArray
@@ -90,26 +83,6 @@ class Filter(NamedTuple):
     counts: IntArray
 
 
-class Walls(NamedTuple):
-    """Extents of the landmarks of n robots, as ``WallExtent`` counts them.
-
-    Attributes
-    ----------
-    table
-        (n, landmarks, 4): first bin, number of bins, updates, readings.
-    counted, reached
-        (n, landmarks, 2, bins): beams that ended and that passed; least and largest position of a hit, m.
-    seen, behind
-        (n, landmarks, 2, 2) and (n, landmarks), as in ``wall_map.Wall``.
-    """
-
-    table: IntArray
-    counted: NDArray[np.int32]
-    reached: FloatArray
-    seen: FloatArray
-    behind: FloatArray
-
-
 class States(NamedTuple):
     """All that is estimated for n robots. For one robot, the first axis of each array is missing.
 
@@ -117,11 +90,8 @@ class States(NamedTuple):
     ----------
     filter, walls
         Poses, lines and clones, and the extents of the landmarks.
-    travel
-        (n, 7): distance driven (m) and angle turned (rad), both now and at the last collection of readings, and the
-        distance driven at the last hit of each side.
-    pending
-        (n, 3, most, 4): the pending readings of each side: clone, beam, range (m), distance driven (m).
+    travel, pending, fill
+        (n, 7), (n, 3, most, 5) and (n, 3, 2), as in ``consistent.pending_readings``.
     contact
         (n, 1 + 2 beams): what :func:`limslam_agent.slam.core.contact.slip` remembers.
     grid, window
@@ -133,134 +103,63 @@ class States(NamedTuple):
     walls: Walls
     travel: FloatArray
     pending: FloatArray
+    fill: IntArray
     contact: FloatArray
     grid: NDArray[np.int16]
     window: IntArray
 
 
-class Settings(NamedTuple):
-    """The settings of ``AgentConfig`` and ``RobotSpec`` that compiled functions need, under the same names."""
-
-    std: float
-    cone: float
-    wheel_variance: float
-    axle: float
-    radius: float
-    min_distance: float
-    min_turn: float
-    batch: int
-    max_age: float
-    max_clones: int
-    new_length: float
-    new_readings: float
-    gate: float
-    closes_loops: bool
-    min_votes: int
-    r_step: float
-    theta_step: float
-    near_line: float
-    segment_gap: float
-    max_hole: float
-    segment_length: float
-    only_best: bool
-    cell: float
-    seen_through: int
-    hit: int
-    limit: int
-
-
-_KINDS = Settings.__annotations__
-
-
 class Spec(NamedTuple):
-    """What does not change: an array of one ``Settings``, and the beams (b, 10), whose columns are named above."""
+    """What does not change.
+
+    Attributes
+    ----------
+    settings
+        An array of one record: ``StepSettings``, and further numbers of ``AgentConfig`` and ``RobotSpec``.
+    beams
+        ``RobotSpec.beam_table`` with one more column, which is named above.
+    sides
+        Of each beam, as of ``pending_readings.sides_of``.
+    """
 
     settings: NDArray[np.void]
     beams: FloatArray
+    sides: IntArray
 
 
 def spec_of(robot: RobotSpec, config: AgentConfig, estimator: ConsistentConfig) -> Spec:
     """The part of a robot and of its settings that compiled functions need."""
-    std = config.range_std
-    hough, creation = estimator.hough, estimator.for_ranges(std).creation
-    sides = np.full(len(robot.beams), -1)
-    for number, side in enumerate(SIDES):
-        sides[thinned([beam.side == side for beam in robot.beams], estimator.pending.beams)] = number
-    by_name = (estimator.pending, estimator.association, config.grid)
-    given = {name: getattr(group, name) for group in by_name for name in Settings._fields if hasattr(group, name)}
-    given |= {
-        "std": std,
-        "cone": robot.cone,
-        "wheel_variance": config.noise.wheel_variance,
-        "axle": robot.axle,
-        "radius": robot.radius,
-        "max_hole": estimator.segmentation.max_hole_share * robot.reach,
-        "new_length": creation.min_length,
-        "new_readings": creation.readings_per_std,
-        "closes_loops": estimator.merging.enabled,
-        "min_votes": hough.min_votes,
-        "r_step": bin_size(hough, std),
-        "theta_step": hough.theta_step,
-        "near_line": max_distance(hough, std),
-        "segment_gap": hough.max_gap,
-        "segment_length": hough.min_length,
-        "only_best": hough.only_best,
-    }
-    kinds = {"float": np.float64, "int": np.int64, "bool": np.bool_}
+    std, grid = config.range_std, config.grid
+    given: dict[str, Any] = step_settings(estimator, RangeSensor(std, cone=robot.cone), std)._asdict()
+    given |= {"wheel_variance": config.noise.wheel_variance, "axle": robot.axle, "radius": robot.radius}
+    given |= {name: getattr(grid, name) for name in ("cell", "seen_through", "hit", "limit")}
     # A record is one argument of a compiled function; a tuple of thirty numbers would be thirty arguments.
-    fields = [(name, kinds[kind if isinstance(kind, str) else kind.__name__]) for name, kind in _KINDS.items()]
-    settings = np.array([tuple(given[name] for name in _KINDS)], dtype=fields)
-    return Spec(settings, beams_of(robot, sides))
-
-
-def beams_of(robot: RobotSpec, sides: IntArray) -> FloatArray:
-    """The beams (b, 10) as compiled functions read them."""
-    return np.ascontiguousarray(
-        np.column_stack(
-            (
-                robot.beam_origins, robot.beam_directions, robot.too_near, robot.too_far, robot.beam_angles,
-                robot.max_ranges, [beam.period for beam in robot.beams], sides,
-            )
-        )
-    )  # fmt: skip
-
-
-def most_clones(robot: RobotSpec, config: ConsistentConfig) -> int:
-    """Largest number of clones that can be needed at a time.
-
-    A side with ``batch`` fresh readings is processed, and then at most ``max_clones`` clones remain. Each clone since
-    then has brought a fresh reading to a side, and no side has ``batch`` of them.
-    """
-    del robot
-    return config.pending.max_clones + len(SIDES) * (config.pending.batch - 1) + 1
+    kinds = {bool: np.bool_, int: np.int64, float: np.float64}
+    settings = np.array([tuple(given.values())], dtype=[(name, kinds[type(value)]) for name, value in given.items()])
+    beams = np.column_stack((robot.beam_table, [beam.period for beam in robot.beams]))
+    return Spec(settings, np.ascontiguousarray(beams, dtype=float), sides_of(robot, estimator.pending.beams))
 
 
 def states_for(robot: RobotSpec, config: ConsistentConfig, num_envs: int, capacity: Capacity) -> States:
     """Arrays for the states of a number of robots, all zero."""
-    clones = min(capacity.clones or most_clones(robot, config), most_clones(robot, config))
+    enough = most_clones(config.pending.batch, config.pending.max_clones, 1)
+    clones = min(capacity.clones or enough, enough)
     size = POSE + 2 * capacity.landmarks + POSE * clones
     widest = min(max(sum(beam.side == side for beam in robot.beams) for side in SIDES), config.pending.beams)
-    shape, bins = (num_envs, capacity.landmarks), capacity.bins
     belief = Filter(
         x=np.zeros((num_envs, size)),
         top=np.zeros((num_envs, POSE, size)),
         rest=np.zeros((num_envs, size * (size + 1) // 2)),
-        anchors=np.zeros((*shape, 2)),
+        anchors=np.zeros((num_envs, capacity.landmarks, 2)),
         clones=np.zeros((num_envs, clones), dtype=np.int64),
-        counts=np.zeros((num_envs, 13), dtype=np.int64),
-    )
-    walls = Walls(
-        table=np.zeros((*shape, 4), dtype=np.int64),
-        counted=np.zeros((*shape, 2, bins), dtype=np.int32),
-        reached=np.zeros((*shape, 2, bins)),
-        seen=np.zeros((*shape, 2, 2)),
-        behind=np.zeros(shape),
+        counts=np.zeros((num_envs, 5), dtype=np.int64),
     )
     return States(
         filter=belief,
-        walls=walls,
+        walls=empty_walls(capacity.landmarks, capacity.bins, num_envs),
         travel=np.zeros((num_envs, 7)),
-        pending=np.zeros((num_envs, len(SIDES), clones * widest, 4)),
+        pending=np.zeros((num_envs, len(SIDES), clones * widest, 5)),
+        fill=np.zeros((num_envs, len(SIDES), 2), dtype=np.int64),
         contact=np.zeros((num_envs, len(new_memory(len(robot.beams))))),
         grid=np.zeros((num_envs, capacity.cells, capacity.cells), dtype=np.int16),
         window=np.zeros((num_envs, 2), dtype=np.int64),

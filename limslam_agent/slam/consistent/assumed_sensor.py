@@ -6,9 +6,9 @@ import numpy as np
 
 from limslam_agent.config.consistent import RangeErrorConfig
 from limslam_agent.slam.consistent.range_noise import RangeNoise
-from limslam_agent.slam.consistent.segmentation import WallSegment
 from limslam_agent.slam.consistent.separate_bias import COMMON, TURNS, RangeErrors
 from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_env.geometry import FloatArray
 from limslam_env.interface import LARGEST_CONE
 
 LEAST_ERRORS = (2e-3, math.radians(0.25))
@@ -54,9 +54,9 @@ class AssumedSensor:
         """Standard deviation of a range of usual length, m."""
         return self.sensor.usual_std(self._reach)
 
-    def count(self, segment: WallSegment) -> None:
-        """Count the residuals of a segment that is used."""
-        self._noise.count(segment.residuals, segment.ranges)
+    def count(self, residuals: FloatArray, ranges: FloatArray) -> None:
+        """Count the residuals (n,) of a piece of wall that is used, in standard deviations, and its ranges (n,), m."""
+        self._noise.count(residuals, ranges)
         self._is_counted = True
 
     def correction(self, errors: RangeErrors | None) -> RangeSensor | None:

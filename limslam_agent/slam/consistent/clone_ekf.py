@@ -7,19 +7,22 @@ read, even if the wall that the beam hit becomes known much later. So the noise 
 once.
 """
 
-import math
-
 import numpy as np
 from scipy.linalg.blas import dgemm
 
-from limslam_agent.slam.consistent.beam_model import Disagreement, Readings, by_range_errors, expected_of
 from limslam_agent.slam.consistent.clone_slots import CloneSlots
-from limslam_agent.slam.consistent.separate_bias import TURNS, OdometryErrors, RangeErrors, SeparateBias
+from limslam_agent.slam.consistent.limits import HUBER
+from limslam_agent.slam.consistent.separate_bias import (
+    TURNS,
+    OdometryErrors,
+    RangeErrors,
+    SeparateBias,
+    by_range_errors,
+)
 from limslam_agent.slam.consistent.spare_memory import SpareMemory
 from limslam_agent.slam.core.carried_anchors import KNOWN_PLACE, by_carried_anchor
 from limslam_agent.slam.core.ekf import POSE, LineEKF
 from limslam_agent.slam.core.triangular import solve_lower
-from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import normalise
 from limslam_env.geometry.se2 import compose_jacobians, wrap_angle
@@ -77,6 +80,11 @@ class CloneEKF(LineEKF):
         return joint
 
     @property
+    def lines_from(self) -> int:
+        """Index in the state at which the lines begin."""
+        return self._first
+
+    @property
     def clones_from(self) -> int:
         """Index in the state at which the slots of the clones begin."""
         return self._first + 2 * self.num_lines
@@ -100,6 +108,10 @@ class CloneEKF(LineEKF):
     def anchors(self) -> FloatArray:
         """The lines' anchors (N, 2), m."""
         return self._anchors
+
+    def line(self, index: int) -> FloatArray:
+        """One line (2,) as (d, theta) about its anchor, a view."""
+        return np.asarray(self.x[self._part(index)])
 
     def line_covariance(self, index: int) -> FloatArray:
         """Covariance (2, 2) of one line as (r, theta) in the world."""
@@ -211,25 +223,6 @@ class CloneEKF(LineEKF):
         """Slots (n,) of clones (n,)."""
         return self._clones.of(clones)
 
-    def points(self, places: IntArray, readings: FloatArray, theta: float = math.nan) -> FloatArray:
-        """Estimated end points (n, 2), m, of readings.
-
-        Parameters
-        ----------
-        places, readings
-            Slots of the clones that they were taken from (n,), and ``Readings.rows`` (n, 5).
-        theta
-            Direction, rad, of the normal of the wall that they show. Without it, the points are on the middle of each
-            beam.
-        """
-        from limslam_agent.kernels.measurement import ends_of_beams
-
-        return ends_of_beams(self.x, self.clones_from, places, readings, theta)
-
-    def clone_poses(self, clones: IntArray) -> FloatArray:
-        """Estimated poses (n, 3) of clones (n,), m, m, rad."""
-        return np.asarray(self.x[self._columns(clones)])
-
     def add_line(self, theta: float, anchor: FloatArray) -> int:
         """Add a line with an uninformative prior, and return its index.
 
@@ -262,15 +255,18 @@ class CloneEKF(LineEKF):
         self.P[part, part] = about_anchor @ covariance @ about_anchor.T
         return index
 
-    def observe(self, readings: Readings, index: int, std: float, iterations: int, huber: float) -> None:
+    def observe(
+        self, places: IntArray, readings: FloatArray, index: int, variances: FloatArray, iterations: int,
+        huber: float = HUBER,
+    ) -> None:  # fmt: skip
         """Update by readings of one line: the iterated EKF, linearised anew at each iteration.
 
         Parameters
         ----------
-        readings, index
-            The readings, and the line that they show.
-        std
-            Standard deviation of a short range, m.
+        places, readings, index
+            Places of the clones (n,), beams and ranges (n, 6), and the line that they show.
+        variances
+            Variances of the ranges (n,), m^2.
         iterations
             Number of iterations.
         huber
@@ -280,45 +276,20 @@ class CloneEKF(LineEKF):
         from limslam_agent.kernels.updates import update_by_readings
 
         left, right, moved, moved_again, expected, H, columns, factor, W, innovation, chosen = update_by_readings(
-            self.x, self.P, self._parts, self._anchors, index, self.places(readings.clones), readings.rows,
-            readings.variances(std), iterations, float(huber),
-        )  # fmt: skip
+            self.x, self.P, self._parts, self._anchors, index, places, readings, variances, iterations, float(huber)
+        )
         if not len(left):
             return
         if not factor[-1, -1] > 0.0:
             raise np.linalg.LinAlgError("the innovation's covariance is not positive")
         self._add_product(left, right)
-        own, theta = readings.select(chosen), float(self.x[self._part(index)][1])
-        direct = by_range_errors(expected_of(expected), own, self.clone_poses(own.clones)[:, 2], theta, self._beams)
+        headings, theta = self.x[self._columns_of(places[chosen])[:, 2]], float(self.line(index)[1])
+        direct = by_range_errors(expected, readings[chosen], headings, theta, self._beams)
         for bias in self._biases:
             bias.transport(moved)
             bias.update(H, columns, innovation, factor, W, direct if bias is self._range_errors else None)
             bias.transport(moved_again)
         self._restore_angles()
-
-    def disagreement(self, readings: Readings, index: int, std: float) -> Disagreement | None:
-        """How badly readings fit a line; None if too few of them meet it at a sufficient angle.
-
-        This is the generalised likelihood ratio of the hypotheses "the readings show this line" and "they show another
-        line", both with the joint uncertainty of poses and line, and the chi-square that "another line" leaves.
-        """
-        from limslam_agent.kernels.updates import compare_readings
-
-        told = compare_readings(
-            self.x, self.P, self.clones_from, self.places(readings.clones), readings.rows, self._part(index).start,
-            (self._anchors[index, 0], self._anchors[index, 1]), readings.variances(std),
-        )  # fmt: skip
-        return Disagreement(*told) if told[2] else None
-
-    def side(self, readings: Readings, index: int) -> int:
-        """From which side readings hit a line: ``POSITIVE`` or ``NEGATIVE``."""
-        headings = self.clone_poses(readings.clones)[:, 2] + readings.angles
-        return POSITIVE if np.cos(headings - self.x[self._part(index)][1]).sum() < 0.0 else NEGATIVE
-
-    def clone_covariance(self, clones: IntArray) -> FloatArray:
-        """Joint covariance (3 n, 3 n) of clones (n,)."""
-        columns = self._columns(clones).ravel()
-        return np.asarray(self.P[np.ix_(columns, columns)])
 
     def difference(self, older: int, younger: int) -> tuple[FloatArray, FloatArray]:
         """Difference (2,) of two lines about the younger's anchor, m and rad, and its covariance (2, 2)."""
@@ -486,10 +457,6 @@ class CloneEKF(LineEKF):
         self.x, self.P, self.dim_x = self.x[places], P, len(places)
         for bias in self._biases:
             bias.keep(places)
-
-    def _columns(self, clones: IntArray) -> IntArray:
-        """Indices (n, 3) of clones (n,) in the state."""
-        return self._columns_of(self.places(clones))
 
     def _columns_of(self, slots: IntArray) -> IntArray:
         """Indices (n, 3) of slots (n,) in the state."""

@@ -24,12 +24,12 @@ MAX_END_GAP, MAX_ANGLE, MAX_OFFSET = 0.35, math.radians(20.0), 0.5
 FAR_GATE = 25.0
 """Readings with a chi-square between ``WallAssociationConfig.gate`` and this one create no landmark.
 
-They update the landmark if every other one has this chi-square or more, and if they lie inside the landmark's known
-ends and would be good enough for a new landmark but for their length. Otherwise they stay pending.
+They update the landmark if every other one has this chi-square or more, and if they would be good enough for a new
+landmark but for their length. Otherwise they stay pending.
 """
 
-AMBIGUITY = 9.0
-"""Readings are discarded if the chi-square of a second landmark within the gate is larger by less than this."""
+SHORTEST = 0.1
+"""Least length of a piece of wall that the error of its direction is based on."""
 
 # Updates of a landmark by a piece of wall.
 LEAST_LENGTH = 0.15
@@ -37,13 +37,6 @@ LEAST_LENGTH = 0.15
 
 RESIDUAL_SIGMAS = 3.0
 """Largest chi-square of the residuals about the best line, in standard deviations of its distribution."""
-
-END_SLACK = 0.05
-"""Readings up to this far beyond a landmark's known ends count as inside."""
-
-# If most readings lie beyond the known ends, the piece must be at least this long, its chi-square at most this large,
-# and the standard deviation of its direction at most this large.
-BEYOND_LENGTH, BEYOND_GATE, BEYOND_ANGLE_STD = 0.20, 9.0, math.radians(4.0)
 
 HUBER = 1.5
 """Residuals of more standard deviations than this are weighted down (Huber's weights)."""
@@ -65,11 +58,14 @@ ONE_WALL_GATE = 16.0
 MIN_OVERLAP = 0.15
 """Least length of wall that both landmarks cover."""
 
-# Extents of landmarks.
-THROUGH_SIGMAS, THROUGH_SLACK = 3.0, 0.05
-"""A beam has passed through a landmark's line if it is longer than the distance to the line by this many standard
-deviations and by this length."""
+STRAIGHTNESS = (1e-3**2, 1e-4**2)
+"""Variances, m^2 and rad^2, by which one real wall deviates from a line.
 
+They bound the difference of two landmarks from below, because landmarks that were always seen together may have a
+difference that is known more exactly than any wall is straight.
+"""
+
+# Extents of landmarks.
 MAX_GAP = 0.30
 """Longest stretch without readings that is drawn as wall."""
 

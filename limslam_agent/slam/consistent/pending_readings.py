@@ -1,20 +1,19 @@
-"""Readings of one robot that are pending: they are kept until the wall that they show is known.
+"""Readings that are pending: they are kept until the wall that they show is known.
 
 Readings are collected by side of the robot. Each is stored with the number of the clone of the pose that it was taken
 from, so that it can correct that pose later.
-"""
 
-import copy
-import math
-from itertools import chain
-from typing import Any, NamedTuple, Self
+All is stored in arrays, and the functions are plain: a single estimator calls them as they are, and the batch compiles
+them. For each robot, ``travel`` (7,) has the places that are named below, and for each of its sides, ``pending`` (most,
+5) has a row for each reading, and ``fill`` (2,) says how many of its rows are used and how many of these are fresh.
+"""
 
 import numpy as np
 
-from limslam_agent.config.consistent import PendingReadingsConfig
-from limslam_agent.slam.consistent.beam_model import Readings
-from limslam_agent.slam.core.front_end import FrontEnd
-from limslam_env.geometry import FloatArray, IntArray
+from limslam_agent.kernels.tables import ANGLE, FROM_X, FROM_Y
+from limslam_agent.slam.consistent.filter_access import places_of
+from limslam_agent.slam.consistent.step_settings import StepSettings
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec, Side
 
 SIDES: tuple[Side, ...] = ("left", "right", "none")
@@ -23,102 +22,78 @@ SIDES: tuple[Side, ...] = ("left", "right", "none")
 AHEAD = SIDES.index("none")
 """Index in ``SIDES`` of the beams that point ahead or behind."""
 
+CLONE, BEAM, RANGE, DRIVEN_THEN, TAKEN_AT = range(5)
+"""Columns of ``pending``: clone, beam, range (m), the distance driven until then (m), and the step."""
 
-class PendingReading(NamedTuple):
-    """One pending reading: its clone, step, beam, range (m), and the distance driven until then (m)."""
+WAITING, FRESH = range(2)
+"""Places in ``fill``: readings that are pending, and those that were collected since their side was last processed."""
 
-    clone: int
-    step: int
-    beam: int
-    distance: float
-    driven: float
+DRIVEN, TURNED, DRIVEN_AT, TURNED_AT, LAST_HIT = range(5)
+"""Places in ``travel``: distance driven (m) and angle turned (rad), now and at the last collection, and the distance
+driven at the last hit of the first side, which is followed by those of the other sides."""
 
 
-class PendingReadings:
-    """The distance that one robot has driven, and its pending readings by side.
+def sides_of(robot: RobotSpec, most: int) -> IntArray:
+    """The side (n_beams,) of each beam that is used, as an index in ``SIDES``; -1 for a beam that is not used.
 
-    Parameters
-    ----------
-    robot
-        Body and beams.
-    config
-        Distance and turn that the robot must move between two collections.
-    most
-        Largest number of beams of one side that are used; more are thinned out evenly.
-
-    Attributes
-    ----------
-    driven
-        Distance driven so far, m.
-    by_side
-        The pending readings of each side, oldest first.
-    fresh
-        Number of readings of each side that were collected since that side was last processed.
+    Of each side, at most ``most`` beams are used. More are thinned out evenly.
     """
-
-    def __init__(self, robot: RobotSpec, config: PendingReadingsConfig, most: int) -> None:
-        self._robot, self._config = robot, config
-        self._beams = {side: thinned([beam.side == side for beam in robot.beams], most).tolist() for side in SIDES}
-        self.driven = self._turned = 0.0
-        self._collected_at = (-math.inf, -math.inf)
-        self.by_side: dict[Side, list[PendingReading]] = {side: [] for side in SIDES}
-        self.fresh: dict[Side, int] = dict.fromkeys(SIDES, 0)
-        self._last_hit: dict[Side, float] = dict.fromkeys(SIDES, 0.0)
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        other = copy.copy(self)
-        other.by_side = {side: list(readings) for side, readings in self.by_side.items()}
-        for name in ("fresh", "_last_hit"):
-            setattr(other, name, dict(getattr(self, name)))
-        return other
-
-    def move(self, increment: FloatArray) -> None:
-        """Count a motion of the robot (3,), m and rad."""
-        self.driven += math.hypot(float(increment[0]), float(increment[1]))
-        self._turned += abs(float(increment[2]))
-
-    def is_due(self, front: FrontEnd) -> bool:
-        """Whether there are new hits, and the robot has moved far enough since the last collection."""
-        hits = front.hits.tolist()
-        hit = [side for side, beams in self._beams.items() if any(hits[beam] for beam in beams)]
-        for side in hit:
-            self._last_hit[side] = self.driven
-        driven, turned = self._collected_at
-        has_moved = self.driven - driven >= self._config.min_distance or self._turned - turned >= self._config.min_turn
-        return has_moved and bool(hit)
-
-    def collect(self, front: FrontEnd, clone: int) -> None:
-        """Add the new hits, which were taken from the pose of a clone."""
-        self._collected_at = self.driven, self._turned
-        hits, ranges = front.hits.tolist(), front.ranges.tolist()
-        for side, beams in self._beams.items():
-            for beam in beams:
-                if hits[beam]:
-                    self.by_side[side].append(PendingReading(clone, front.step, beam, ranges[beam], self.driven))
-                    self.fresh[side] += 1
-
-    def forget(self) -> None:
-        """Discard all pending readings."""
-        for side in SIDES:
-            self.by_side[side], self.fresh[side] = [], 0
-
-    def has_ended(self, side: Side, gap: float) -> bool:
-        """Whether a side has pending readings but no hit within the last ``gap`` (m): the wall there has ended."""
-        return bool(self.by_side[side]) and self.driven - self._last_hit[side] > gap
-
-    def readings(self, side: Side) -> Readings:
-        """The pending readings of a side, as the filter takes them."""
-        numbers = chain.from_iterable(self.by_side[side])
-        rows = np.fromiter(numbers, dtype=float).reshape(-1, len(PendingReading._fields))
-        clones, steps, beams = rows[:, :3].T.astype(int)
-        return Readings(
-            clones, self._robot.beam_origins[beams], self._robot.beam_angles[beams], rows[:, 3],
-            np.column_stack((steps, beams)),
-        )  # fmt: skip
+    sides = np.full(len(robot.beams), -1)
+    for number, side in enumerate(SIDES):
+        beams = np.flatnonzero([beam.side == side for beam in robot.beams])
+        sides[beams[np.linspace(0, len(beams) - 1, min(most, len(beams))).round().astype(int)]] = number
+    return sides
 
 
-def thinned(chosen: list[bool], most: int) -> IntArray:
-    """Indices of the chosen beams, or of ``most`` of them that are evenly spread."""
-    beams = np.flatnonzero(np.array(chosen))
-    places = np.unique(np.linspace(0, len(beams) - 1, min(most, len(beams))).round().astype(int))
-    return np.asarray(beams[places])
+def most_clones(batch: int, max_clones: int, robots: int) -> int:
+    """Largest number of clones that can be needed at a time.
+
+    A side with ``batch`` fresh readings is processed, and then at most ``max_clones`` clones remain. Each clone since
+    then has brought a fresh reading to a side, and no side has ``batch`` of them.
+    """
+    return max_clones + robots * (len(SIDES) * (batch - 1) + 1)
+
+
+def is_due(travel: FloatArray, hits: BoolArray, sides: IntArray, settings: StepSettings) -> bool:
+    """Whether there are new hits (b,), and the robot has moved far enough since the last collection."""
+    seen = hits & (sides >= 0)
+    if not seen.any():
+        return False
+    for side in sides[seen]:
+        travel[LAST_HIT + side] = travel[DRIVEN]
+    has_driven = travel[DRIVEN] - travel[DRIVEN_AT] >= settings.min_distance
+    return bool(has_driven or travel[TURNED] - travel[TURNED_AT] >= settings.min_turn)
+
+
+def collect(
+    travel: FloatArray, pending: FloatArray, fill: IntArray, step: int, ranges: FloatArray, hits: BoolArray,
+    sides: IntArray, clone: int,
+) -> None:  # fmt: skip
+    """Add a robot's new hits (b,), which were taken from the pose of a clone, to its sides (3, most, 5)."""
+    travel[DRIVEN_AT], travel[TURNED_AT] = travel[DRIVEN], travel[TURNED]
+    for beam in np.flatnonzero(hits & (sides >= 0)):
+        side = sides[beam]
+        reading = pending[side, fill[side, WAITING]]
+        reading[CLONE], reading[BEAM], reading[RANGE] = clone, beam, ranges[beam]
+        reading[DRIVEN_THEN], reading[TAKEN_AT] = travel[DRIVEN], step
+        fill[side] += 1
+
+
+def has_ended(travel: FloatArray, fill: IntArray, side: int, gap: float) -> bool:
+    """Whether a side has pending readings but no hit within the last ``gap`` (m): the wall there has ended."""
+    return bool(fill[side, WAITING] > 0 and travel[DRIVEN] - travel[LAST_HIT + side] > gap)
+
+
+def readings_of(
+    ekf: object, waiting: FloatArray, beams: FloatArray, settings: StepSettings
+) -> tuple[IntArray, FloatArray, FloatArray]:
+    """Pending readings (n, 5) as the filter takes them: places of their clones (n,), beams and ranges, and variances.
+
+    Beams and ranges (n, 6) are those of ``kernels.measurement``, and the number of the beam.
+    """
+    numbers, readings = waiting[:, BEAM].astype(np.int64), np.empty((len(waiting), 6))
+    readings[:, 0], readings[:, 1] = beams[:, FROM_X][numbers], beams[:, FROM_Y][numbers]
+    readings[:, 2], readings[:, 3] = beams[:, ANGLE][numbers], waiting[:, RANGE] - settings.bias
+    readings[:, 4], readings[:, 5] = settings.cone, waiting[:, BEAM]
+    variances = settings.std**2 + (settings.growth * readings[:, 3] ** 2) ** 2
+    return places_of(ekf, waiting[:, CLONE]), readings, variances

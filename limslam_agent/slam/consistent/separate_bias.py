@@ -11,9 +11,11 @@ nothing.
 
 import numpy as np
 
+from limslam_agent.kernels.tables import FLATTEST, LEAST_COSINE
 from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.core.triangular import solve_lower
 from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry.line import angle_between
 
 
 class SeparateBias:
@@ -248,3 +250,37 @@ def _estimated(prior: FloatArray, information: FloatArray, score: FloatArray) ->
     """Errors (k,) and their covariance (k, k), from the prior covariance, information and score."""
     covariance = prior @ np.linalg.inv(np.eye(len(prior)) + information @ prior)
     return covariance @ score, 0.5 * (covariance + covariance.T)
+
+
+def by_range_errors(
+    expected: FloatArray, readings: FloatArray, headings: FloatArray, theta: float, beams: int
+) -> FloatArray:
+    """Derivatives (n, 2 + beams) of predicted ranges by the errors of ``RangeErrors``.
+
+    These are a bias of all ranges, half the opening angle of the beams, and the directions of the robot's beams. At the
+    angle phi to the normal, a beam reads r tan(phi) more for each radian that it is turned away from the normal. A
+    wider cone reads the wall under a ray that is nearer to the perpendicular, and so a shorter range.
+
+    Parameters
+    ----------
+    expected, readings
+        What ``kernels.measurement.predict_ranges`` fills (n, 7), and the readings (n, 6).
+    headings
+        Those of the poses that the readings were taken from (n,), rad.
+    theta
+        Direction of the line's normal, rad.
+    beams
+        Number of beams of the robot; 0 if their directions are not estimated.
+    """
+    cosines = np.maximum(np.abs(expected[:, 6]), LEAST_COSINE)
+    sines = np.sqrt(np.maximum(1.0 - cosines**2, 0.0))
+    by_width = -expected[:, 0] * sines / cosines
+    by_errors = np.zeros((len(cosines), 2 + beams))
+    by_errors[:, 0], by_errors[:, 1] = 1.0, by_width
+    if beams:
+        angles, cones, numbers = readings[:, 2], readings[:, 4], readings[:, 5].astype(int)
+        turn = angle_between(theta - headings - angles)
+        turn = np.where(np.abs(turn) < FLATTEST, np.clip(turn, -cones, cones), 0.0)
+        slants = angle_between(headings + angles + turn - theta)
+        by_errors[np.arange(len(slants)), 2 + numbers] = -np.sign(slants) * by_width
+    return by_errors

@@ -1,51 +1,87 @@
 """The landmarks of the consistent estimator, without their lines: extents, and numbers of readings."""
 
-import copy
-import math
-from dataclasses import dataclass, field, replace
-from typing import Any, Self
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from limslam_agent.config.consistent import ExtentConfig
-from limslam_agent.kernels.tables import GRAZING
+from limslam_agent.kernels.tables import (
+    CHANGES,
+    GROUPS,
+    HITS,
+    LEAST,
+    LENGTH,
+    LOW,
+    MISSES,
+    MOST,
+    NEXT_NUMBER,
+    NUMBER,
+    READINGS,
+    empty_walls,
+)
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
-from limslam_agent.slam.consistent.limits import MAX_GAP, THROUGH_SIGMAS, THROUGH_SLACK, THROUGH_TOLERANCE
-from limslam_agent.slam.consistent.wall_extent import WallExtent
+from limslam_agent.slam.consistent.limits import MAX_GAP, STRAIGHTNESS, THROUGH_TOLERANCE
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.geometry.line import at, direction, distance
+from limslam_env.geometry.line import at, direction
 from limslam_env.geometry.segment import lengths
-
-STRAIGHTNESS = (1e-3**2, 1e-4**2)
-"""Variances, m^2 and rad^2, by which one real wall deviates from a line.
-
-They bound the difference of two landmarks from below, because landmarks that were always seen together may have a
-difference that is known more exactly than any wall is straight.
-"""
 
 NEW = -1
 """Number of a landmark that has not got its number yet."""
 
-
-def moved_along(seen: FloatArray, factor: float, shift: float) -> FloatArray:
-    """The outermost hits from each side (2, 2), m, of a line whose position s is ``factor`` (1 or -1) s + ``shift``."""
-    return seen + shift if factor > 0.0 else shift - seen[::-1, ::-1]
+_LANDMARKS, _BINS = 24, 128
+"""Room for landmarks, and for bins of each, that is made at once."""
 
 
-def shared(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Length (2,) of the stretch between the outermost hits (2, 2) of two lines from each side, m; below 0 if none."""
-    return np.asarray(np.minimum(first[:, 1], second[:, 1]) - np.maximum(first[:, 0], second[:, 0]))
+@dataclass(frozen=True, eq=False)
+class WallExtent:
+    """Counts along a line, in bins of ``kernels.extents.BIN``.
+
+    Attributes
+    ----------
+    low
+        Number of the first bin.
+    counted
+        Beams that ended in each bin, and beams that passed (2, n).
+    reached
+        Least and largest position of a hit in each bin (2, n), m along the line.
+    """
+
+    low: int
+    counted: IntArray
+    reached: FloatArray
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        """Positions of the outermost hits, m along the line."""
+        return float(self.reached[LEAST].min()), float(self.reached[MOST].max())
+
+    def intervals(self, max_gap: float, tolerance: float) -> FloatArray:
+        """Intervals (k, 2), m, in which there is wall.
+
+        Parameters
+        ----------
+        max_gap
+            Longest gap between two hits that is drawn as wall if no beam has passed through it, m.
+        tolerance
+            Number of beams that may pass through a bin for each beam that ended in it.
+        """
+        hits, misses, (least, most) = self.counted[HITS], self.counted[MISSES], self.reached
+        is_wall = (hits > 0) & (misses <= tolerance * hits)
+        bins = np.nonzero(is_wall)[0]
+        if not len(bins):
+            return np.zeros((0, 2))
+        passed = np.concatenate(([0], np.cumsum((misses > 0) & ~is_wall)))
+        between = passed[bins[1:]] - passed[bins[:-1] + 1]
+        gaps = least[bins[1:]] - most[bins[:-1]]
+        cuts = np.nonzero((between > 0) | (gaps > max_gap))[0] + 1
+        parts = np.split(bins, cuts)
+        return np.array([(least[part[0]], most[part[-1]]) for part in parts])
 
 
-def squared_difference(off: FloatArray, covariance: FloatArray) -> float:
-    """Squared Mahalanobis distance of two landmarks by their difference (2,), m and rad, with its covariance (2, 2)."""
-    return float(off @ np.linalg.solve(covariance + np.diag(STRAIGHTNESS), off))
-
-
-@dataclass(eq=False)
+@dataclass(frozen=True, eq=False)
 class Wall:
-    """One landmark.
+    """One landmark at one moment.
 
     Attributes
     ----------
@@ -55,34 +91,20 @@ class Wall:
         Where along the line there is wall.
     groups, readings
         Number of updates by a wall segment, and of readings in them.
-    seen
-        Positions of the outermost hits from each side of the line (2, 2), m along the line: rows ``POSITIVE`` and
-        ``NEGATIVE`` of ``core.wall_faces``.
-    behind
-        Length of the stretch with another face behind it, m, if the landmark is a face of a wall.
-    is_known
-        Whether the landmark is from an earlier map, which does not say from which sides it was seen.
     known_as
         Number of the landmark that a ``NEW`` one was recognised as while it was seen; ``NEW`` if none.
     """
 
     number: int
-    extent: WallExtent = field(default_factory=WallExtent)
-    groups: int = 0
-    readings: int = 0
-    seen: FloatArray = field(default_factory=lambda: np.array([[math.inf, -math.inf]] * 2))
-    behind: float = 0.0
-    is_known: bool = False
+    extent: WallExtent
+    groups: int
+    readings: int
     known_as: int = NEW
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
-        # Copies of the map are made all the time, so that a lost robot can go back to one.
-        return replace(self, extent=copy.deepcopy(self.extent, memo), seen=self.seen.copy())
-
     @property
-    def board(self) -> float:
-        """Length of the stretch that is seen from both sides, m."""
-        return 0.0 if self.is_known else max(float(self.seen[:, 1].min() - self.seen[:, 0].max()), 0.0)
+    def is_wall(self) -> bool:
+        """Whether there is a place along the landmark where beams have ended and at most as many have passed."""
+        return bool(len(self.extent.intervals(MAX_GAP, THROUGH_TOLERANCE)))
 
 
 class WallMap:
@@ -94,91 +116,83 @@ class WallMap:
         The filter, which holds the lines.
     config
         When a landmark is a wall of the map.
+
+    Attributes
+    ----------
+    arrays
+        The landmarks as the decisions of a step read and change them.
     """
 
     def __init__(self, belief: CloneEKF, config: ExtentConfig) -> None:
         self._belief, self._config = belief, config
-        self.walls: list[Wall] = []
-        self._numbers = 0
-        self._drawn: tuple[FloatArray, IntArray] | None = None
-        self._shown: tuple[tuple[FloatArray, IntArray], FloatArray, IntArray] | None = None
+        self.arrays = empty_walls(_LANDMARKS, _BINS)
+        self._intervals: dict[int, tuple[int, FloatArray]] = {}
+        self._drawn: tuple[bytes, FloatArray, IntArray] = (b"", np.zeros((0, 4)), np.zeros(0, dtype=int))
 
     def __len__(self) -> int:
-        return len(self.walls)
-
-    def __getitem__(self, index: int) -> Wall:
-        return self.walls[index]
-
-    def add(self) -> Wall:
-        """Add a landmark for the line that was last added to the filter."""
-        self.walls.append(Wall(self._numbers))
-        self._numbers += 1
-        return self.walls[-1]
-
-    def count_in(self, walls: list[Wall]) -> None:
-        """Give landmarks of an earlier moment what all beams until now say of them, if they still exist."""
-        present = {wall.number: wall for wall in self.walls}
-        for wall in walls:
-            newest = present.get(wall.number, wall)
-            wall.extent, wall.seen, wall.behind = newest.extent, newest.seen, newest.behind
-
-    def is_wall(self, wall: Wall) -> bool:
-        """Whether there is a place along a landmark where beams have ended and at most as many have passed."""
-        return bool(len(wall.extent.intervals(MAX_GAP, THROUGH_TOLERANCE)))
-
-    def replace(self, walls: list[Wall]) -> list[Wall]:
-        """Replace all landmarks, after the filter has replaced their lines; the new ones, which get their numbers."""
-        self.walls, self._drawn = list(walls), None
-        new = [wall for wall in walls if wall.number == NEW]
-        for wall in new:
-            wall.number, self._numbers = self._numbers, self._numbers + 1
-        return new
+        return self._belief.num_lines
 
     @property
-    def kinds(self) -> tuple[float, float]:
-        """Length of the landmarks that are boards, and of the walls that have two faces, m."""
-        return sum(wall.board for wall in self.walls), 0.5 * sum(wall.behind for wall in self.walls)
+    def numbers(self) -> IntArray:
+        """Numbers (n,) of the landmarks."""
+        return np.asarray(self.arrays.table[: len(self), NUMBER])
 
-    def grow(self, index: int, points: FloatArray, *sides: int) -> None:
-        """Count beams that ended on a landmark at points (n, 2), m, from given sides, and that corrected the filter."""
-        wall, along = self.walls[index], self.along(index, points)
-        for side in sides:
-            low, high = wall.seen[side]
-            wall.seen[side] = min(low, along.min()), max(high, along.max())
-        wall.extent.hit(along)
-        wall.groups += 1
-        wall.readings += len(points)
-        self._drawn = None
+    def make_room(self, landmarks: int) -> None:
+        """Make room for further landmarks, and for each landmark to grow."""
+        room, bins = self.arrays.counted.shape[0], self.arrays.counted.shape[2]
+        longest = int(self.arrays.table[: len(self), LENGTH].max(initial=0))
+        if len(self) + landmarks > room or 2 * longest + _BINS > bins:
+            more = landmarks + _LANDMARKS if len(self) + landmarks > room else 0
+            old, self.arrays = self.arrays, empty_walls(room + more, max(bins, 3 * longest + _BINS))
+            for before, after in zip(old, self.arrays, strict=True):
+                after[tuple(slice(size) for size in before.shape)] = before
 
-    def merge(self, older: int, younger: int, origin: FloatArray, tangent: FloatArray) -> None:
-        """Merge two landmarks into the older one, after the filter has merged their lines.
+    def add(self, points: FloatArray) -> None:
+        """Add a landmark for the line that was last added to the filter, on which beams ended at points (n, 2), m."""
+        from limslam_agent.kernels.extents import add_wall, count_hits
 
-        Parameters
-        ----------
-        older, younger
-            Indices of the landmarks. The younger one is removed.
-        origin, tangent
-            Point of the world (2,), m, from which the younger landmark's positions counted, and their direction (2,).
+        self.make_room(1)
+        index = len(self) - 1
+        add_wall(self.arrays, index)
+        count_hits(self.arrays, index, self.along(index, points))
+
+    @property
+    def walls(self) -> list[Wall]:
+        """The landmarks at this moment."""
+        return [
+            Wall(int(row[NUMBER]), self._extent(index), int(row[GROUPS]), int(row[READINGS]))
+            for index, row in enumerate(self.arrays.table[: len(self)])
+        ]
+
+    def up_to_date(self, walls: list[Wall]) -> list[Wall]:
+        """Landmarks of an earlier moment with what all beams until now say of them, if they still exist."""
+        present = {wall.number: wall.extent for wall in self.walls}
+        return [replace(wall, extent=present.get(wall.number, wall.extent)) for wall in walls]
+
+    def replace(self, walls: list[Wall]) -> list[int]:
+        """Replace all landmarks, after the filter has replaced their lines.
+
+        Landmarks with the number ``NEW`` get their numbers, which are returned.
         """
-        wall, other = self.walls[older], self.walls.pop(younger)
-        factor = 1.0 if tangent @ direction(self._belief.anchored[older]) > 0.0 else -1.0
-        shift = float(self.along(older, origin))
-        wall.extent.absorb(other.extent, factor, shift)
-        seen = moved_along(other.seen, factor, shift)
-        wall.seen = np.column_stack((np.minimum(wall.seen[:, 0], seen[:, 0]), np.maximum(wall.seen[:, 1], seen[:, 1])))
-        wall.behind = max(wall.behind, other.behind)
-        wall.groups += other.groups
-        wall.readings += other.readings
-        self._drawn = None
+        new, number = [], int(self.arrays.tally[NEXT_NUMBER])
+        longest = max((len(wall.extent.counted[0]) for wall in walls), default=0)
+        self.arrays = empty_walls(len(walls) + _LANDMARKS, 3 * longest + _BINS)
+        for index, wall in enumerate(walls):
+            low, length, extent = wall.extent.low, len(wall.extent.counted[0]), wall.extent
+            if wall.number == NEW:
+                new.append(number)
+                number += 1
+            own = new[-1] if wall.number == NEW else wall.number
+            self.arrays.table[index] = low, length, wall.groups, wall.readings, own, 0
+            self.arrays.counted[index, :, :length], self.arrays.ends[index] = extent.counted, extent.ends
+            self.arrays.reached[index, :, :length] = extent.reached
+        self.arrays.tally[NEXT_NUMBER], self._intervals = number, {}
+        self._drawn = (b"outdated", *self._drawn[1:])
+        return new
 
     def along(self, index: int, points: FloatArray) -> FloatArray:
         """Positions (...) of points (..., 2) along a landmark, m from its anchor."""
-        return np.asarray((points - self._belief.anchors[index]) @ direction(self._belief.anchored[index]))
-
-    def offset(self, older: int, younger: int) -> float:
-        """Distance of the middle of a landmark from the line of another one, m."""
-        ends = self.ends(younger) - self._belief.anchors[older]
-        return abs(float(distance(self._belief.anchored[older], ends).mean()))
+        return np.asarray((points - self._belief.anchors[index]) @ direction(self._belief.line(index)))
 
     def agreeing(self, pairs: list[tuple[int, int]], gate: float) -> list[int]:
         """Which pairs of landmarks may all be one wall each, of pairs that are likely to be.
@@ -202,21 +216,21 @@ class WallMap:
 
     def ends(self, index: int) -> FloatArray:
         """The outermost points (2, 2) of a landmark, m."""
-        return self._points(index, np.array(self.walls[index].extent.ends))
+        return np.asarray(self._belief.anchors[index] + at(self._belief.line(index), self.arrays.ends[index]))
 
     @property
     def segments(self) -> FloatArray:
         """The walls of the map (N, 4), m: where beams ended, and none passed. A copy."""
-        return self._shown_segments[0].copy()
+        return self._segments()[0].copy()
 
     @property
     def landmarks(self) -> list[Landmark]:
         """The landmarks that are walls of the map."""
-        owners, drawn = self._shown_segments[1], set(self._segments[1].tolist())
+        owners, is_shown = self._segments()[1], self._is_shown
         return [
             replace(mark, segments=tuple(np.flatnonzero(owners == index).tolist()))
-            for index, (mark, wall) in enumerate(zip(self.all_landmarks, self.walls, strict=True))
-            if self._is_shown(wall) and index in drawn
+            for index, mark in enumerate(self.all_landmarks)
+            if is_shown[index] and len(self._wall_intervals(index))
         ]
 
     @property
@@ -226,66 +240,43 @@ class WallMap:
         return [
             Landmark(
                 float(lines[index, 0]), float(lines[index, 1]), self._belief.line_covariance(index), self.ends(index),
-                wall.groups, wall.number,
+                int(row[GROUPS]), int(row[NUMBER]),
             )
-            for index, wall in enumerate(self.walls)
+            for index, row in enumerate(self.arrays.table[: len(self)])
         ]  # fmt: skip
 
-    def clear_along_beams(self, origins: FloatArray, towards: FloatArray, ranges: FloatArray, stds: FloatArray) -> None:
-        """Count the places of landmarks that beams have passed through.
-
-        Parameters
-        ----------
-        origins, towards
-            Where the beams begin (n, 2), m, and their unit directions (n, 2), in the world.
-        ranges, stds
-            How far the beams went (n,), and the standard deviations of that (n,), m.
-        """
-        from limslam_agent.kernels.nearness import passed_lines
-
-        if not self.walls:
-            return
-        most = len(ranges) * len(self.walls)
-        numbers, places = np.empty(most, dtype=np.int64), np.empty(most)
-        count = passed_lines(
-            origins, towards, ranges, THROUGH_SIGMAS * stds, self._belief.anchored, self._belief.anchors,
-            THROUGH_SLACK, GRAZING, numbers, places,
-        )  # fmt: skip
-        for index, place in zip(numbers[:count].tolist(), places[:count].tolist(), strict=True):
-            if self.walls[index].extent.pass_at(place):
-                self._drawn = None
-
-    def _is_shown(self, wall: Wall) -> bool:
-        return wall.readings >= self._config.min_readings
+    def _extent(self, index: int) -> WallExtent:
+        low, length = self.arrays.table[index, [LOW, LENGTH]].tolist()
+        counted, reached = self.arrays.counted[index, :, :length], self.arrays.reached[index, :, :length]
+        return WallExtent(low, counted.copy(), reached.copy())
 
     @property
+    def _is_shown(self) -> IntArray:
+        """Which landmarks (n,) have enough readings."""
+        return np.asarray(self.arrays.table[: len(self), READINGS] >= self._config.min_readings)
+
+    def _wall_intervals(self, index: int) -> FloatArray:
+        """Where along a landmark there is wall (k, 2), m; kept until the landmark changes."""
+        number, changes = self.arrays.table[index, [NUMBER, CHANGES]].tolist()
+        known = self._intervals.get(number)
+        if known is None or known[0] != changes:
+            known = self._intervals[number] = changes, self._extent(index).intervals(MAX_GAP, THROUGH_TOLERANCE)
+        return known[1]
+
     def _segments(self) -> tuple[FloatArray, IntArray]:
-        """Segments (n, 4), m, of all landmarks, and the index of the landmark that each lies on (n,).
+        """The walls of the map (N, 4), m, and the index of the landmark that each lies on (N,).
 
         They are kept until a landmark changes, because every step asks for them.
         """
-        if self._drawn is None:
-            pieces = [wall.extent.intervals(MAX_GAP, THROUGH_TOLERANCE) for wall in self.walls]
+        key = self.arrays.table[: len(self)].tobytes()
+        if self._drawn[0] != key:
+            pieces = [self._wall_intervals(index) for index in range(len(self))]
             owners = np.repeat(np.arange(len(pieces)), [len(each) for each in pieces])
             along, lines = np.concatenate((np.zeros((0, 2)), *pieces)), self._belief.anchored[owners]
             anchors, (cos, sin) = self._belief.anchors[owners], (np.cos(lines[:, 1:]), np.sin(lines[:, 1:]))
             points = np.empty((len(owners), 4))
             points[:, ::2] = anchors[:, :1] + (lines[:, :1] * cos - along * sin)
             points[:, 1::2] = anchors[:, 1:] + (lines[:, :1] * sin + along * cos)
-            self._drawn = points, owners
-        return self._drawn
-
-    @property
-    def _shown_segments(self) -> tuple[FloatArray, IntArray]:
-        """Those of :attr:`_segments` that are walls of the map. They are kept as long as all segments are."""
-        segments = self._segments
-        if self._shown is None or self._shown[0] is not segments:
-            points, owners = segments
-            is_shown = np.array([self._is_shown(wall) for wall in self.walls], dtype=bool)
-            is_shown = is_shown[owners] & (lengths(points) >= self._config.min_length)
-            self._shown = segments, points[is_shown], owners[is_shown]
-        return self._shown[1:]
-
-    def _points(self, index: int, along: FloatArray) -> FloatArray:
-        """Points (..., 2) of the world, m, at positions (...) along a landmark."""
-        return np.asarray(self._belief.anchors[index] + at(self._belief.anchored[index], along))
+            is_shown = self._is_shown[owners] & (lengths(points) >= self._config.min_length)
+            self._drawn = key, points[is_shown], owners[is_shown]
+        return self._drawn[1:]

@@ -5,8 +5,8 @@ from limslam_env.compilation import compiled, entry_of
 __all__ = ["compiled", "entry"]
 
 entry = entry_of(
-    "limslam_agent.kernels.range_sensor",
-    "limslam_agent.slam.consistent.wall_extent",
+    "limslam_agent.kernels.measurement",
+    "limslam_agent.kernels.tables",
     "limslam_agent.slam.core.wall_faces",
     "limslam_agent.slam.line_graph",
 )

@@ -8,8 +8,8 @@ import math
 
 import numpy as np
 
-from limslam_agent.kernels.range_sensor import read_share
-from limslam_agent.slam.consistent.wall_extent import BIN
+from limslam_agent.kernels.measurement import read_share
+from limslam_agent.kernels.tables import BIN
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_agent.slam.line_graph.compilation import compiled, entry
 from limslam_agent.slam.line_graph.factors import GRAZING

@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limslam_agent.slam.consistent.wall_extent import BIN, WallExtent
+from limslam_agent.kernels.tables import BIN
+from limslam_agent.slam.consistent.wall_map import WallExtent
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.line_graph import line_kernels as kernels
 from limslam_agent.slam.line_graph.problem import Problem, Readings, State
@@ -128,7 +129,7 @@ def wall_extents(problem: Problem, found: Association) -> dict[int, WallExtent]:
     extents = {}
     for index in np.flatnonzero(counted.hits.sum(axis=1) >= _FEWEST_SHOWN).tolist():
         counts, reached = np.stack((counted.hits[index], counted.misses[index])), np.stack((least[index], most[index]))
-        extents[index] = WallExtent.counted(int(counted.low[index]), counts, reached)
+        extents[index] = WallExtent(int(counted.low[index]), counts, reached)
     return extents
 
 

@@ -74,7 +74,7 @@ def test_the_recording_grows():
         drive.mapper.finish()
         drive.follower.end()
         _, meta = unpacked(asked(page, "/recording")[1])
-        assert all("why" in event for event in meta["events"] if event["kind"] in {"waits", "ambiguous"})
+        assert all("why" in event for event in meta["events"] if event["kind"] == "waits")
         status, changes = asked(page, "/changes")
         assert status == 200
         assert changes.rstrip().split("\n\n")[-1].startswith("event: end")

@@ -19,7 +19,7 @@ from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import NominalNoise
 
-DECISIONS = {"new", "again", "waits", "ambiguous"}
+DECISIONS = {"new", "again", "waits"}
 
 
 @pytest.fixture(scope="module")

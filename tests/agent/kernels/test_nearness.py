@@ -6,17 +6,14 @@ import numpy as np
 import pytest
 
 from limslam_agent.kernels.nearness import (
-    aim_beams,
     beams_on_robot,
     count_on_walls,
     lines_near,
-    passed_lines,
     place_readings,
     room_ahead,
     safe_share,
 )
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.line import direction, normal
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.geometry.segment import distances
 from limslam_env.interface import RobotSpec
@@ -89,34 +86,6 @@ def test_room_ahead() -> None:
                 rooms.append(x - math.sqrt(ROBOT.radius**2 - min(abs(y), ROBOT.radius) ** 2))
         found = room_ahead(ranges, ROBOT.beam_table, math.radians(60.0), ROBOT.radius, 0.03)
         assert found == pytest.approx(min(rooms), abs=1e-15)
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_lines_that_beams_pass_through(seed: int) -> None:
-    generator, pose, ranges = drawn(seed)
-    lines, anchors = generator.uniform(-2.0, 2.0, (9, 2)), generator.normal(0.0, 1.0, (9, 2))
-    measured = generator.random(BEAMS) < 0.8
-    rays = np.empty((BEAMS, 2)), np.empty((BEAMS, 2)), np.empty(BEAMS), np.empty(BEAMS)
-    count = aim_beams(pose, ranges, measured, ROBOT.beam_table, (0.02**2, 0.03, 0.01, 0.004), *rays)
-    beams = np.flatnonzero(measured & (ranges > ROBOT.too_near))
-    origins, towards, reaches, stds = (each[:count] for each in rays)
-    np.testing.assert_allclose(stds**2, 0.02**2 + (0.03 * reaches**2) ** 2 + 0.01 + 0.004 * reaches**2, rtol=1e-12)
-    margins = generator.uniform(0.0, 0.1, count)
-    headings = pose[2] + ROBOT.beam_angles[beams]
-    np.testing.assert_allclose(origins, transform_points(pose, ROBOT.beam_origins[beams]), atol=1e-12)
-    np.testing.assert_allclose(towards, np.column_stack((np.cos(headings), np.sin(headings))), atol=1e-12)
-    np.testing.assert_array_equal(reaches, ranges[beams])
-
-    numbers, places = np.empty(9 * count, dtype=np.int64), np.empty(9 * count)
-    found = passed_lines(origins, towards, reaches, margins, lines, anchors, 0.05, 0.2, numbers, places)
-    cosines = towards @ normal(lines).T
-    ahead = (lines[:, 0] + np.sum(anchors * normal(lines), axis=1) - origins @ normal(lines).T) / cosines
-    least = ahead + margins[:, None] / np.maximum(np.abs(cosines), 0.2) + 0.05
-    rows, indices = np.nonzero((np.abs(cosines) > 0.2) & (ahead > 0.0) & (least < reaches[:, None]))
-    assert numbers[:found].tolist() == indices.tolist()
-    points = origins[rows] + ahead[rows, indices, None] * towards[rows]
-    along = np.sum((points - anchors[indices]) * direction(lines)[indices], axis=1)
-    np.testing.assert_allclose(places[:found], along, atol=1e-12)
 
 
 @pytest.mark.parametrize("seed", SEEDS)

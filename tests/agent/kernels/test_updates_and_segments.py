@@ -9,12 +9,27 @@ import math
 
 import numpy as np
 import pytest
-from support.batch_stages import NOISE, estimator_after
+from support.batch_stages import NOISE, estimator_after, waiting_readings
+from support.readings import (
+    Expected,
+    Readings,
+    clone_poses,
+    columns_of,
+    expected_ranges,
+    hit_points,
+    observe,
+    points_of,
+)
 
+from limslam_agent.kernels.segments import fit_segment
 from limslam_agent.kernels.tables import (
+    ANGLE_STD,
+    BEND_AT,
+    BENT,
     CURVE_GATE,
     END_GATE,
     END_ZONE,
+    EXTENT,
     FEWEST,
     FEWEST_FOR_SHAPE,
     FEWEST_TO_COMPARE,
@@ -22,13 +37,16 @@ from limslam_agent.kernels.tables import (
     KINK_GATE,
     KINKS_AT,
     LEAST_GAIN,
+    MIDDLE_X,
+    MIDDLE_Y,
     MIN_KINK,
+    THETA,
 )
-from limslam_agent.slam.consistent.beam_model import Expected, Readings, expected_ranges, hit_points
+from limslam_agent.kernels.updates import dense_block
+from limslam_agent.kernels.updates import involved as clones_of
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.consistent import ConsistentEstimator
 from limslam_agent.slam.consistent.pending_readings import SIDES
-from limslam_agent.slam.consistent.segmentation import _fit, _Source
 from limslam_agent.slam.core.ekf import POSE
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import direction, normal
@@ -41,7 +59,7 @@ def recorded() -> ConsistentEstimator:
 
 
 def all_readings(estimator: ConsistentEstimator) -> list[Readings]:
-    sides = [estimator._pending[0].readings(side) for side in SIDES]
+    sides = [waiting_readings(estimator, side) for side in range(len(SIDES))]
     return [readings._replace(growth=growth) for readings in sides for growth in (0.0, 0.02) if len(readings.ranges)]
 
 
@@ -49,7 +67,7 @@ def involved(ekf: CloneEKF, readings: Readings, index: int) -> tuple[Expected, F
     """Predicted ranges, H and its columns in the state."""
     own, places = np.unique(readings.clones, return_inverse=True)
     line = ekf._first + 2 * index
-    columns = np.append(ekf._columns(own).ravel(), [line, line + 1])
+    columns = np.append(columns_of(ekf, own).ravel(), [line, line + 1])
     poses = ekf.x[columns[:-2]].reshape(-1, POSE)[places]
     expected = expected_ranges(poses, readings, ekf.x[columns[-2:]], ekf.anchors[index])
     jacobian, rows = np.zeros((len(places), len(columns))), np.arange(len(places))
@@ -100,17 +118,17 @@ def test_updates(recorded: ConsistentEstimator, iterations: int, huber: float) -
         for index in range(recorded._filter.num_lines):
             ekf = copy.deepcopy(recorded._filter)
             state, covariance = plain_update(ekf, readings, index, iterations, huber)
-            ekf.observe(readings, index, NOISE, iterations, huber)
+            observe(ekf, readings, index, NOISE, iterations, huber)
             np.testing.assert_allclose(ekf.x, state, rtol=0.0, atol=1e-9)
             np.testing.assert_allclose(ekf.P, covariance, rtol=0.0, atol=1e-10)
 
 
 def test_an_update_of_a_new_line(recorded: ConsistentEstimator) -> None:
     ekf, readings = copy.deepcopy(recorded._filter), all_readings(recorded)[0]
-    points = hit_points(ekf.clone_poses(readings.clones), readings)
+    points = hit_points(clone_poses(ekf, readings.clones), readings)
     index = ekf.add_line(0.5 * math.pi, points.mean(axis=0))
     state, covariance = plain_update(ekf, readings, index, 4, 1.5)
-    ekf.observe(readings, index, NOISE, 4, 1.5)
+    observe(ekf, readings, index, NOISE, 4, 1.5)
     np.testing.assert_allclose(ekf.x, state, rtol=0.0, atol=1e-8)
     np.testing.assert_allclose(ekf.P, covariance, rtol=0.0, atol=1e-9)
 
@@ -119,7 +137,7 @@ def test_gates(recorded: ConsistentEstimator) -> None:
     ekf, compared = recorded._filter, 0
     for readings in all_readings(recorded):
         for index in range(ekf.num_lines):
-            found, own = ekf.disagreement(readings, index, NOISE), clear(ekf, readings, index)
+            found, own = compared(ekf, readings, index, NOISE), clear(ekf, readings, index)
             assert (found is None) == (len(own.ranges) < FEWEST_TO_COMPARE)
             if found is None:
                 continue
@@ -129,7 +147,6 @@ def test_gates(recorded: ConsistentEstimator) -> None:
             along, information = by_line.T @ np.linalg.solve(spread, off), by_line.T @ np.linalg.solve(spread, by_line)
             of_line = along @ np.linalg.solve(information, along)
             wanted = [of_line, off @ np.linalg.solve(spread, off) - of_line, len(off)]
-            wanted += [along[0] / information[0, 0], 1.0 / information[0, 0]]
             np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-9)
             compared += 1
     assert compared > 2
@@ -154,7 +171,7 @@ def drawn(ekf: CloneEKF, shape: str, seed: int) -> tuple[Readings, FloatArray]:
     """Readings of a straight, bent or ending wall beside the clones, and a line through them."""
     generator = np.random.default_rng(seed)
     clones = np.sort(generator.choice(ekf._clones.numbers, 40))
-    poses, origins = ekf.clone_poses(clones), generator.normal(0.0, 0.05, (40, 2))
+    poses, origins = clone_poses(ekf, clones), generator.normal(0.0, 0.05, (40, 2))
     heading = float(poses[:, 2].mean()) + 0.5 * math.pi
     anchor = poses[:, :2].mean(axis=0) + 0.8 * normal(np.array([0.0, heading]))
     angles, sources = generator.uniform(0.7, 2.4, 40), np.zeros((40, 2), dtype=int)
@@ -175,15 +192,15 @@ def test_fits(recorded: ConsistentEstimator, shape: str, seed: int) -> None:
     ekf = recorded._filter
     readings, line = drawn(ekf, shape, seed)
     places, rows = ekf.places(readings.clones), readings.rows
-    points = ekf.points(places, rows)
+    points = points_of(ekf, readings)
     members = np.arange(40) if seed else np.arange(0, 40, 5)
-    own, state, poses = readings.select(members), np.array([0.0, line[1]]), ekf.clone_poses(readings.clones[members])
+    own, state, poses = readings.select(members), np.array([0.0, line[1]]), clone_poses(ekf, readings.clones[members])
     anchor = line[0] * normal(line) + (points[members] @ direction(line)).mean() * direction(line)
     first = expected_ranges(poses, own, state, anchor)
     clear = np.flatnonzero(np.abs(first.cosines) > GRAZING)
     assert len(clear) >= FEWEST - 1
     by_poses = np.zeros((len(members), len(ekf.x)))
-    for row, columns in enumerate(ekf._columns(own.clones)):
+    for row, columns in enumerate(columns_of(ekf, own.clones)):
         by_poses[row, columns] = first.by_pose[row]
     spread = (by_poses @ ekf.P @ by_poses.T + np.diag(own.variances(NOISE)))[np.ix_(clear, clear)]
     factor = np.linalg.cholesky(spread)
@@ -195,17 +212,20 @@ def test_fits(recorded: ConsistentEstimator, shape: str, seed: int) -> None:
         state = state + np.linalg.lstsq(by_line, off, rcond=None)[0]
     basis = np.linalg.qr(by_line)[0]
     left = beside(basis, off)
-    fit = _fit(_Source(ekf, places, rows, points, readings.variances(NOISE), NOISE), members, tuple(line))
-    assert fit is not None
-    segment = fit.segment
-    assert segment.theta == pytest.approx(state[1], abs=1e-11)
-    np.testing.assert_allclose(segment.middle, anchor, rtol=0.0, atol=1e-12)
-    np.testing.assert_allclose(segment.residuals, left, rtol=0.0, atol=1e-8)
+    start, segment, along_found, are_loose = ekf.clones_from, np.empty(8), np.empty(40), np.zeros(40, dtype=bool)
+    columns, begins = clones_of(places, members, (len(ekf.x) - start) // POSE, start, -1)
+    residuals, _ = fit_segment(
+        ekf.x, start, dense_block(ekf.P, columns), begins, places, rows, points, members, tuple(line.tolist()), NOISE,
+        readings.variances(NOISE)[members], segment, along_found, are_loose,
+    )  # fmt: skip
+    assert segment[THETA] == pytest.approx(state[1], abs=1e-11)
+    np.testing.assert_allclose(segment[[MIDDLE_X, MIDDLE_Y]], anchor, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(residuals, left, rtol=0.0, atol=1e-8)
     met = own._replace(ranges=np.where(np.isin(np.arange(len(members)), clear), expected.ranges, own.ranges))
     along = (hit_points(poses, met) - anchor) @ direction(state)
-    np.testing.assert_allclose(fit.along, along, rtol=0.0, atol=1e-11)
-    assert segment.length == pytest.approx(np.ptp(np.sort(along)[1:-1]), abs=1e-11)
-    assert segment.angle_std == pytest.approx(NOISE / math.sqrt(len(clear) * np.var(along[clear])), rel=1e-9)
+    np.testing.assert_allclose(along_found[: len(members)], along, rtol=0.0, atol=1e-11)
+    assert segment[EXTENT] == pytest.approx(np.ptp(np.sort(along)[1:-1]), abs=1e-11)
+    assert segment[ANGLE_STD] == pytest.approx(NOISE / math.sqrt(len(clear) * np.var(along[clear])), rel=1e-9)
     here, cosines = along[clear], expected.cosines[clear]
     loose = np.zeros(len(members), dtype=bool)
     for end in (here.min(), here.max()):
@@ -213,9 +233,9 @@ def test_fits(recorded: ConsistentEstimator, shape: str, seed: int) -> None:
         form = beside(basis, np.linalg.solve(factor, zone / cosines))
         if not zone.all() and form @ form > LEAST_GAIN and (left @ form) ** 2 > END_GATE * (form @ form):
             loose[clear[zone]] = True
-    np.testing.assert_array_equal(fit.loose, loose)
+    np.testing.assert_array_equal(are_loose[: len(members)], loose)
     if len(here) < FEWEST_FOR_SHAPE:
-        assert not fit.is_bent
+        assert not segment[BENT]
         return
     kinks = np.quantile(here, KINKS_AT)
     scaled = (2.0 * (here - here.min()) / np.ptp(here) - 1.0)[:, None] ** np.array([2, 3, 4])
@@ -225,5 +245,5 @@ def test_fits(recorded: ConsistentEstimator, shape: str, seed: int) -> None:
     gains = angles**2 * np.sum(bends**2, axis=0)
     best = int(np.argmax(gains))
     is_kinked = gains[best] > KINK_GATE and abs(angles[best]) > MIN_KINK
-    assert fit.is_bent == (is_kinked or np.sum((left @ curves) ** 2) > CURVE_GATE)
-    assert fit.bend_at == pytest.approx(kinks[best], abs=1e-11)
+    assert bool(segment[BENT]) == (is_kinked or np.sum((left @ curves) ** 2) > CURVE_GATE)
+    assert segment[BEND_AT] == pytest.approx(kinks[best], abs=1e-11)

@@ -10,6 +10,7 @@ from support.command_line import call
 from limslam_agent.cli.main import main
 from limslam_agent.config.consistent import ExtentConfig
 from limslam_agent.grid.occupancy import GridView
+from limslam_agent.kernels.extents import pass_at
 from limslam_agent.output.export import write_map
 from limslam_agent.output.finished_run import FinishedRun, read_run
 from limslam_agent.replay import replay as replay_module
@@ -82,13 +83,10 @@ def test_a_landmark_with_a_door_is_written_as_two_segments(tmp_path):
     belief = CloneEKF(np.zeros(3))
     belief.add_line(np.pi / 2, np.array([0.0, 1.0]))
     walls = WallMap(belief, ExtentConfig())
-    walls.add()
     along = np.arange(-1.0, 1.0, 0.05)
-    walls.grow(0, np.column_stack((along, np.ones(len(along)))))
-    through = along[np.abs(along) < 0.3]
-    origins, ahead = np.column_stack((through, 0.5 * np.ones(len(through)))), np.tile([0.0, 1.0], (len(through), 1))
-    for _ in range(3):
-        walls.clear_along_beams(origins, ahead, np.full(len(through), 1.2), np.full(len(through), 0.005))
+    walls.add(np.column_stack((along, np.ones(len(along)))))
+    for through in np.repeat(along[np.abs(along) < 0.3], 3).tolist():
+        pass_at(walls.arrays, 0, -through)
     write_map(tmp_path, Snapshot(*[np.zeros((1, 3))] * 3, walls.landmarks, walls.segments, UNKNOWN, [], []))
     final, doors = content(tmp_path, "map.json"), np.array([[-0.3, 1.0, 0.3, 1.0]])
     assert [mark["segments"] for mark in final["landmarks"]] == [[0, 1]]

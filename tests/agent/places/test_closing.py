@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
+from support.walls import wall_along
 
 from limslam_agent.config.exploration import GridConfig
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with, poses_moved_with
-from limslam_agent.slam.consistent.wall_map import Wall
 from limslam_env.geometry.line import direction, normal
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.geometry.segment import sample
@@ -23,8 +23,7 @@ def walls_of(segments):
     lines = np.column_stack((np.zeros(len(segments)), np.arctan2(*(segments[:, 2:] - segments[:, :2]).T[::-1])))
     lines[:, 1] -= 0.5 * np.pi
     for number, (segment, line, middle) in enumerate(zip(segments, lines, middles, strict=True)):
-        walls.append(Wall(number))
-        walls[-1].extent.hit((sample(segment[None], 0.05)[0] - middle) @ direction(line))
+        walls.append(wall_along(number, (sample(segment[None], 0.05)[0] - middle) @ direction(line)))
     return lines, middles, walls
 
 

@@ -1,10 +1,10 @@
 """A kidnapped robot is placed among the walls that it was matched with, and is as uncertain as they are."""
 
 import numpy as np
+from support.walls import wall_along
 
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with
-from limslam_agent.slam.consistent.wall_map import Wall
 from limslam_env.geometry.line import direction
 from limslam_env.geometry.segment import sample
 
@@ -21,8 +21,7 @@ def room_in_an_uncertain_world(count):
         points, _ = sample(segment[None], 0.05)
         middle = points.mean(axis=0)
         ekf.add_known_line(line, 1e-8 * np.eye(2), middle)
-        walls.append(Wall(number))
-        walls[-1].extent.hit((points - middle) @ direction(line))
+        walls.append(wall_along(number, (points - middle) @ direction(line)))
     by_world = lines_moved_with((0.0, 0.0), ekf.anchored, ekf.anchors)
     ekf.P[3:, 3:] += by_world @ WORLD @ by_world.T
     return ekf, MapState(ekf.pose, ekf.anchored, ekf.anchors, ekf.marginal(), walls)

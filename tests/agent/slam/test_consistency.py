@@ -13,12 +13,11 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 from support.drives import FOUR_BEAMS, LapLog, laps_of_square
+from support.readings import Readings, clone_poses, hit_points, observe
 
 from limslam_agent.config.presets import AgentConfig, ConsistentConfig, preset
-from limslam_agent.slam.consistent.beam_model import Readings, hit_points
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.limits import FIRST_ITERATIONS, HUBER, ITERATIONS
-from limslam_agent.slam.consistent.pending_readings import SIDES, PendingReading, PendingReadings
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.motion import motion_from_wheels
 from limslam_agent.slam.slam import LineSlam
@@ -28,6 +27,16 @@ from limslam_env.interface import NominalNoise, Observation, RobotSpec
 
 DEGREES = 3
 MOMENTS = 4
+
+
+class Waiting(NamedTuple):
+    """A reading that waits: its clone, step, beam and range (m), and the distance driven until then (m)."""
+
+    clone: int
+    step: int
+    beam: int
+    distance: float
+    driven: float
 
 
 class OracleEstimator:
@@ -41,9 +50,9 @@ class OracleEstimator:
         self.robot, self.config, self.filter = robot, config, CloneEKF(start)
         settings = config.estimator
         assert isinstance(settings, ConsistentConfig)
-        self._front, self._pending = FrontEnd(robot), PendingReadings(robot, settings.pending, settings.pending.beams)
+        self._front, self._driven = FrontEnd(robot), 0.0
         self._min_length = settings.for_ranges(config.range_std).creation.min_length
-        self._waiting: dict[int, list[PendingReading]] = {}
+        self._waiting: dict[int, list[Waiting]] = {}
         self._index: dict[int, int] = {}
 
     def step(self, observation: Observation, wall_seen: IntArray) -> None:
@@ -51,13 +60,12 @@ class OracleEstimator:
         wheels = np.asarray(observation["wheels"], dtype=float)
         motion = motion_from_wheels(wheels, self.robot, self.config.noise)
         self.filter.predict(motion.increment, motion.covariance)
-        self._pending.move(motion.increment)
-        if self._pending.is_due(self._front):
-            self._pending.collect(self._front, self.filter.clone())
-        for side in SIDES:
-            for reading in self._pending.by_side[side]:
-                self._waiting.setdefault(int(wall_seen[reading.beam]), []).append(reading)
-            self._pending.by_side[side] = []
+        self._driven += float(np.hypot(*motion.increment[:2]))
+        if self._front.hits.any():
+            clone = self.filter.clone()
+            for beam in np.flatnonzero(self._front.hits).tolist():
+                reading = Waiting(clone, self._front.step, beam, float(self._front.ranges[beam]), self._driven)
+                self._waiting.setdefault(int(wall_seen[beam]), []).append(reading)
         for wall in list(self._waiting):
             self._use(wall)
         wanted = {reading.clone for waiting in self._waiting.values() for reading in waiting}
@@ -66,23 +74,23 @@ class OracleEstimator:
     def _use(self, wall: int) -> None:
         settings, waiting = self.config.estimator, self._waiting[wall]
         assert isinstance(settings, ConsistentConfig)
-        oldest = self._pending.driven - settings.pending.max_age
+        oldest = self._driven - settings.pending.max_age
         self._waiting[wall] = waiting = [reading for reading in waiting if reading.driven >= oldest]
         if len(waiting) < settings.pending.batch:
             return
         readings, iterations = self._readings(waiting), ITERATIONS
         if wall not in self._index:
-            points = hit_points(self.filter.clone_poses(readings.clones), readings)
+            points = hit_points(clone_poses(self.filter, readings.clones), readings)
             middle = points.mean(axis=0)
             across = np.linalg.svd(points - middle, full_matrices=False)[2]
             if np.ptp((points - middle) @ across[0]) < self._min_length:
                 return
             self._index[wall] = self.filter.add_line(math.atan2(across[1][1], across[1][0]), middle)
             iterations = FIRST_ITERATIONS
-        self.filter.observe(readings, self._index[wall], self.config.range_std, iterations, HUBER)
+        observe(self.filter, readings, self._index[wall], self.config.range_std, iterations, HUBER)
         self._waiting[wall] = []
 
-    def _readings(self, waiting: list[PendingReading]) -> Readings:
+    def _readings(self, waiting: list[Waiting]) -> Readings:
         beams = np.array([reading.beam for reading in waiting])
         return Readings(
             np.array([reading.clone for reading in waiting]),

@@ -1,15 +1,13 @@
 """The batch finds the lines that the plain Hough transform and fit find."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from support.batch_stages import NOISE, cached, estimator_after, estimator_config, spec
+from support.batch_stages import NOISE, cached, estimator_after, estimator_config, waiting_readings
+from support.readings import points_of
 
 from limslam_agent.kernels import lines as line_kernels
 from limslam_agent.slam.batch import hough
-from limslam_agent.slam.consistent.pending_readings import SIDES
-from limslam_agent.slam.core.hough import extract_lines
+from limslam_agent.slam.core.hough import bin_size, extract_lines, max_distance
 from limslam_agent.slam.core.line_fit import fit_line
 from limslam_env.geometry import FloatArray
 
@@ -30,17 +28,15 @@ def clouds() -> list[FloatArray]:
             np.vstack((points @ rotation, generator.uniform(-1.0, 1.0, (5, 2)))) + generator.normal(0.0, 2.0, 2)
         )
     estimator = estimator_after(100)
-    return found + [estimator._points(estimator._pending[0].readings(side)) for side in SIDES]
+    return found + [points_of(estimator.belief, waiting_readings(estimator, side)) for side in range(3)]
 
 
 @pytest.mark.parametrize("points", clouds())
 def test_lines(points: FloatArray) -> None:
-    settings, count = spec().settings[0], len(points)
-    most = count // CONFIG.min_votes + 1
-    owner, lines, ends = np.empty(count, dtype=np.int64), np.empty((most, 2)), np.empty((most, 2, 2))
-    number = extract(points, CONFIG.max_gap, settings, owner, lines, ends)
-    expected = extract_lines(points, replace(CONFIG), NOISE)
-    assert number == len(expected)
+    bins = CONFIG.min_votes, bin_size(CONFIG, NOISE), CONFIG.theta_step, max_distance(CONFIG, NOISE)
+    owner, lines, ends = extract(points, CONFIG.max_gap, *bins, CONFIG.min_length, CONFIG.only_best)
+    expected = extract_lines(points, CONFIG, NOISE)
+    assert len(lines) == len(expected)
     for index, line in enumerate(expected):
         np.testing.assert_array_equal(np.flatnonzero(owner == index), np.sort(line.members))
         np.testing.assert_allclose(lines[index], line.fit.line, rtol=0.0, atol=1e-9)

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from support.readings import Expected, Readings, expected_ranges, hit_points
 
-from limslam_agent.slam.consistent.beam_model import Expected, Readings, expected_ranges, hit_points
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.line import at, distance, to_frame
+from limslam_env.geometry.line import distance, to_frame
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import RobotSpec
 
@@ -156,30 +156,6 @@ def test_readings_of_many_poses_are_worked_out_each_from_its_own() -> None:
             np.testing.assert_array_equal(one[0], all_of_them[number])
         alone_at = hit_points(stacked[number : number + 1], readings.select(np.array([number])))[0]
         np.testing.assert_array_equal(alone_at, points[number])
-
-
-def test_readings_are_selected_with_all_that_belongs_to_them() -> None:
-    readings = readings_of([0, 3, 5, 1], np.array([0.4, 0.5, 0.6, 0.7]))
-    chosen = readings.select(np.array([3, 1]))
-    assert chosen.clones.tolist() == [3, 1]
-    assert chosen.ranges.tolist() == [0.7, 0.5]
-    assert chosen.sources.tolist() == [[3, 1], [1, 3]]
-    np.testing.assert_array_equal(chosen.origins, ROBOT.beam_origins[[1, 3]])
-    np.testing.assert_array_equal(chosen.angles, ROBOT.beam_angles[[1, 3]])
-
-
-def test_points_of_a_wall_lie_on_it_whatever_way_the_robot_faces() -> None:
-    wall, count = np.array([1.2, 0.7]), 0
-    for heading in np.linspace(-math.pi, math.pi, 37):
-        stacked, readings = one_pose(np.array([0.2, -0.3, heading]))
-        expected = expected_ranges(stacked, readings, wall, np.zeros(2))
-        seen = np.nonzero((expected.ranges > 0.0) & (np.abs(expected.cosines) > 0.2))[0]
-        count += len(seen)
-        points = hit_points(stacked[seen], readings._replace(ranges=expected.ranges).select(seen))
-        along = points @ np.array([-math.sin(0.7), math.cos(0.7)])
-        np.testing.assert_allclose(points, at(wall, along), atol=1e-12)
-    # Half of all beams look away from it, and some along it.
-    assert count > 37 * 6 / 3
 
 
 def test_beams_exactly_along_a_line_are_told_by_their_cosine_and_stay_numbers() -> None:

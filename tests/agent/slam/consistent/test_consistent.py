@@ -24,12 +24,8 @@ from support.drives import (
 
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig, preset
-from limslam_agent.runs.episode import run_episode
-from limslam_agent.runs.run_config import RunConfig
-from limslam_agent.slam.consistent.consistent import ConsistentEstimator
-from limslam_agent.slam.core.diagnostics import AssociationRecord, Comparison
+from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.team import LimSlamTeam
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
@@ -65,15 +61,6 @@ ROOM = np.vstack((room(-0.5, -0.5, 3.5, 2.5), room(0.5, 0.5, 2.5, 1.5)))
 def with_creation(**changes: float) -> AgentConfig:
     """The settings with other ones for new landmarks."""
     return replace(CONFIG, estimator=replace(SETTINGS, creation=replace(SETTINGS.creation, **changes)))
-
-
-def with_max_hole(config: AgentConfig, share: float) -> AgentConfig:
-    """Settings with another widest hole of a segment, m."""
-    estimator = config.estimator
-    assert isinstance(estimator, ConsistentConfig)
-    return replace(
-        config, estimator=replace(estimator, segmentation=replace(estimator.segmentation, max_hole_share=share))
-    )
 
 
 def off_line(mark: Landmark, wall: FloatArray) -> FloatArray:
@@ -130,52 +117,6 @@ def test_a_new_landmark_is_made_of_enough_readings() -> None:
     more = with_creation(readings_per_std=(count + 0.5) / CONFIG.range_std)
     _, later = slam_after(observations, more, np.zeros(3))
     assert all(len(record.readings) > count for record in later if record.is_new)
-
-
-@pytest.mark.parametrize("noise", [0.0, 0.02])
-@pytest.mark.parametrize("door", [0.0, 0.4, 0.6])
-def test_two_walls_ahead_with_a_hole_between_them_create_no_landmark(noise: float, door: float) -> None:
-    # Two beams 30 degrees apart see a wall ahead at two places, and nothing in between.
-    walls = np.array([[2.0, -2.0, 2.0, -0.5 * door], [2.0, 0.5 * door, 2.0, 2.0]])
-    observations, _ = drive(walls, np.zeros(3), straight(1.0), noise=noise)
-    config = preset("consistent", NominalNoise(noise))
-    slam, records = slam_after(observations, config, np.zeros(3))
-    assert not records
-    assert not slam.all_landmarks
-    # Without the limit the two walls become one landmark.
-    bridged, _ = slam_after(observations, with_max_hole(config, 9.0), np.zeros(3))
-    assert len(bridged.all_landmarks) == 1
-
-
-def test_a_segment_with_a_hole_updates_a_landmark_inside_its_known_ends() -> None:
-    # Along a wall to the left, back to its middle, and then straight towards it.
-    wall = np.array([[-1.0, 1.0, 4.0, 1.0]])
-    wheels = [*straight(3.0), *straight(-1.5), *turn(90.0), *straight(0.2)]
-    observations, poses = drive(wall, np.zeros(3), wheels)
-    slam, records = slam_after(observations, CONFIG, np.zeros(3))
-    towards = len(observations) - len(straight(0.2))
-    ahead = [record for record in records if record.readings[:, 0].min() >= towards]
-    ahead = [record for record in ahead if set(record.readings[:, 1].tolist()) == {2, 3}]
-    assert ahead
-    for record in ahead:
-        left, right = (record.readings[record.readings[:, 1] == beam] for beam in (2, 3))
-        hits = [hits_of(poses, observations, each)[:, 0] for each in (left, right)]
-        assert hits[1].min() - hits[0].max() > SETTINGS.segmentation.max_hole_share * ROBOT.reach
-        assert not record.is_new
-    assert len(slam.all_landmarks) == 1
-
-
-def largest_error(config: AgentConfig) -> float:
-    """Largest error of the position, m, in the first minute of a tour of the world env3."""
-    run = RunConfig("env3", seed=112, policy="tour", max_time=60.0, settings=config)
-    episode = run_episode(run)
-    return float(np.linalg.norm((episode.estimated - episode.true)[..., :2], axis=-1).max())
-
-
-def test_a_tour_of_env3_is_not_bent_where_segments_bridge_holes() -> None:
-    # The two beams ahead see two facets of a rounded obstacle as one segment.
-    assert largest_error(CONFIG) < 0.04
-    assert largest_error(with_max_hole(CONFIG, 9.0)) > 0.07
 
 
 @pytest.mark.parametrize("end", [0.8, 0.9, 1.0, 1.1])
@@ -265,20 +206,6 @@ def test_a_wall_seen_from_both_sides_is_one_landmark(yaw: float) -> None:
     assert np.ptp(local(marks[0].ends, start)[:, 0]) == pytest.approx(3.0, abs=0.15)
     assert len(slam.landmarks) == 5
     check_pose(slam, poses[-1], 0.08, 2.0)
-
-
-def test_a_comparison_names_the_test_with_sides() -> None:
-    # As above, with a wall that is too thick to be a board.
-    walls = np.vstack(([[0.0, 0.45, 3.0, 0.45], [0.0, 0.6, 3.0, 0.6]], room(-0.8, -0.5, 4.0, 1.5)))
-    observations, _ = drive(walls, np.zeros(3), along([(0.0, 0.0), (3.5, 0.0), (3.5, 1.1), (-0.3, 1.1)]), noise=0.02)
-    slam, heard = LineSlam(ROBOT, NOISY, np.zeros(3)), list[Comparison]()
-    slam.on_comparison = heard.append
-    for observation in observations:
-        slam.step(observation)
-    near = [test for each in heard if abs(each.ends[0, 1] - 0.6) < 0.1 for test in each.tests if test.offset < 0.25]
-    sides = [test for test in near if test.excluded == "side"]
-    assert len(sides) >= 3
-    assert all(math.isnan(test.distance) and test.angle < 0.2 for test in sides)
 
 
 @pytest.mark.parametrize("degrees", [60.0, 90.0, 120.0])
@@ -593,54 +520,3 @@ def test_odometry_poses_serve_in_place_of_wheels(yaw: float) -> None:
     check_pose(slam, poses[-1], 0.25, 4.0)
     check_covariance(slam)
     check_each_reading_is_used_once(records)
-
-
-def two_landmarks(behind: float, std: float, sides: tuple[int, int]) -> ConsistentEstimator:
-    """An estimator with two parallel landmarks of 2 m, seen from given sides, the second ``behind`` m behind."""
-    slam = ConsistentEstimator(RobotSpec(), ConsistentConfig(), 0.02, np.zeros((1, 3)))
-    along = np.column_stack((np.linspace(-1.0, 1.0, 20), np.zeros(20)))
-    for place, side in zip((3.0, 3.0 - behind), sides, strict=True):
-        line, spread = np.array([place, 0.5 * np.pi]), np.diag([0.5 * std**2, 1e-5])
-        index = slam._filter.add_known_line(line, spread, np.array([0.0, place]))
-        slam._map.add()
-        slam._map.grow(index, along + np.array([0.0, place]), side)
-    return slam
-
-
-@pytest.mark.parametrize(
-    ("behind", "std", "opposite", "is_one"),
-    [
-        (0.003, 0.01, True, True),
-        (0.15, 0.08, True, False),
-        (0.15, 0.08, False, True),
-        (0.15, 0.01, True, False),
-        (0.02, 0.2, True, False),
-        (-0.1, 0.08, True, False),
-    ],
-)
-def test_landmarks_seen_from_opposite_sides_are_merged_if_they_are_a_board(
-    behind: float, std: float, opposite: bool, is_one: bool
-) -> None:
-    slam = two_landmarks(behind, std, (POSITIVE, NEGATIVE if opposite else POSITIVE))
-    assert slam._closes_loop(0, 1, 0) == is_one
-    # The length of a board, and that of a wall whose thickness is known.
-    boards, walls = slam._map.kinds
-    assert boards == pytest.approx(2.0 if is_one and opposite else 0.0)
-    assert walls == pytest.approx(2.0 if opposite and std < 0.05 < behind else 0.0)
-
-
-def test_walls_of_an_earlier_map_say_nothing_about_boards() -> None:
-    slam = two_landmarks(0.15, 0.08, (POSITIVE, NEGATIVE))
-    before = slam._map.kinds
-    wall = Landmark(9.0, 0.0, 1e-4 * np.eye(2), np.array([[9.0, -3.0], [9.0, 3.0]]), 1, segments=(0,))
-    slam.know([wall], np.array([[9.0, -3.0, 9.0, 3.0]]))
-    assert slam._map.kinds == before
-    assert len(slam._map) == 3
-
-
-def test_boards_that_are_known_let_vague_landmarks_merge() -> None:
-    slam = two_landmarks(0.02, 0.2, (POSITIVE, NEGATIVE))
-    other = slam._filter.add_known_line(np.array([7.0, 0.0]), 1e-4 * np.eye(2), np.array([7.0, 0.0]))
-    slam._map.add()
-    slam._map.grow(other, np.column_stack((np.full(20, 7.0), np.linspace(-3.0, 3.0, 20))), POSITIVE, NEGATIVE)
-    assert slam._closes_loop(0, 1, 0)

@@ -1,13 +1,33 @@
 """Readings that wait: which beams are used, how far apart they are taken, and when a wall has ended."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
-from limslam_agent.config.consistent import PendingReadingsConfig
-from limslam_agent.slam.consistent.pending_readings import SIDES, PendingReadings
+from limslam_agent.config.consistent import ConsistentConfig, PendingReadingsConfig
+from limslam_agent.slam.consistent.pending_readings import (
+    BEAM,
+    CLONE,
+    DRIVEN,
+    DRIVEN_AT,
+    DRIVEN_THEN,
+    FRESH,
+    RANGE,
+    SIDES,
+    TAKEN_AT,
+    TURNED,
+    TURNED_AT,
+    WAITING,
+    collect,
+    has_ended,
+    is_due,
+    sides_of,
+)
+from limslam_agent.slam.consistent.step_settings import step_settings
 from limslam_agent.slam.core.front_end import FrontEnd
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim
 
@@ -18,23 +38,41 @@ CONFIG = PendingReadingsConfig(min_distance=0.05, min_turn=math.radians(5.0))
 
 
 class _Drive:
-    """A front end and a pending of the same robot; clones are numbered by the times that something was taken."""
+    """A front end and the pending readings of the same robot; clones are numbered by the times that they are taken."""
 
     def __init__(self, robot: RobotSpec = ROBOT, config: PendingReadingsConfig = CONFIG, most: int = 8) -> None:
-        self.front, self.pending, self.taken = FrontEnd(robot), PendingReadings(robot, config, most), 0
+        sensor, estimator = RangeSensor(0.02), replace(ConsistentConfig(), pending=config)
+        self.front, self.sides, self.taken = FrontEnd(robot), sides_of(robot, most), 0
+        self.settings, self.travel = step_settings(estimator, sensor, 0.02), np.zeros(7)
+        self.travel[[DRIVEN_AT, TURNED_AT]] = -math.inf
+        self.pending, self.fill = np.zeros((3, 1000, 5)), np.zeros((3, 2), dtype=np.int64)
 
     def step(self, ranges: FloatArray | None, distance: float = 0.0, turn: float = 0.0) -> bool:
         """Move, read, and let what is wanted wait; whether anything was."""
-        self.pending.move(np.array([distance, 0.0, turn]))
+        self.travel[DRIVEN] += abs(distance)
+        self.travel[TURNED] += abs(turn)
         self.front.accept({} if ranges is None else {"ranges": ranges})
-        wanted = self.pending.is_due(self.front)
+        wanted = is_due(self.travel, self.front.hits, self.sides, self.settings)
         if wanted:
-            self.pending.collect(self.front, 10 + self.taken)
-            self.taken += 1
+            self.collect()
         return wanted
 
+    def collect(self) -> None:
+        front = self.front
+        collect(
+            self.travel, self.pending, self.fill, front.step, front.ranges, front.hits, self.sides, 10 + self.taken
+        )  # fmt: skip
+        self.taken += 1
+
+    def rows(self, side: str) -> FloatArray:
+        number = SIDES.index(side)
+        return self.pending[number, : self.fill[number, WAITING]]
+
     def beams(self) -> dict[str, list[int]]:
-        return {side: [reading.beam for reading in self.pending.by_side[side]] for side in SIDES}
+        return {side: self.rows(side)[:, BEAM].astype(int).tolist() for side in SIDES}
+
+    def has_ended(self, side: str, gap: float) -> bool:
+        return has_ended(self.travel, self.fill, SIDES.index(side), gap)
 
 
 def seen_by(*beams: int) -> FloatArray:
@@ -47,20 +85,10 @@ def test_readings_wait_by_side_with_all_that_the_filter_needs() -> None:
     assert drive.step(RANGES)
     assert drive.step(seen_by(1, 2), distance=0.3)
     assert drive.beams() == {"left": [0, 1, 1], "right": [4, 5], "none": [2, 3, 2]}
-    assert drive.pending.fresh == {"left": 3, "right": 2, "none": 3}
-    readings = drive.pending.readings("left")
-    assert readings.clones.tolist() == [10, 10, 11]
-    assert readings.sources.tolist() == [[0, 0], [0, 1], [1, 1]]
-    np.testing.assert_array_equal(readings.ranges, [0.4, 0.6, 0.6])
-    np.testing.assert_array_equal(readings.origins, ROBOT.beam_origins[[0, 1, 1]])
-    np.testing.assert_array_equal(readings.angles, ROBOT.beam_angles[[0, 1, 1]])
-    assert [reading.driven for reading in drive.pending.by_side["left"]] == [0.0, 0.0, 0.3]
-
-
-def test_nothing_that_waits_is_no_rows() -> None:
-    readings = _Drive().pending.readings("right")
-    assert [np.shape(part) for part in readings[:5]] == [(0,), (0, 2), (0,), (0,), (0, 2)]
-    assert readings.clones.dtype.kind == "i"
+    assert drive.fill[:, FRESH].tolist() == [3, 2, 3]
+    assert drive.rows("left")[:, [CLONE, TAKEN_AT, RANGE, DRIVEN_THEN]].tolist() == [
+        [10, 0, 0.4, 0.0], [10, 0, 0.6, 0.0], [11, 1, 0.6, 0.3],
+    ]  # fmt: skip
 
 
 # How far apart.
@@ -69,7 +97,7 @@ def test_nothing_that_waits_is_no_rows() -> None:
 def test_nothing_is_taken_before_the_robot_has_driven_far_enough() -> None:
     drive = _Drive()
     assert [drive.step(RANGES, distance=0.02) for _ in range(9)] == [True, *[False, False, True] * 2, False, False]
-    assert [reading.step for reading in drive.pending.by_side["left"][::2]] == [0, 3, 6]
+    assert drive.rows("left")[::2, TAKEN_AT].tolist() == [0, 3, 6]
 
 
 @pytest.mark.parametrize("way", [1.0, -1.0])
@@ -82,7 +110,7 @@ def test_or_turned_far_enough_either_way(way: float) -> None:
 def test_backwards_is_driven_too() -> None:
     drive = _Drive()
     assert [drive.step(RANGES, distance=-0.06) for _ in range(3)] == [True, True, True]
-    assert drive.pending.driven == pytest.approx(0.18)
+    assert drive.travel[DRIVEN] == pytest.approx(0.18)
 
 
 def test_standing_still_says_nothing_new() -> None:
@@ -124,7 +152,7 @@ def test_beams_that_are_left_out_are_not_looked_at_for_the_end_of_a_wall() -> No
     only_between = np.array([1.5, 0.7, 0.7, 0.7, 1.5])
     assert not drive.step(only_between, distance=0.3)
     assert drive.beams()["left"] == [0, 4]
-    assert drive.pending.has_ended("left", 0.25)
+    assert drive.has_ended("left", 0.25)
 
 
 @pytest.mark.parametrize("dead", [math.nan, math.inf, 1.5, 0.05, 0.0])
@@ -134,8 +162,8 @@ def test_a_dead_beam_adds_nothing_and_holds_up_no_other(dead: float) -> None:
     broken[[0, 4, 5]] = dead
     assert [drive.step(broken, distance=0.06) for _ in range(3)] == [True] * 3
     assert drive.beams() == {"left": [1] * 3, "right": [], "none": [2, 3] * 3}
-    assert all(np.isfinite(drive.pending.readings(side).ranges).all() for side in SIDES)
-    assert not drive.pending.has_ended("right", 0.1)
+    assert all(np.isfinite(drive.rows(side)).all() for side in SIDES)
+    assert not drive.has_ended("right", 0.1)
 
 
 @pytest.mark.parametrize("dead", [math.nan, math.inf, 1.5, 0.05])
@@ -150,8 +178,8 @@ def test_readings_that_may_have_hit_another_robot_do_not_wait() -> None:
     drive = _Drive()
     drive.front.accept({"ranges": RANGES})
     drive.front.drop(np.array([True, False, True, True, True, True]))
-    assert drive.pending.is_due(drive.front)
-    drive.pending.collect(drive.front, 0)
+    assert is_due(drive.travel, drive.front.hits, drive.sides, drive.settings)
+    drive.collect()
     assert drive.beams() == {"left": [1], "right": [], "none": []}
 
 
@@ -160,8 +188,8 @@ def test_a_slow_beam_waits_only_when_it_has_measured_anew() -> None:
     drive = _Drive(RobotSpec(beams=beams))
     for _ in range(7):
         drive.step(np.array([0.5, 0.6]), distance=0.06)
-    assert [reading.step for reading in drive.pending.by_side["left"]] == [0, 3, 6]
-    assert [reading.step for reading in drive.pending.by_side["right"]] == list(range(7))
+    assert drive.rows("left")[:, TAKEN_AT].tolist() == [0, 3, 6]
+    assert drive.rows("right")[:, TAKEN_AT].tolist() == list(range(7))
 
 
 # The end of a wall.
@@ -174,7 +202,7 @@ def test_a_wall_has_ended_when_nothing_was_seen_of_it_for_the_gap_and_not_before
     ended = []
     for _ in range(5):
         drive.step(right_only, distance=0.06)
-        ended.append((drive.pending.has_ended("left", 0.25), drive.pending.has_ended("right", 0.25)))
+        ended.append((drive.has_ended("left", 0.25), drive.has_ended("right", 0.25)))
     assert ended == [(False, False)] * 4 + [(True, False)]
 
 
@@ -183,18 +211,18 @@ def test_a_hit_that_is_not_kept_shows_that_the_wall_goes_on() -> None:
     drive.step(RANGES)
     for _ in range(10):
         assert not drive.step(RANGES, distance=0.1)
-    assert not any(drive.pending.has_ended(side, 0.25) for side in SIDES)
+    assert not any(drive.has_ended(side, 0.25) for side in SIDES)
     drive.step(FREE, distance=0.3)
-    assert all(drive.pending.has_ended(side, 0.25) for side in SIDES)
+    assert all(drive.has_ended(side, 0.25) for side in SIDES)
 
 
 def test_a_wall_of_which_nothing_waits_cannot_end() -> None:
     drive = _Drive()
     drive.step(RANGES)
-    drive.pending.by_side["left"] = []
+    drive.fill[SIDES.index("left")] = 0
     drive.step(FREE, distance=1.0)
-    assert not drive.pending.has_ended("left", 0.25)
-    assert drive.pending.has_ended("right", 0.25)
+    assert not drive.has_ended("left", 0.25)
+    assert drive.has_ended("right", 0.25)
 
 
 def test_turning_on_the_spot_ends_no_wall() -> None:
@@ -202,4 +230,4 @@ def test_turning_on_the_spot_ends_no_wall() -> None:
     drive.step(RANGES)
     for _ in range(20):
         drive.step(FREE, turn=0.3)
-    assert not drive.pending.has_ended("left", 0.25)
+    assert not drive.has_ended("left", 0.25)

@@ -10,16 +10,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.drives import ROBOT, along, drive, ranges_at, room
+from support.readings import Readings, expected_ranges, expected_rows
 
 from limslam_agent.config.consistent import ConsistentConfig, RangeErrorConfig
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.mapper import MOST_RESTARTS, Mapper
 from limslam_agent.output.summary import record_summary, turn_records
 from limslam_agent.slam.consistent.assumed_sensor import AssumedSensor
-from limslam_agent.slam.consistent.beam_model import Readings, by_range_errors, expected_ranges
 from limslam_agent.slam.consistent.range_noise import RangeNoise
-from limslam_agent.slam.consistent.segmentation import WallSegment
-from limslam_agent.slam.consistent.separate_bias import TURNS, RangeErrors
+from limslam_agent.slam.consistent.separate_bias import TURNS, RangeErrors, by_range_errors
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
@@ -59,6 +58,7 @@ def test_the_derivatives_of_a_cone_equal_central_differences(slant: float, cone:
         return
     pose, bearing, step = np.array([-0.5, 0.2, 0.3]), LINE[1] + slant - 0.3, 1e-5
     found = expected_ranges(pose[None], one_reading(bearing, cone), LINE, ANCHOR)
+    rows = expected_rows(pose[None], one_reading(bearing, cone), LINE, ANCHOR)
     by_pose = [
         distance_to(LINE, bearing, cone, pose + each) - distance_to(LINE, bearing, cone, pose - each)
         for each in step * np.eye(3)
@@ -71,7 +71,7 @@ def test_the_derivatives_of_a_cone_equal_central_differences(slant: float, cone:
     np.testing.assert_allclose(found.by_pose[0], np.array(by_pose) / (2.0 * step), atol=1e-6)
     np.testing.assert_allclose(found.by_line[0], np.array(by_line) / (2.0 * step), atol=1e-6)
     turned = distance_to(LINE, bearing + step, cone, pose) - distance_to(LINE, bearing - step, cone, pose)
-    by_errors = by_range_errors(found, one_reading(bearing, cone), pose[2:], float(LINE[1]), 1)
+    by_errors = by_range_errors(rows, one_reading(bearing, cone).rows, pose[2:], float(LINE[1]), 1)
     np.testing.assert_allclose(by_errors[0], [1.0, wider / (2.0 * step), turned / (2.0 * step)], atol=1e-6)
 
 
@@ -259,9 +259,7 @@ def test_turned_beams_lower_no_gate_of_the_noise(departure: dict[str, Any], is_t
     sensor.assume(stated._replace(**departure))
     generator = np.random.default_rng(0)
     while not 9.0 < sensor._noise.estimate.evidence < 19.0:
-        places, ranges = np.arange(10), np.full(10, 0.7)
-        residuals, points = 1.4 * generator.standard_normal(10), np.zeros((10, 2))
-        sensor.count(WallSegment(places, 0.0, points[0], points, 1.0, 0.0, residuals, ranges))
+        sensor.count(1.4 * generator.standard_normal(10), np.full(10, 0.7))
     assert (sensor.correction(errors) is not None) == is_taken
 
 

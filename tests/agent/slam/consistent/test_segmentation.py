@@ -10,10 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pytest
+from support.readings import Readings, clone_poses, hit_points, points_of
 
-from limslam_agent.slam.consistent.beam_model import Readings, hit_points
+from limslam_agent.kernels.tables import ANGLE_STD, EXTENT, MIDDLE_X, MIDDLE_Y, THETA
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
-from limslam_agent.slam.consistent.segmentation import WallSegment, wall_segments
+from limslam_agent.slam.consistent.filter_access import straight_segments
 from limslam_agent.slam.core.line_fit import fit_line
 from limslam_agent.slam.core.motion import motion_from_wheels
 from limslam_env.geometry import FloatArray, IntArray
@@ -27,6 +28,17 @@ STEP = 0.02  # m driven between two readings
 NOISES = (0.0, 0.02, 0.04)
 
 
+class WallSegment(NamedTuple):
+    """A straight piece: its readings, direction, middle, end points, length, and the direction's standard deviation."""
+
+    members: IntArray
+    theta: float
+    middle: FloatArray
+    points: FloatArray
+    length: float
+    angle_std: float
+
+
 class Drive(NamedTuple):
     """What is believed after a drive, what was read, and where the beams truly ended (n, 2), m."""
 
@@ -38,13 +50,24 @@ class Drive(NamedTuple):
     @property
     def points(self) -> FloatArray:
         """Where they are believed to have ended (n, 2), m."""
-        return hit_points(self.belief.clone_poses(self.readings.clones), self.readings)
+        return hit_points(clone_poses(self.belief, self.readings.clones), self.readings)
 
-    def pieces(self, members: IntArray | None = None) -> list[WallSegment]:
-        """The straight pieces of what was read, about the line that fits all of it best."""
+    def pieces(self, members: IntArray | None = None, about: FloatArray | None = None) -> list[WallSegment]:
+        """The straight pieces of what was read, about a line (2,) or the one that fits all of it best."""
         chosen = np.arange(len(self.hits)) if members is None else members
-        line = fit_line(self.points[chosen], self.std).line
-        return wall_segments(self.readings, chosen, line, self.belief, self.std)
+        line = fit_line(self.points[chosen], self.std).line if about is None else about
+        places, readings = self.belief.places(self.readings.clones), self.readings
+        points, variances = points_of(self.belief, readings, float(line[1])), readings.variances(self.std)
+        segments, owner, _ = straight_segments(
+            self.belief, places, readings.rows, points, chosen, line, self.std, variances
+        )
+        return [
+            WallSegment(
+                chosen[owner == number], float(row[THETA]), row[[MIDDLE_X, MIDDLE_Y]], points[chosen[owner == number]],
+                float(row[EXTENT]), float(row[ANGLE_STD]),
+            )
+            for number, row in enumerate(segments)
+        ]  # fmt: skip
 
 
 def ray(start: FloatArray, heading: float, corners: FloatArray) -> float:
@@ -224,9 +247,7 @@ def test_the_end_of_another_wall_is_cut_off(noise: float) -> None:
 def test_few_points_are_nothing() -> None:
     drive = drive_past(WALL, 0.8, 0.0, 1)
     for count in range(6):
-        assert wall_segments(
-            drive.readings, np.arange(count), np.array([0.6, 0.5 * math.pi]), drive.belief, drive.std
-        ) == []  # fmt: skip
+        assert drive.pieces(np.arange(count), np.array([0.6, 0.5 * math.pi])) == []
     (piece,) = drive.pieces(np.arange(0, 60, 10))
     assert piece.members.tolist() == list(range(0, 60, 10))
 
@@ -235,7 +256,7 @@ def test_readings_that_graze_the_line_make_no_piece_of_it() -> None:
     drive = drive_past(WALL, 0.8, 0.0, 1)
     # A line across the wall: the beams at 90 deg run along it, and they are the first of each pair.
     across = np.array([0.4, 0.0])
-    assert wall_segments(drive.readings, np.arange(0, 60, 2), across, drive.belief, drive.std) == []
+    assert drive.pieces(np.arange(0, 60, 2), across) == []
 
 
 def test_the_pieces_are_of_the_chosen_readings_only() -> None:

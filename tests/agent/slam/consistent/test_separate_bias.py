@@ -5,11 +5,11 @@ import math
 import numpy as np
 import pytest
 from support.drives import FOUR_BEAMS, laps_of_square
+from support.readings import Readings, observe
 
 from limslam_agent.config.consistent import SelfCalibrationConfig
 from limslam_agent.config.presets import preset, self_calibrating
 from limslam_agent.mapper import Mapper
-from limslam_agent.slam.consistent.beam_model import Readings
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.separate_bias import OdometryErrors
 from limslam_agent.slam.core.motion import AS_SPECIFIED, OdometryCalibration, calibrated, motion_from_wheels
@@ -65,7 +65,7 @@ class Corridor:
             readings = Readings(
                 np.full(2, clone), ROBOT.beam_origins[SIDES[side]], ROBOT.beam_angles[SIDES[side]], ranges, sources
             )
-            ekf.observe(readings, side, SMALL * 0.02, 2, 0.0)
+            observe(ekf, readings, side, SMALL * 0.02, 2, 0.0)
             if side == 1:
                 ekf.keep_clones(set())
 

@@ -8,11 +8,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from limslam_agent.config.consistent import ExtentConfig
+from limslam_agent.kernels.extents import add_wall, clear_along_beams, count_hits, merge_walls, pass_at
+from limslam_agent.kernels.tables import BIN, FARTHEST, HITS, empty_walls
+from limslam_agent.slam.consistent.association import merge_landmarks
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
-from limslam_agent.slam.consistent.wall_extent import BIN, WallExtent
-from limslam_agent.slam.consistent.wall_map import WallMap
+from limslam_agent.slam.consistent.wall_map import WallExtent, WallMap
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.line import at, direction
+from limslam_env.geometry.line import at, direction, normal
 from limslam_env.geometry.segment import lengths
 
 GAP = 0.30
@@ -20,8 +22,40 @@ TOLERANCE = 1.0  # beams that pass for each that ends there
 spots = st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=30).map(np.array)
 
 
-def hit_at(*along: FloatArray) -> WallExtent:
-    extent = WallExtent()
+class Extent:
+    """The extent of the first landmark of a map of its own."""
+
+    def __init__(self) -> None:
+        self.walls = empty_walls(2, 1000)
+        add_wall(self.walls, 0)
+
+    def hit(self, along: FloatArray) -> None:
+        count_hits(self.walls, 0, along)
+
+    def pass_at(self, along: float) -> bool:
+        """Count a beam that passes; whether it counted."""
+        before = self.walls.counted.sum()
+        pass_at(self.walls, 0, along)
+        return bool(self.walls.counted.sum() > before)
+
+    def absorb(self, other: "Extent", factor: float, shift: float) -> None:
+        for own, others in zip(self.walls[:4], other.walls[:4], strict=True):
+            own[1] = others[0]
+        merge_walls(self.walls, 0, 1, factor, shift, 2)
+
+    def intervals(self, gap: float, tolerance: float) -> FloatArray:
+        low, length = self.walls.table[0, :2]
+        extent = WallExtent(int(low), self.walls.counted[0, :, :length], self.walls.reached[0, :, :length])
+        return extent.intervals(gap, tolerance)
+
+    @property
+    def ends(self) -> tuple[float, float]:
+        low, high = self.walls.ends[0].tolist()
+        return low, high
+
+
+def hit_at(*along: FloatArray) -> Extent:
+    extent = Extent()
     for places in along:
         extent.hit(places)
     return extent
@@ -32,7 +66,7 @@ def wall(low: float, high: float) -> FloatArray:
     return np.arange(low + 0.01, high, BIN)
 
 
-def passed(extent: WallExtent, low: float, high: float, times: int) -> None:
+def passed(extent: Extent, low: float, high: float, times: int) -> None:
     for along in np.repeat(np.arange(low + 0.02, high, BIN), times):
         extent.pass_at(float(along))
 
@@ -59,7 +93,7 @@ def test_pieces_are_the_hits_cut_at_gaps(along: FloatArray, gap: float) -> None:
 
 
 def test_nothing_hit_is_no_piece() -> None:
-    assert WallExtent().intervals(GAP, TOLERANCE).shape == (0, 2)
+    assert Extent().intervals(GAP, TOLERANCE).shape == (0, 2)
 
 
 def test_a_hole_that_nobody_looked_at_belongs_to_the_wall_up_to_a_limit() -> None:
@@ -139,7 +173,7 @@ def test_what_is_absorbed_is_there_as_if_it_had_been_hit_there(
     # Bins are moved as a whole, so that places are right to half a bin.
     assert all(((pieces[:, 0] - BIN <= place) & (place <= pieces[:, 1] + BIN)).any() for place in every)
     assert np.abs(pieces.reshape(-1, 1) - every).min(axis=1).max() < 1e-12
-    assert extent._hits.sum() == len(every)
+    assert extent.walls.counted[0, HITS].sum() == len(every)
     # The other one is left as it was.
     np.testing.assert_array_equal(other.intervals(gap, TOLERANCE), hit_at(others).intervals(gap, TOLERANCE))
 
@@ -188,16 +222,24 @@ def wall_map(theta: float = 0.7, config: ExtentConfig | None = None) -> tuple[Wa
     line = np.array([1.0, theta])
     belief.add_line(theta, line[0] * np.array([math.cos(theta), math.sin(theta)]))
     walls = WallMap(belief, config or ExtentConfig())
-    walls.add()
-    walls.grow(0, at(line, wall(-1.0, 1.0)))
+    walls.add(at(line, wall(-1.0, 1.0)))
     return walls, line
+
+
+def beams_from(walls: WallMap, origins: FloatArray, heading: float, free: float, std: float = 0.005) -> None:
+    """Beams that begin at points (n, 2) and went a distance into the same direction."""
+    beam = np.zeros((1, 8))
+    beam[0, FARTHEST] = 10.0
+    for origin in origins:
+        clear_along_beams(
+            walls.arrays, walls._belief.anchored, walls._belief.anchors, np.append(origin, heading), (0.0, 0.0),
+            np.array([free]), np.ones(1, dtype=bool), beam, (std, 0.0),
+        )  # fmt: skip
 
 
 def look(walls: WallMap, line: FloatArray, along: FloatArray, free: float, std: float = 0.005) -> None:
     """Beams straight at places along the wall from 0.5 m before it."""
-    towards = np.tile([math.cos(line[1]), math.sin(line[1])], (len(along), 1))
-    origins = at(line, along) - 0.5 * towards
-    walls.clear_along_beams(origins, towards, np.full(len(along), free), np.full(len(along), std))
+    beams_from(walls, at(line, along) - 0.5 * normal(line), line[1], free, std)
 
 
 @pytest.mark.parametrize("theta", [0.0, 0.7, 2.6, math.pi, -2.0])
@@ -224,19 +266,16 @@ def test_beams_that_end_at_the_wall_or_within_what_is_unsure_or_look_away_do_not
         look(walls, line, along, 0.5)
         look(walls, line, along, 0.54)
         look(walls, line, along, 1.2, std=0.3)
-        away = -np.tile([math.cos(line[1]), math.sin(line[1])], (len(along), 1))
-        origins = at(line, along) + 0.5 * away
-        walls.clear_along_beams(origins, away, np.full(len(along), 1.2), np.full(len(along), 0.005))
-        grazing = np.tile(direction(line), (len(along), 1))
-        walls.clear_along_beams(at(line, along), grazing, np.full(len(along), 1.2), np.full(len(along), 0.005))
+        beams_from(walls, at(line, along) - 0.5 * normal(line), line[1] + math.pi, 1.2)
+        beams_from(walls, at(line, along), line[1] + 0.5 * math.pi, 1.2)
     assert lengths(walls.segments) == pytest.approx([1.95])
 
 
 def test_landmarks_read_too_little_or_too_short_are_not_drawn() -> None:
-    walls, line = wall_map(config=ExtentConfig(min_readings=41))
+    walls, _ = wall_map(config=ExtentConfig(min_readings=41))
     assert walls.segments.shape == (0, 4)
     assert walls.landmarks == []
-    walls.grow(0, at(line, np.array([0.0])))
+    count_hits(walls.arrays, 0, np.zeros(1))
     assert len(walls.segments) == len(walls.landmarks) == 1
     short, _ = wall_map(config=ExtentConfig(min_length=1.96))
     assert short.segments.shape == (0, 4)
@@ -248,17 +287,16 @@ def test_the_walls_of_two_landmarks_made_one_lie_end_to_end(turned: bool) -> Non
     theta = 0.7
     unit, tangent = np.array([math.cos(theta), math.sin(theta)]), np.array([-math.sin(theta), math.cos(theta)])
     walls = WallMap(belief, ExtentConfig())
-    for index, place in enumerate((-0.5, 0.8)):
-        belief.add_line(theta + (math.pi if turned and index else 0.0), unit + place * tangent)
-        walls.add()
     line = np.array([1.0, theta])
-    walls.grow(0, at(line, wall(-1.0, 0.3)))
-    walls.grow(1, at(line, wall(0.2, 1.5)))
+    for index, (place, own) in enumerate(((-0.5, wall(-1.0, 0.3)), (0.8, wall(0.2, 1.5)))):
+        belief.add_line(theta + (math.pi if turned and index else 0.0), unit + place * tangent)
+        walls.add(at(line, own))
     assert len(walls.segments) == 2
-    origin, was = belief.anchors[1].copy(), direction(belief.anchored[1])
-    belief.merge(0, 1)
-    walls.merge(0, 1, origin, was)
+    merge_landmarks(belief, walls.arrays, 0, 1, 1, None)
     (segment,) = walls.segments
     np.testing.assert_allclose(np.sort(segment.reshape(2, 2) @ tangent), [-0.99, 1.46], atol=1e-6)
-    assert (len(walls), walls[0].groups, walls[0].readings, walls[0].number) == (1, 2, 52, 0)
-    assert walls.add().number == 2
+    (only,) = walls.walls
+    assert (len(walls), only.groups, only.readings, only.number) == (1, 2, 52, 0)
+    belief.add_line(0.0, np.zeros(2))
+    walls.add(np.zeros((1, 2)))
+    assert walls.numbers.tolist() == [0, 2]

@@ -98,7 +98,7 @@ def test_points_all_over_the_place_are_no_wall(seed: int) -> None:
 @pytest.mark.parametrize("seed", range(10))
 def test_a_small_blob_has_the_votes_but_is_too_short_for_a_wall(seed: int) -> None:
     points = np.array([0.4, 0.6]) + np.random.default_rng(seed).normal(0.0, 0.02, (30, 2))
-    assert len(hough_votes(points - points.mean(axis=0), CONFIG, 0.005)) > 0
+    assert len(hough_votes(points - points.mean(axis=0), CONFIG.min_votes, 0.02, CONFIG.theta_step)) > 0
     assert extract_lines(points, CONFIG, 0.005) == []
 
 
@@ -134,13 +134,13 @@ def test_opencv_finding_nothing_at_all_is_no_wall(monkeypatch: pytest.MonkeyPatc
 
     monkeypatch.setattr(cv2, "HoughLinesPointSet", nothing)
     points = wall(0.5, 1.0, -0.4, 0.4)
-    assert hough_votes(points, CONFIG, 0.005).shape == (0, 3)
+    assert hough_votes(points, CONFIG.min_votes, 0.02, CONFIG.theta_step).shape == (0, 3)
     assert extract_lines(points, CONFIG, 0.005) == []
 
 
 def test_votes_come_best_first_and_pass_the_threshold() -> None:
     points = np.vstack((wall(0.5, 0.0, -0.3, 0.3, count=12, std=0.0), wall(-0.1, 1.8, -0.5, 0.5, count=18)))
-    votes, r, theta = hough_votes(points, CONFIG, 0.005).T
+    votes, r, theta = hough_votes(points, CONFIG.min_votes, 0.02, CONFIG.theta_step).T
     assert len(votes) >= 3
     assert (np.diff(votes) <= 0.0).all()
     assert votes.min() >= CONFIG.min_votes

@@ -7,7 +7,7 @@ import pytest
 from support.smoother_runs import ROUND, WHEEL_VARIANCE, noisy_run, position_error, true_labels
 
 from limslam_agent.config.smoother import SmootherConfig
-from limslam_agent.kernels.range_sensor import read_share
+from limslam_agent.kernels.measurement import read_share
 from limslam_agent.replay.joined_lines import joined_run
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.range_sensor import RangeSensor

@@ -1,0 +1,172 @@
+"""Counts of beams that ended on landmarks, and of beams that passed through them, in ``tables.Walls``.
+
+A landmark's extent consists of bins along its line. A bin where more beams passed than ended is not drawn as wall. So a
+doorway that was drawn as wall by mistake is removed again, and so is a wall that never existed.
+"""
+
+import math
+
+import numpy as np
+
+from limslam_agent.kernels.compilation import compiled, entry
+from limslam_agent.kernels.tables import (
+    ANGLE,
+    BIN,
+    CHANGES,
+    CLOSURES,
+    FARTHEST,
+    FROM_X,
+    FROM_Y,
+    GRAZING,
+    GROUPS,
+    HITS,
+    LEAST,
+    LENGTH,
+    LOW,
+    MISSES,
+    MOST,
+    NEXT_NUMBER,
+    NUMBER,
+    OVERFLOWS,
+    READINGS,
+    TOO_NEAR,
+    Walls,
+)
+from limslam_env.geometry import BoolArray, FloatArray
+
+THROUGH_SIGMAS, THROUGH_SLACK = 3.0, 0.05
+"""A beam has passed through a landmark's line if it is longer than the distance to the line by this many standard
+deviations and by this length, m."""
+
+
+@entry
+def add_wall(walls: Walls, index: int) -> None:
+    """Clear the arrays of a landmark that has just been added, and number it."""
+    walls.table[index] = 0
+    walls.table[index, NUMBER] = walls.tally[NEXT_NUMBER]
+    walls.tally[NEXT_NUMBER] += 1
+    walls.counted[index] = 0
+    walls.reached[index, LEAST] = walls.ends[index, LEAST] = np.inf
+    walls.reached[index, MOST] = walls.ends[index, MOST] = -np.inf
+
+
+@compiled
+def reach(walls: Walls, index: int, place: int) -> int:
+    """Extend a landmark's bins to hold one more, and return its index; -1 if there is no room."""
+    wall, counted, reached = walls.table[index], walls.counted[index], walls.reached[index]
+    length = wall[LENGTH]
+    if not length:
+        wall[LOW], length = place, 1
+    before, most = max(0, wall[LOW] - place), counted.shape[1]
+    length = max(length + before, place - wall[LOW] + 1)
+    if length > most:
+        walls.tally[OVERFLOWS] += 1
+        return -1
+    if before:
+        wall[LOW] -= before
+        for row in range(2):
+            counted[row, before:length] = counted[row, : length - before].copy()
+            counted[row, :before] = 0
+            reached[row, before:length] = reached[row, : length - before].copy()
+            reached[row, :before] = np.inf if row == LEAST else -np.inf
+    wall[LENGTH] = length
+    return int(place - wall[LOW])
+
+
+@compiled
+def note_hit(walls: Walls, index: int, place: int, first: float, last: float) -> None:
+    """Note that the hits in a bin lie between two positions, m along the line, and perhaps farther apart."""
+    reached, ends = walls.reached[index], walls.ends[index]
+    reached[LEAST, place] = min(reached[LEAST, place], first)
+    reached[MOST, place] = max(reached[MOST, place], last)
+    ends[LEAST], ends[MOST] = min(ends[LEAST], first), max(ends[MOST], last)
+
+
+@entry
+def count_hits(walls: Walls, index: int, along: FloatArray) -> None:
+    """Count beams that ended on a landmark at positions (n,), m along the line, and that corrected the filter."""
+    for position in along:
+        place = reach(walls, index, math.floor(position / BIN))
+        if place >= 0:
+            walls.counted[index, HITS, place] += 1
+            note_hit(walls, index, place, position, position)
+    walls.table[index, GROUPS] += 1
+    walls.table[index, READINGS] += len(along)
+    walls.table[index, CHANGES] += 1
+
+
+@compiled
+def pass_at(walls: Walls, index: int, position: float) -> None:
+    """Count a beam that passed at a position, m; only positions between the ends count."""
+    if walls.ends[index, LEAST] < position < walls.ends[index, MOST]:
+        # Bins that were taken over from another wall may lie up to half a bin outside the exact ends.
+        place = math.floor(position / BIN) - walls.table[index, LOW]
+        walls.counted[index, MISSES, min(max(place, 0), walls.table[index, LENGTH] - 1)] += 1
+        walls.table[index, CHANGES] += 1
+
+
+@entry
+def merge_walls(walls: Walls, older: int, younger: int, factor: float, shift: float, count: int) -> None:
+    """Merge two of ``count`` landmarks into the older one, and remove the younger one.
+
+    A position s along the younger one is ``factor`` (1 or -1) times s plus ``shift``, m, along the older one.
+    """
+    for column in (GROUPS, READINGS):
+        walls.table[older, column] += walls.table[younger, column]
+    walls.table[older, CHANGES] += 1
+    for other in range(walls.table[younger, LENGTH]):
+        middle = factor * BIN * (walls.table[younger, LOW] + other + 0.5) + shift
+        place = reach(walls, older, math.floor(middle / BIN))
+        if place < 0:
+            continue
+        for row in range(2):
+            walls.counted[older, row, place] += walls.counted[younger, row, other]
+        if walls.counted[younger, HITS, other]:
+            first = factor * walls.reached[younger, LEAST, other] + shift
+            last = factor * walls.reached[younger, MOST, other] + shift
+            note_hit(walls, older, place, min(first, last), max(first, last))
+    for place in range(younger, count - 1):
+        walls.table[place] = walls.table[place + 1]
+        walls.counted[place] = walls.counted[place + 1]
+        walls.reached[place] = walls.reached[place + 1]
+        walls.ends[place] = walls.ends[place + 1]
+    walls.tally[CLOSURES] += 1
+
+
+@entry
+def clear_along_beams(
+    walls: Walls, lines: FloatArray, anchors: FloatArray, pose: FloatArray, variances: tuple[float, float],
+    ranges: FloatArray, measured: BoolArray, beams: FloatArray, noise: tuple[float, float],
+) -> None:  # fmt: skip
+    """Count the places of landmarks that a robot's new beams have passed through.
+
+    Parameters
+    ----------
+    walls, lines, anchors
+        The landmarks: extents, lines (k, 2) as distance, m, and angle, rad, about anchors (k, 2), m.
+    pose, variances
+        Pose (3,), m and rad, and the variances of its position, m^2, and of its heading, rad^2.
+    ranges, measured, beams
+        Readings (b,), m, which of them are new, and ``RobotSpec.beam_table``.
+    noise
+        Standard deviation of a short range, m, and the growth of ``RangeSensor``, 1/m.
+    """
+    cos, sin, rays, count = math.cos(pose[2]), math.sin(pose[2]), np.empty((len(ranges), 6)), 0
+    for beam in range(len(ranges)):
+        if measured[beam] and ranges[beam] > beams[beam, TOO_NEAR]:
+            ray, far, heading = rays[count], min(ranges[beam], beams[beam, FARTHEST]), pose[2] + beams[beam, ANGLE]
+            ray[0] = pose[0] + cos * beams[beam, FROM_X] - sin * beams[beam, FROM_Y]
+            ray[1] = pose[1] + sin * beams[beam, FROM_X] + cos * beams[beam, FROM_Y]
+            ray[2], ray[3], grown = math.cos(heading), math.sin(heading), noise[1] * far * far
+            margin = THROUGH_SIGMAS * math.sqrt(noise[0] ** 2 + grown**2 + variances[0] + variances[1] * far**2)
+            ray[4], ray[5], count = far - THROUGH_SLACK, margin, count + 1
+    for index in range(len(lines)):
+        nx, ny = math.cos(lines[index, 1]), math.sin(lines[index, 1])
+        for ray in rays[:count]:
+            cosine = ray[2] * nx + ray[3] * ny
+            if abs(cosine) <= GRAZING:
+                continue
+            off_x, off_y = ray[0] - anchors[index, 0], ray[1] - anchors[index, 1]
+            ahead = (lines[index, 0] - off_x * nx - off_y * ny) / cosine
+            if ahead > 0.0 and ahead + ray[5] / abs(cosine) < ray[4]:
+                pass_at(walls, index, (off_y + ahead * ray[3]) * nx - (off_x + ahead * ray[2]) * ny)

@@ -1,0 +1,350 @@
+"""The decisions of a step: which wall the pending readings show, which landmarks are new, and which are one wall.
+
+The functions are plain. The estimator of one team calls them as they are, with a ``CloneEKF``; the batch compiles the
+same functions with its own filter (``slam.batch.compiled_steps``). So they use numbers, arrays and named tuples only.
+What a listener is told is left out of compiled code, where the listener is None.
+"""
+
+import math
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from limslam_agent.kernels.extents import add_wall, count_hits, merge_walls
+from limslam_agent.kernels.lines import uncontested
+from limslam_agent.kernels.tables import (
+    ANGLE_STD,
+    EXTENT,
+    FEWEST,
+    LANDMARK,
+    LEFT,
+    MIDDLE_X,
+    MIDDLE_Y,
+    MIN_KINK,
+    NUMBER,
+    OF_LINE,
+    OVERFLOWS,
+    THETA,
+    TURN_SIGMAS,
+    USED,
+    Walls,
+)
+from limslam_agent.slam.consistent.filter_access import (
+    add_line,
+    anchor_of,
+    compare,
+    difference,
+    end_points,
+    extract_lines,
+    keep_clones,
+    line_of,
+    lines_near,
+    merge,
+    num_lines,
+    observe,
+    straight_segments,
+)
+from limslam_agent.slam.consistent.limits import (
+    COMPLETE_AFTER,
+    FAR_GATE,
+    FIRST_ITERATIONS,
+    GAP_AHEAD,
+    ITERATIONS,
+    LEAST_LENGTH,
+    LENGTH_IF_COMPLETE,
+    MAX_ANGLE,
+    MAX_ANGLE_STD,
+    MAX_END_GAP,
+    MAX_OFFSET,
+    MIN_OVERLAP,
+    ONE_WALL_GATE,
+    RESIDUAL_SIGMAS,
+    SHORTEST,
+    STRAIGHTNESS,
+)
+from limslam_agent.slam.consistent.pending_readings import AHEAD, CLONE, DRIVEN_THEN, FRESH, SIDES, WAITING, readings_of
+from limslam_agent.slam.consistent.step_settings import StepSettings
+from limslam_env.geometry import FloatArray, IntArray
+
+_NUM_SIDES = len(SIDES)
+
+
+class Piece(NamedTuple):
+    """Readings of one straight piece of wall.
+
+    Attributes
+    ----------
+    places, readings, variances
+        As of ``pending_readings.readings_of``.
+    points
+        Their end points (n, 2), m, where the clones are estimated to be.
+    segment
+        The fitted piece (8,), whose columns ``kernels.segments`` names.
+    """
+
+    places: IntArray
+    readings: FloatArray
+    variances: FloatArray
+    points: FloatArray
+    segment: FloatArray
+
+
+class Listener(Protocol):
+    """What is told of each decision."""
+
+    def extracted(self, row: int, points: FloatArray, owner: IntArray) -> None:
+        """The lines that were found in the pending readings of a side."""
+
+    def considered(self, waiting: FloatArray, residuals: FloatArray) -> None:
+        """A piece's rows of ``pending`` and the residuals of its readings, before anything is decided about it."""
+
+    def compared(self, piece: Piece, candidates: FloatArray, gate: float) -> None:
+        """The landmarks that the piece was compared with, and the gate."""
+
+    def updated(self, number: int, is_new: bool) -> None:
+        """The piece has corrected a landmark."""
+
+    def merged(self, older: int, younger: int, squared: float, offset: float) -> None:
+        """Two landmarks, by number, were merged: their squared Mahalanobis distance, and their offset, m."""
+
+
+def process(
+    ekf: Any, walls: Walls, pending: FloatArray, fill: IntArray, row: int, driven: float, settings: StepSettings,
+    beams: FloatArray, is_over: bool, listener: Listener | None,
+) -> None:  # fmt: skip
+    """Find straight pieces in the pending readings of a side, use them, and drop what is consumed or too old.
+
+    Parameters
+    ----------
+    ekf, walls
+        The lines and clones, and the extents of the landmarks.
+    pending, fill, row
+        The pending readings of all sides, and which side is processed.
+    driven
+        Distance that the robot has driven, m.
+    settings, beams
+        Settings, and ``RobotSpec.beam_table``.
+    is_over
+        Whether no more readings of the side's walls will come.
+    listener
+        Is told of each decision, if given.
+    """
+    count = int(fill[row, WAITING])
+    fill[row, FRESH] = 0
+    waiting = pending[row, :count]
+    places, readings, variances = readings_of(ekf, waiting, beams, settings)
+    points = end_points(ekf, places, readings, math.nan)
+    # Beams ahead meet a wall at points far apart, with nothing in between.
+    max_gap = GAP_AHEAD if row % _NUM_SIDES == AHEAD else settings.segment_gap
+    owner, lines, ends = extract_lines(
+        points, max_gap, settings.min_votes, settings.r_step, settings.theta_step, settings.near_line,
+        settings.segment_length, settings.only_best,
+    )  # fmt: skip
+    if listener is not None:
+        listener.extracted(row, points, owner)
+    is_kept = np.ones(count, dtype=np.bool_)
+    for index in range(len(lines)):
+        members = uncontested(points, owner, lines, ends, index, settings.near_line)
+        if len(members) < FEWEST:
+            continue
+        # The lines before this one have updated the filter, so the end points are computed anew.
+        now = end_points(ekf, places, readings, lines[index, 1])
+        segments, segment_of, residuals = straight_segments(
+            ekf, places, readings, now, members, lines[index], settings.std, variances
+        )
+        for number in range(len(segments)):
+            own = segment_of == number
+            these = members[own]
+            if listener is not None:
+                listener.considered(waiting[these], residuals[own])
+            is_complete = is_over or driven - waiting[these, DRIVEN_THEN].max() > COMPLETE_AFTER
+            piece = Piece(places[these], readings[these], variances[these], now[these], segments[number])
+            is_kept[these] = not is_used(ekf, walls, piece, settings, is_complete, listener)
+    if is_over:
+        is_kept[:] = False
+    discard(pending, fill, row, is_kept & (waiting[:, DRIVEN_THEN] >= driven - settings.max_age))
+    prune(ekf, pending, fill, settings.max_clones)
+
+
+def discard(pending: FloatArray, fill: IntArray, row: int, is_kept: FloatArray) -> None:
+    """Keep only some of the pending readings (n,) of a side."""
+    kept = pending[row][np.flatnonzero(is_kept)]
+    pending[row, : len(kept)], fill[row, WAITING] = kept, len(kept)
+
+
+def prune(ekf: Any, pending: FloatArray, fill: IntArray, most: int) -> None:
+    """Marginalise clones without pending readings, and the oldest clones if there are more than ``most``."""
+    every = np.zeros(fill[:, WAITING].sum())
+    size = 0
+    for row in range(len(fill)):
+        every[size : size + fill[row, WAITING]] = pending[row, : fill[row, WAITING], CLONE]
+        size += fill[row, WAITING]
+    wanted = np.unique(every)
+    if len(wanted) > most:
+        wanted = wanted[len(wanted) - most :]
+        for row in range(len(fill)):
+            discard(pending, fill, row, pending[row, : fill[row, WAITING], CLONE] >= wanted[0])
+    keep_clones(ekf, wanted)
+
+
+def is_used(
+    ekf: Any, walls: Walls, piece: Piece, settings: StepSettings, is_complete: bool, listener: Listener | None
+) -> bool:
+    """Associate a piece of wall with a known landmark, or add a new one; whether it was used."""
+    found = candidates(ekf, walls, piece, settings)
+    while len(found) > 1 and found[1, OF_LINE] <= settings.gate:
+        first, second = int(found[0, LANDMARK]), int(found[1, LANDMARK])
+        if not closes_loop(ekf, walls, first, second, settings, 1, listener):
+            break
+        found = candidates(ekf, walls, piece, settings)
+    best = found[0, OF_LINE] if len(found) else np.inf
+    second_best = found[1, OF_LINE] if len(found) > 1 else np.inf
+    segment = piece.segment
+    is_enough = len(piece.points) >= settings.new_readings * settings.usual_std
+    is_sure = is_enough and segment[ANGLE_STD] <= MAX_ANGLE_STD
+    # A filter that is more wrong than it states refuses the right walls, unless nothing else can be meant.
+    gate = FAR_GATE if is_sure and second_best >= FAR_GATE else settings.gate
+    if listener is not None:
+        listener.compared(piece, found, gate)
+    if best <= gate:
+        index = int(found[0, LANDMARK])
+        if not fits(ekf, piece, index, found[0, LEFT], found[0, USED]):
+            return False
+        update(ekf, walls, piece, index, settings, ITERATIONS, listener)
+        return True
+    least = LENGTH_IF_COMPLETE if is_complete else settings.new_length
+    if best < FAR_GATE or segment[EXTENT] < least or not is_sure:
+        return False
+    if num_lines(ekf) == len(walls.table):
+        walls.tally[OVERFLOWS] += 1
+        return False
+    index = add_line(ekf, segment[THETA], segment[MIDDLE_X], segment[MIDDLE_Y])
+    add_wall(walls, index)
+    update(ekf, walls, piece, index, settings, FIRST_ITERATIONS, listener)
+    return True
+
+
+def candidates(ekf: Any, walls: Walls, piece: Piece, settings: StepSettings) -> FloatArray:
+    """Landmarks (k, 4) that a piece may show, best first."""
+    segment = piece.segment
+    loose = 2.0 * math.atan2(2.0 * settings.usual_std, max(segment[EXTENT], SHORTEST))
+    near = lines_near(ekf, segment[THETA], segment[MIDDLE_X], segment[MIDDLE_Y], MAX_ANGLE + loose, MAX_OFFSET)
+    found, size = np.empty((len(near), 4)), 0
+    for index in near:
+        along = along_line(ekf, index, piece.points)
+        if max(along.min() - walls.ends[index, 1], walls.ends[index, 0] - along.max()) > MAX_END_GAP:
+            continue
+        of_line, left, used = compare(ekf, piece.places, piece.readings, index, piece.variances)
+        if used:
+            found[size, OF_LINE], found[size, LEFT], found[size, USED], found[size, LANDMARK] = (
+                of_line, left, used, index,
+            )  # fmt: skip
+            size += 1
+    return found[np.argsort(found[:size, OF_LINE].copy())]
+
+
+def fits(ekf: Any, piece: Piece, index: int, left: float, used: float) -> bool:
+    """Whether a piece of a known landmark is good enough to update by."""
+    free, segment = max(used - 2.0, 1.0), piece.segment
+    if left > free + RESIDUAL_SIGMAS * math.sqrt(2.0 * free) + 2.0 or segment[EXTENT] < LEAST_LENGTH:
+        return False
+    # A filter that is unsure of its heading would take the next facet of a curved wall for this one, and turn.
+    turn = turn_between(line_of(ekf, index)[1], segment[THETA])
+    return bool(turn <= max(MIN_KINK, TURN_SIGMAS * segment[ANGLE_STD]))
+
+
+def update(
+    ekf: Any, walls: Walls, piece: Piece, index: int, settings: StepSettings, iterations: int, listener: Listener | None
+) -> None:
+    """Update filter and map by a piece of a landmark, and merge the landmark with others that are the same wall."""
+    observe(ekf, piece.places, piece.readings, index, piece.variances, iterations)
+    points = end_points(ekf, piece.places, piece.readings, line_of(ekf, index)[1])
+    count_hits(walls, index, along_line(ekf, index, points))
+    if listener is not None:
+        listener.updated(walls.table[index, NUMBER], iterations == FIRST_ITERATIONS)
+    close_loops_of(ekf, walls, index, settings, 1, listener)
+
+
+def close_loops_of(
+    ekf: Any, walls: Walls, index: int, settings: StepSettings, iterations: int, listener: Listener | None
+) -> None:
+    """Merge a landmark that has just changed with all landmarks that are the same wall."""
+    found = True
+    while found:
+        found = False
+        x, y = anchor_of(ekf, index)
+        for other in lines_near(ekf, line_of(ekf, index)[1], x, y, MAX_ANGLE, 2.0 * MAX_OFFSET):
+            if other != index and closes_loop(ekf, walls, other, index, settings, iterations, listener):
+                # The younger landmark is removed. If that is this one, there is nothing left to compare.
+                if other < index:
+                    return
+                found = True
+                break
+
+
+def closes_loop(
+    ekf: Any, walls: Walls, first: int, second: int, settings: StepSettings, iterations: int, listener: Listener | None
+) -> bool:
+    """Whether two landmarks are one wall; then they are merged, and the younger one is removed."""
+    older, younger = min(first, second), max(first, second)
+    overlap, offset = separation(ekf, walls, older, younger)
+    if not settings.closes_loops or overlap < MIN_OVERLAP or offset > MAX_OFFSET:
+        return False
+    off, covariance = difference(ekf, older, younger)
+    squared = squared_difference(off, covariance)
+    if abs(off[1]) > MAX_ANGLE or squared > ONE_WALL_GATE:
+        return False
+    merge_landmarks(ekf, walls, older, younger, iterations, listener)
+    return True
+
+
+def merge_landmarks(
+    ekf: Any, walls: Walls, older: int, younger: int, iterations: int, listener: Listener | None
+) -> None:
+    """Merge two landmarks, and remove the younger one."""
+    theta, (x, y), count = line_of(ekf, younger)[1], anchor_of(ekf, younger), num_lines(ekf)
+    if listener is not None:
+        off, covariance = difference(ekf, older, younger)
+        numbers = walls.table[older, NUMBER], walls.table[younger, NUMBER]
+        listener.merged(
+            numbers[0], numbers[1], squared_difference(off, covariance), separation(ekf, walls, older, younger)[1]
+        )
+    merge(ekf, older, younger, iterations)
+    factor = 1.0 if math.cos(theta - line_of(ekf, older)[1]) > 0.0 else -1.0
+    merge_walls(walls, older, younger, factor, along_point(ekf, older, x, y), count)
+
+
+def separation(ekf: Any, walls: Walls, older: int, younger: int) -> tuple[float, float]:
+    """Length, m, that two landmarks share along the older one, and the distance, m, of the younger's middle from it."""
+    (d, theta), (x, y), middle = line_of(ekf, younger), anchor_of(ekf, younger), 0.5 * walls.ends[younger].sum()
+    cos, sin = math.cos(theta), math.sin(theta)
+    x, y, low, high = x + d * cos, y + d * sin, walls.ends[younger, 0], walls.ends[younger, 1]
+    one = along_point(ekf, older, x - low * sin, y + low * cos)
+    two = along_point(ekf, older, x - high * sin, y + high * cos)
+    overlap = min(max(one, two), walls.ends[older, 1]) - max(min(one, two), walls.ends[older, 0])
+    (d, theta), (anchor_x, anchor_y) = line_of(ekf, older), anchor_of(ekf, older)
+    across_x, across_y = x - middle * sin - anchor_x, y + middle * cos - anchor_y
+    return overlap, abs(across_x * math.cos(theta) + across_y * math.sin(theta) - d)
+
+
+def squared_difference(off: FloatArray, covariance: FloatArray) -> float:
+    """Squared Mahalanobis distance of two landmarks by their difference (2,), m and rad, with its covariance (2, 2)."""
+    a, b, c = covariance[0, 0] + STRAIGHTNESS[0], covariance[0, 1], covariance[1, 1] + STRAIGHTNESS[1]
+    return float((c * off[0] ** 2 - 2.0 * b * off[0] * off[1] + a * off[1] ** 2) / (a * c - b * b))
+
+
+def turn_between(theta: float, other: float) -> float:
+    """Angle between two lines with normals at these angles, rad."""
+    return abs((theta - other + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
+
+
+def along_line(ekf: Any, index: int, points: FloatArray) -> FloatArray:
+    """Positions (n,) of points (n, 2) along a landmark, m from its anchor."""
+    (x, y), theta = anchor_of(ekf, index), line_of(ekf, index)[1]
+    return (points[:, 1] - y) * math.cos(theta) - (points[:, 0] - x) * math.sin(theta)
+
+
+def along_point(ekf: Any, index: int, x: float, y: float) -> float:
+    """Position of one point along a landmark, m from its anchor."""
+    (from_x, from_y), theta = anchor_of(ekf, index), line_of(ekf, index)[1]
+    return (y - from_y) * math.cos(theta) - (x - from_x) * math.sin(theta)

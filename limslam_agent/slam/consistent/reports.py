@@ -1,0 +1,78 @@
+"""Tells an estimator's listeners what a step decides: lines found, landmarks compared, updated and merged."""
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from limslam_agent.kernels.tables import LANDMARK, NUMBER, OF_LINE, THETA
+from limslam_agent.slam.consistent.limits import MAX_ANGLE, MAX_END_GAP, MAX_OFFSET
+from limslam_agent.slam.consistent.pending_readings import BEAM, RANGE, SIDES, TAKEN_AT
+from limslam_agent.slam.core.diagnostics import AssociationRecord, CandidateTest, Closure, Comparison, Extraction
+from limslam_agent.slam.core.line_fit import fit_line
+from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry.line import angle_between, direction, normal
+
+if TYPE_CHECKING:
+    from limslam_agent.slam.consistent.association import Piece
+    from limslam_agent.slam.consistent.consistent import ConsistentEstimator
+
+
+class StepReports:
+    """A listener for the decisions of one step of a robot."""
+
+    def __init__(self, estimator: "ConsistentEstimator", robot: int, step: int) -> None:
+        self._estimator, self._robot, self._step = estimator, robot, step
+
+    def extracted(self, row: int, points: FloatArray, owner: IntArray) -> None:
+        """The lines that were found in the pending readings of a side."""
+        estimator, std = self._estimator, self._estimator.settings.usual_std
+        fits = tuple(fit_line(points[owner == line], std) for line in range(owner.max(initial=-1) + 1))
+        estimator.last_extraction = Extraction(
+            self._robot, SIDES[row % len(SIDES)], self._step, estimator.poses[self._robot], points, fits,
+            is_in_world=True,
+        )  # fmt: skip
+
+    def considered(self, waiting: FloatArray, residuals: FloatArray) -> None:
+        """A piece's rows of ``pending`` and the residuals of its readings, before anything is decided about it."""
+        self._sources, is_clear = waiting[:, [TAKEN_AT, BEAM]].astype(int), np.isfinite(residuals)
+        self._residuals, self._ranges = residuals[is_clear], waiting[is_clear, RANGE]
+
+    def compared(self, piece: "Piece", candidates: FloatArray, gate: float) -> None:
+        """The landmarks that the piece was compared with, and the gate."""
+        listener = self._estimator.on_comparison
+        if listener is None:
+            return
+        distances = {int(row[LANDMARK]): float(row[OF_LINE]) for row in candidates}
+        tests = tuple(
+            self._test(index, piece, distances.get(index, np.nan), gate)
+            for index in range(self._estimator.belief.num_lines)
+        )
+        tangent = direction(np.array([0.0, piece.segment[THETA]]))
+        middle = piece.segment[THETA + 1 : THETA + 3]
+        along = (piece.points - middle) @ tangent
+        ends = middle + np.array([along.min(), along.max()])[:, None] * tangent
+        listener(Comparison(self._robot, self._step, ends, self._sources, tests))
+
+    def updated(self, number: int, is_new: bool) -> None:
+        """The piece has corrected a landmark."""
+        self._estimator.count_residuals(self._residuals, self._ranges)
+        self._estimator.report(AssociationRecord(int(number), is_new, self._sources, self._robot))
+
+    def merged(self, older: int, younger: int, squared: float, offset: float) -> None:
+        """Two landmarks, by number, were merged: their squared Mahalanobis distance, and their offset, m."""
+        self._estimator.closures.append(Closure(int(older), int(younger), self._step, squared, 0.0, offset, 0.0))
+
+    def _test(self, index: int, piece: "Piece", squared: float, gate: float) -> CandidateTest:
+        """The test that threw a landmark out, if any."""
+        belief, walls = self._estimator.belief, self._estimator.walls
+        line, middle = belief.line(index), piece.segment[THETA + 1 : THETA + 3]
+        angle = abs(float(angle_between(float(line[1]) - piece.segment[THETA])))
+        offset = abs(float((middle - belief.anchors[index]) @ normal(line) - line[0]))
+        along, (low, high) = (piece.points - belief.anchors[index]) @ direction(line), walls.ends[index].tolist()
+        gap = max(float(along.min()) - high, low - float(along.max()))
+        tests = {"direction": angle > MAX_ANGLE, "offset": offset > MAX_OFFSET, "ends": gap > MAX_END_GAP}
+        # A short piece may turn farther than the limit, because its direction is uncertain.
+        excluded = next((name for name, is_out in tests.items() if is_out), "beams")
+        if not np.isnan(squared):
+            excluded = "gate" if squared > gate else ""
+        return CandidateTest(int(walls.table[index, NUMBER]), excluded, angle, offset, gap, squared)
