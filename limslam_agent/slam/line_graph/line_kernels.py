@@ -16,6 +16,7 @@ from limslam_agent.slam.line_graph.factors import GRAZING
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _TRIED_ANGLES = 90
+_FITTED = 40  # largest number of a line's readings that are used to fit it
 _FAR = 1e9
 _OUTLIER = 25.0  # largest squared residual of a reading, divided by the variance; larger residuals are clipped
 
@@ -39,11 +40,12 @@ def fit_lines(points: FloatArray, firsts: IntArray, std: float, lines: FloatArra
         first, end = firsts[group], firsts[group + 1]
         if first == end:
             continue
+        stride = 1 + (end - first - 1) // _FITTED
         anchors[group, 0], anchors[group, 1] = points[first:end, 0].mean(), points[first:end, 1].mean()
         best = np.inf
         for number in range(_TRIED_ANGLES):
             angle = number * math.pi / _TRIED_ANGLES
-            cost, offset = _fit_at(points[first:end], anchors[group], angle, std)
+            cost, offset = _fit_at(points[first:end:stride], anchors[group], angle, std)
             if cost < best:
                 best, lines[group, 0], lines[group, 1] = cost, offset, angle
 

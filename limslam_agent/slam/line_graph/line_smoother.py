@@ -14,12 +14,14 @@ from scipy.sparse.linalg import SuperLU
 from limslam_agent.slam.least_squares.normal_equations import DegenerateError, NormalEquations
 from limslam_agent.slam.line_graph.factors import GRAZING, Expected, motion_jacobians
 from limslam_agent.slam.line_graph.problem import Problem, State, expected, moved
-from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+
+MOST_ITERATIONS = 6
+"""Most iterations of a solution. Those that have not converged then have wrong associations."""
 
 _LINE_STD = np.array([100.0, 10.0])  # m and rad: keeps the equations of a line regular if it was read only once
 _MOST_HALVINGS, _CHOOSING = 6, 2  # of a step; iterations after which the set of grazing readings is fixed
-# Largest number of iterations, and the last step, m or rad. What remains is of the order of its square.
-_MOST_ITERATIONS, _CONVERGED = 6, 1e-3
+_CONVERGED = 1e-3  # m or rad: the last step; what remains is of the order of its square
 _BLOCK = 150  # poses of a block, about
 
 
@@ -95,7 +97,7 @@ class Solution:
         Weights (k,): 0 for readings without a line and for grazing readings, otherwise 1, or more or less than that if
         the noise grows with the range.
     unknowns, equations, factors
-        The equations, which are linearised at the optimum, and their factors.
+        The equations, linearised at the state before the last step, and their factors.
     """
 
     state: State
@@ -129,10 +131,11 @@ class Solution:
         return self.equations.marginals(pose_columns(poses)).reshape(*self.state.poses.shape, 3)
 
 
-def solve(problem: Problem, state: State, labels: IntArray) -> Solution:
+def solve(problem: Problem, state: State, labels: IntArray, iterations: int = MOST_ITERATIONS) -> Solution:
     """The optimum near a state by the Gauss-Newton method, for readings with known lines.
 
-    ``labels`` (k,) is the line of each reading, or -1 for readings that are not used.
+    ``labels`` (k,) is the line of each reading, or -1 for readings that are not used. At most so many ``iterations``
+    are made.
 
     Raises
     ------
@@ -144,20 +147,17 @@ def solve(problem: Problem, state: State, labels: IntArray) -> Solution:
     calibrated = 0 if problem.prior is None else state.calibration.shape[1]
     unknowns = Unknowns(len(problem.starts), problem.steps, calibrated, len(state.lines))
     graph, weights = _Graph(problem, labels, unknowns), np.zeros(len(labels))
-    for iteration in range(_MOST_ITERATIONS + 1):
+    for iteration in range(iterations):
         readings = expected(problem, state, labels)
         if iteration < _CHOOSING:
-            weights = _not_grazing(readings, labels) / problem.noise**2
+            weights = not_grazing(readings, labels) / problem.noise**2
         graph.linearise(state, readings, weights)
         factors = graph.equations.factorise()
-        if iteration == _MOST_ITERATIONS:
-            break
         step = -graph.equations.solved(factors, graph.equations.gradient)
         if not np.isfinite(step).all():
             raise DegenerateError("the readings do not determine the poses")
         state, change = graph.descend(state, step, readings, weights)
         if change < _CONVERGED:
-            # The equations of this step are as accurate as those of the next step would be.
             break
     return Solution(state, weights, unknowns, graph.equations, factors)
 
@@ -179,9 +179,9 @@ def range_residuals(problem: Problem, state: State, readings: Expected) -> Float
     return np.asarray(problem.readings.distances - readings.ranges - biases)
 
 
-def _not_grazing(readings: Expected, labels: IntArray) -> FloatArray:
-    """Weights (k,): 1 for readings of a line in front of the beam that the beam does not graze, otherwise 0."""
-    return ((labels >= 0) & (np.abs(readings.cosines) >= GRAZING) & (readings.ranges > 0.0)).astype(float)
+def not_grazing(readings: Expected, labels: IntArray) -> BoolArray:
+    """Which readings (k,) are of a line in front of the beam that the beam does not graze."""
+    return np.asarray((labels >= 0) & (np.abs(readings.cosines) >= GRAZING) & (readings.ranges > 0.0))
 
 
 class _Graph:

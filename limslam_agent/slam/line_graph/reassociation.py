@@ -12,7 +12,7 @@ from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, board_o
 from limslam_agent.slam.line_graph import line_kernels as kernels
 from limslam_agent.slam.line_graph.factors import expected_readings, rays
 from limslam_agent.slam.line_graph.line_merging import ONE_WALL, Lines, OneWall, merge_lines, wall_kinds
-from limslam_agent.slam.line_graph.line_smoother import Solution, pose_columns, solve
+from limslam_agent.slam.line_graph.line_smoother import MOST_ITERATIONS, Solution, pose_columns, solve
 from limslam_agent.slam.line_graph.problem import FEWEST_READINGS, Problem, State
 from limslam_agent.slam.line_graph.straightness import straight_labels
 from limslam_env.geometry import FloatArray, IntArray
@@ -27,6 +27,7 @@ BEYOND = 0.10
 """How far beyond a line's ends a beam may meet it, m."""
 _MARGIN = 3.0  # standard deviations by which the second-best line must predict a reading worse
 _FEWEST_OF_SIDE = 4  # readings
+_ROUGH = 3  # iterations before bent lines are looked for; fewer of them lose readings of right lines
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,8 +79,8 @@ def reassociate_from(problem: Problem, found: Association, rounds: int) -> Assoc
         if board_odds(0.0, *kinds) > SURE:
             # The walls are boards for sure: what was read from one side can be read from the other side.
             seen[..., 0], seen[..., 1] = seen[..., 0].min(axis=1)[:, None], seen[..., 1].max(axis=1)[:, None]
-        found = solve_again(problem, merged.state, assigned(problem, merged.state, seen))
-        found = straightened(problem, found)
+        labels = assigned(problem, merged.state, seen)
+        found = straightened(problem, solve_again(problem, merged.state, labels, iterations=_ROUGH))
         if np.abs(found.state.poses - before)[..., :2].max() < _SETTLED and not has_merged:
             break
     return found
@@ -94,7 +95,7 @@ def solve_labels(problem: Problem, state: State, labels: IntArray) -> Associatio
     return Association(solve(problem, with_lines(problem, without_lines(state), labels), labels), labels)
 
 
-def solve_again(problem: Problem, state: State, labels: IntArray) -> Association:
+def solve_again(problem: Problem, state: State, labels: IntArray, iterations: int = MOST_ITERATIONS) -> Association:
     """The optimum for associations with the lines of a state; lines with too few readings are removed.
 
     Raises
@@ -104,7 +105,7 @@ def solve_again(problem: Problem, state: State, labels: IntArray) -> Association
     """
     labels, kept = renumbered(labels)
     state = replace(state, lines=state.lines[kept], anchors=state.anchors[kept])
-    return Association(solve(problem, state, labels), labels)
+    return Association(solve(problem, state, labels, iterations), labels)
 
 
 def renumbered(labels: IntArray, fewest: int = FEWEST_READINGS) -> tuple[IntArray, IntArray]:
@@ -196,11 +197,8 @@ def assigned(problem: Problem, state: State, ends: FloatArray) -> IntArray:
 
 
 def straightened(problem: Problem, found: Association) -> Association:
-    """The solution with bent lines divided, and without runs of readings that lie on one side of their line."""
-    along = places_along(problem, found.state, found.labels)
-    labels = straight_labels(problem, found.solution, found.labels, along)
-    if np.array_equal(labels, found.labels):
-        return found
+    """The optimum with bent lines divided, and without runs of readings that lie on one side of their line."""
+    labels = straight_labels(problem, found.state, found.labels, places_along(problem, found.state, found.labels))
     return solve_again(problem, with_lines(problem, found.state, labels), labels)
 
 

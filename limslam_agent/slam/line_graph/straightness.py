@@ -8,8 +8,8 @@ these are not: they are systematic along the line, or all on one side of it.
 import numpy as np
 
 from limslam_agent.slam.line_graph import line_kernels as kernels
-from limslam_agent.slam.line_graph.line_smoother import Solution, range_residuals
-from limslam_agent.slam.line_graph.problem import FEWEST_READINGS, Problem, expected
+from limslam_agent.slam.line_graph.line_smoother import not_grazing, range_residuals
+from limslam_agent.slam.line_graph.problem import FEWEST_READINGS, Problem, State, expected
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _FEWEST_APART = 3  # readings; two of them fit any line
@@ -21,20 +21,19 @@ _BEND_GATE = 16.0  # chi-square: a line is divided where two lines fit its readi
 _RUN_GATE = 4.0
 
 
-def straight_labels(problem: Problem, solution: Solution, labels: IntArray, along: FloatArray) -> IntArray:
+def straight_labels(problem: Problem, state: State, labels: IntArray, along: FloatArray) -> IntArray:
     """Labels (k,) in which bent lines are divided, and runs of readings on one side of their line have no line.
 
     Parameters
     ----------
-    solution, labels
-        A solution, and the line (k,) of each reading, or -1.
+    state, labels
+        Poses and lines, and the line (k,) of each reading, or -1.
     along
         Where each reading's beam meets its line (k,), m.
     """
-    readings = expected(problem, solution.state, labels)
-    residuals = range_residuals(problem, solution.state, readings)
-    stds, is_used = problem.range_std * problem.noise, solution.weights > 0.0
-    result = _divided(along, residuals, readings.cosines, stds, labels, is_used)
+    readings = expected(problem, state, labels)
+    residuals, stds = range_residuals(problem, state, readings), problem.range_std * problem.noise
+    result = _divided(along, residuals, readings.cosines, stds, labels, not_grazing(readings, labels))
     return np.where(_is_one_sided(problem, residuals, labels), -1, result)
 
 
