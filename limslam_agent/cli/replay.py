@@ -161,6 +161,8 @@ def job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "Robo
 
     if options.calibrate and options.odometry_bias:
         raise ValueError("--odometry-bias and --calibrate both set the bias: use only one of them")
+    if options.calibrate and options.calibrate == options.relations:
+        raise ValueError("--calibrate and --relations name one file: relations that calibrate do not score")
     limits = Limits(round(1e6 * options.max_size), options.max_events, options.max_beams)
     known = read_relations(options.relations, limits) if options.relations else None
     angles = None if options.beams is None else numbers("--beams", options.beams)

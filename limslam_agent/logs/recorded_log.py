@@ -5,7 +5,7 @@ import gzip
 import math
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from os import PathLike, fspath
 from pathlib import Path
 from typing import IO, Any, TypeAlias
@@ -118,11 +118,6 @@ class RecordedLog:
     def __len__(self) -> int:
         """Number of events."""
         return self.time.size
-
-    def within(self, reach: float) -> "RecordedLog":
-        """The log of beams that see ``reach`` (m) at most: what they read beyond is free up to there."""
-        beams = tuple(replace(each, max_range=min(each.max_range, reach)) for each in self.robot.beams)
-        return replace(self, robot=replace(self.robot, beams=beams))
 
     def observations(self) -> Iterator[Observation]:
         """The observation of each event, in new arrays.

@@ -22,9 +22,10 @@ from limslam_agent.output.tum import write_tum
 from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.replay.filter_estimate import FilterEstimate
-from limslam_agent.slam.core.diagnostics import AssociationRecord
+from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import OdometryCalibration
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.smoothed_status import lost_note
 from limslam_agent.status.status import LEVELS, Status, final_status_scores, status_scores
 from limslam_env.geometry import FloatArray, IntArray
@@ -185,17 +186,35 @@ def replay_log(
         handed_over=estimate.handed_over,
         beam_turns=slam.beam_turns,
     )
+    # The line smoother does not know the lines of an earlier map.
+    sees_all = mapper.prior_frame is None
+    filtered = associations, list(slam.closures), slam.sensor
+    del estimate, mapper, slam  # the smoothing needs their memory
+    return _smoothed(replay, filtered, report, by_lines=sees_all)
+
+
+def _smoothed(
+    replay: Replay,
+    filtered: tuple[list[AssociationRecord], list[Closure], RangeSensor | None],
+    report: Callable[[str], None],
+    *,
+    by_lines: bool,
+) -> Replay:
+    """The replay with its log smoothed, if its settings ask for it.
+
+    ``filtered`` has the associations of the filter, the landmarks that it merged, and the sensor that it has found.
+    """
+    log, config = replay.log, replay.config
     if log.odometry is not None and config.smoothing is not None:
         from limslam_agent.replay.smoothing import smoothed_by_graph
 
-        del estimate, mapper, slam  # the smoothing needs their memory
         return smoothed_by_graph(replay, config.smoothing, report)
-    # The smoother does not know the lines of an earlier map.
-    if log.wheels is not None and config.run_smoothing is not None and mapper.prior_frame is None:
+    if log.wheels is not None and config.run_smoothing is not None and by_lines:
         from limslam_agent.replay.smoothing import smoothed_by_lines
 
+        associations, closures, sensor = filtered
         report("all poses and walls")
-        return smoothed_by_lines(replay, associations, list(slam.closures), config.run_smoothing, slam.sensor)
+        return smoothed_by_lines(replay, associations, closures, config.run_smoothing, sensor)
     return replay
 
 

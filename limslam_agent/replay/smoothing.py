@@ -115,11 +115,13 @@ def trusted_path(
     signals = path_signals(best, *known)
     if signals.status.level == "ok":
         return best, signals
-    wide = smooth_log(data, start, config, saying("in a wide window", report), reach=FAR)
+    wide = smooth_log(data, start, config, saying("in wide windows", report), reach=FAR)
     for found in (wide, *without_loops(best, config, data.range_std)):
         other = path_signals(found, *known)
-        if signals.is_worse_than(other):
+        if other.status.level == "ok" or signals.is_worse_than(other):
             best, signals = found, other
+        if signals.status.level == "ok":
+            break
     return best, signals
 
 

@@ -56,9 +56,6 @@ class LogData:
         Longest range, m.
     range_std
         Specified standard deviation of a range, m.
-    variances
-        Variances (n, 3) of the motion since the previous event (along, across, heading), m^2, m^2, rad^2. None for the
-        variances of the settings.
     """
 
     time: FloatArray
@@ -69,7 +66,6 @@ class LogData:
     angles: FloatArray
     max_range: float
     range_std: float = 0.0
-    variances: FloatArray | None = None
 
     def __post_init__(self) -> None:
         count, beams = self.ranges.shape
@@ -80,8 +76,6 @@ class LogData:
             "origins": (self.origins, (beams, 2)),
             "angles": (self.angles, (beams,)),
         }
-        if self.variances is not None:
-            shapes["variances"] = (self.variances, (count, 3))
         for name, (array, shape) in shapes.items():
             if array.shape != shape:
                 raise ValueError(f"{name} has shape {array.shape}, not {shape}")
@@ -185,7 +179,7 @@ def choose_keys(data: LogData, config: PointConfig) -> KeyPoses:
         offset_forward=forward - forward[first_of],
         step=_motions(data.odometry[first[:-1]], data.odometry[first[1:]]),
         step_forward=np.diff(forward[first]),
-        step_variances=_step_variances(data, first, length, turn),
+        step_variances=_step_variances(first, length, turn),
         offset_rate=offset_rate,
         step_rate=step_rate,
         travel=travel,
@@ -214,9 +208,9 @@ def _motions(first: FloatArray, second: FloatArray) -> FloatArray:
     return np.asarray(np.round(se2.between(first, second), _DECIMALS) + 0.0)
 
 
-def _step_variances(data: LogData, first: IntArray, length: FloatArray, turn: FloatArray) -> FloatArray:
+def _step_variances(first: IntArray, length: FloatArray, turn: FloatArray) -> FloatArray:
     least = np.array([_LEAST_POSITION_STD**2] * 2 + [_LEAST_TURN_STD**2])
-    each = motion_variances(length, turn) if data.variances is None else data.variances
+    each = motion_variances(length, turn)
     return np.asarray(np.diff(np.cumsum(each, axis=0)[first], axis=0) + least)
 
 

@@ -167,11 +167,6 @@ def _variance_along(lost: FloatArray, cell: float) -> float:
     return (cell * max(falls)) ** 2 / (2.0 * _FALL) if all(falls) else _UNKNOWN_STD**2
 
 
-def score_at(grid: SearchGrid, points: FloatArray, pose: FloatArray) -> float:
-    """The score of points (k, 2) at one pose (3,), without the penalty."""
-    return float(_volume(grid.padded, points, pose, grid.low, grid.cell, 1.0, 0, 0)[0, 0, 0])
-
-
 @kernel
 def _maxima_of(padded: Cells, width: int) -> Maxima:
     """Maxima over blocks of four sizes, for blocks that begin at each, every second, fourth and eighth cell."""

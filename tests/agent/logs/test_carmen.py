@@ -504,13 +504,6 @@ def test_an_event_without_a_scan_has_no_ranges(motion: str) -> None:
     assert all(motion in each for each in log.observations())
 
 
-def test_beams_that_see_less_far_have_seen_nothing_beyond() -> None:
-    log = one_beam_log(has_scan=np.ones(2, np.bool_), wheels=np.zeros((2, 2)))
-    assert log.within(0.5).ranges.tolist() == [[0.5], [0.5]]
-    assert (log.within(0.5).ranges >= log.within(0.5).robot.too_far).all()
-    assert log.within(2.0).robot == log.robot
-
-
 @pytest.mark.parametrize("jump", [(50.1, 0.0), (-36.0, 36.0), (0.0, 1e9)])
 def test_odometry_that_jumps_is_refused(jump: tuple[float, float]) -> None:
     odometry = np.zeros((4, 3))

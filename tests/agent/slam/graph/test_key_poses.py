@@ -118,13 +118,6 @@ def test_dense_scans_are_thinned_to_all_beams_in_turn():
     assert len(np.unique(angles)) > 0.9 * 180
 
 
-def test_stated_variances_replace_those_of_the_settings():
-    log = wandering()
-    keys = keys_of(replace(log, variances=np.full((len(log.time), 3), 0.01)))
-    events = np.diff(keys.first_event)
-    assert np.allclose(keys.step_variances, 0.01 * events[:, None], atol=1e-5)
-
-
 @pytest.mark.parametrize("name", ["time", "odometry", "hit", "angles"])
 def test_a_misshapen_log_is_refused(name):
     log = wandering()
