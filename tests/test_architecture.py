@@ -326,6 +326,8 @@ def test_importing_the_agent_loads_no_simulator():
     compiled = [name for place in COMPILED & set(AGENT) for name in PLACES[place]]
     compiled += [
         "limslam_agent.policies.learned.look_ahead",
+        "limslam_agent.slam.consistent.association",
+        "limslam_agent.slam.consistent.merging",
         "limslam_agent.wrappers.crop",
         "limslam_agent.wrappers.vector",
         *PLACES["limslam_agent.slam.merging"],

@@ -10,7 +10,6 @@ import time
 import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
-from limslam_agent.slam.consistent.beam_model import Readings
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.core.ekf import POSE, LineEKF
 from limslam_env.geometry import FloatArray, IntArray
@@ -112,17 +111,17 @@ def clone_filter(landmarks: int) -> CloneEKF:
         towards = generator.uniform(-math.pi, math.pi)
         away = generator.uniform(0.5, 5.0) * np.array([math.cos(towards), math.sin(towards)])
         index, clone = ekf.add_line(towards, away), ekf.clone()
-        ekf.observe(_readings([clone] * 3, away, towards + np.array([-0.3, 0.0, 0.3])), index, RANGE_STD, 2, 0.0)
+        _observe(ekf, [clone] * 3, away, towards + np.array([-0.3, 0.0, 0.3]), index)
         ekf.keep_clones(set())
     return ekf
 
 
-def _readings(clones: list[int], away: FloatArray, headings: FloatArray) -> Readings:
-    """Ranges of beams from the origin to the line whose nearest point is ``away`` (2,), m."""
-    distance = math.hypot(*away)
-    ranges = distance / np.cos(headings - math.atan2(away[1], away[0]))
-    sources = np.column_stack((clones, np.arange(len(clones))))
-    return Readings(np.array(clones), np.zeros((len(clones), 2)), headings, ranges, sources)
+def _observe(ekf: CloneEKF, clones: list[int], away: FloatArray, headings: FloatArray, index: int) -> None:
+    """Update by ranges of beams from the origin to a line whose nearest point is ``away`` (2,), m."""
+    readings = np.zeros((len(clones), 6))
+    readings[:, 2] = headings
+    readings[:, 3] = math.hypot(*away) / np.cos(headings - math.atan2(away[1], away[0]))
+    ekf.observe(ekf.places(np.array(clones)), readings, index, np.full(len(clones), RANGE_STD**2), 2)
 
 
 def time_clone_filter(ekf: CloneEKF, repetitions: int) -> FloatArray:
@@ -138,7 +137,7 @@ def time_clone_filter(ekf: CloneEKF, repetitions: int) -> FloatArray:
             line = ekf.lines[index]
             away, towards = line[0] * np.array([math.cos(line[1]), math.sin(line[1])]), float(line[1])
             headings = np.tile(towards + np.array([-0.3, 0.0, 0.3]), BATCH)
-            ekf.observe(_readings(np.repeat(clones, 3).tolist(), away, headings), index, RANGE_STD, 2, 1.5)
+            _observe(ekf, np.repeat(clones, 3).tolist(), away, headings, index)
             ekf.keep_clones(set(clones := []))
         durations[number] = time.thread_time() - begun
     return durations

@@ -286,6 +286,8 @@ def cut_at_bends(
     along, loose = np.empty(len(members)), np.empty(len(members), dtype=np.bool_)
     while todo:
         these, this, depth = todo.pop(), lines.pop(), depths.pop()
+        if len(these) < FEWEST:
+            continue
         segment = segments[count]
         left, clear = fit_segment(
             x, start, block, begins[these], places, readings, points, members[these], this, std,
@@ -297,15 +299,14 @@ def cut_at_bends(
         if depth and segment[BENT] > 0.0:
             # The first half is processed first.
             for half in (these[here > segment[BEND_AT] + AROUND_KINK], these[here < segment[BEND_AT] - AROUND_KINK]):
-                if len(half) >= FEWEST:
+                if len(half):
                     todo.append(half)
                     lines.append(fit_line(points, members[half], ends))
                     depths.append(depth - 1)
         elif depth and is_loose.any():
-            if len(these) - is_loose.sum() >= FEWEST:
-                todo.append(these[~is_loose])
-                lines.append((segment[R], segment[THETA]))
-                depths.append(depth - 1)
+            todo.append(these[~is_loose])
+            lines.append((segment[R], segment[THETA]))
+            depths.append(depth - 1)
         else:
             owner[these] = count
             for i in range(len(clear)):

@@ -82,9 +82,10 @@ NOTHING = 0.5
 BIN = 0.05
 """Length of a bin, m."""
 
-LOW, LENGTH, GROUPS, READINGS, NUMBER, CHANGES = range(6)
+LOW, LENGTH, GROUPS, READINGS, NUMBER, CHANGES, IS_KNOWN = range(7)
 """Columns of ``Walls.table``: the first bin, the number of bins, the updates and the readings in them, a number that
-identifies the landmark (an older landmark has a smaller number), and how often the extent has changed."""
+identifies the landmark (an older landmark has a smaller number), how often the extent has changed, and whether the
+landmark is from an earlier map, which does not say from which sides it was seen."""
 
 HITS, MISSES = range(2)
 """Rows of ``Walls.counted``."""
@@ -105,11 +106,14 @@ class Walls(NamedTuple):
     Attributes
     ----------
     table
-        (landmarks, 6), whose columns are named above.
+        (landmarks, 7), whose columns are named above.
     counted, reached
         (landmarks, 2, bins): beams that ended and that passed; least and largest position of a hit, m along the line.
-    ends
-        Positions of the outermost hits (landmarks, 2), m along the line.
+    ends, seen
+        Positions of the outermost hits (landmarks, 2), and of those from each side of the line (landmarks, 2, 2), m
+        along the line; the sides are ``POSITIVE`` and ``NEGATIVE`` of ``slam.core.wall_faces``.
+    behind
+        Length of the stretch with another face behind it (landmarks,), m, of a landmark that is a face of a wall.
     tally
         (3,), whose places are named above.
     """
@@ -118,15 +122,19 @@ class Walls(NamedTuple):
     counted: NDArray[np.int32]
     reached: FloatArray
     ends: FloatArray
+    seen: FloatArray
+    behind: FloatArray
     tally: IntArray
 
 
 def empty_walls(landmarks: int, bins: int, *maps: int) -> Walls:
     """Room for so many landmarks and bins, in one map or in an array of maps."""
     return Walls(
-        table=np.zeros((*maps, landmarks, 6), dtype=np.int64),
+        table=np.zeros((*maps, landmarks, 7), dtype=np.int64),
         counted=np.zeros((*maps, landmarks, 2, bins), dtype=np.int32),
         reached=np.zeros((*maps, landmarks, 2, bins)),
         ends=np.zeros((*maps, landmarks, 2)),
+        seen=np.zeros((*maps, landmarks, 2, 2)),
+        behind=np.zeros((*maps, landmarks)),
         tally=np.zeros((*maps, 3), dtype=np.int64),
     )

@@ -148,12 +148,13 @@ def covariance_of(block: FloatArray, begins: IntArray, H: FloatArray, variances:
 def compare(
     x: FloatArray, start: int, block: FloatArray, begins: IntArray, places: IntArray, readings: FloatArray,
     chosen: IntArray, line: int, anchor: tuple[float, float], variances: FloatArray,
-) -> tuple[float, float, int]:  # fmt: skip
+) -> tuple[float, float, int, float, float]:  # fmt: skip
     """How badly some readings fit a line, as chi-squares, with the part of P of ``involved``.
 
     This is the generalised likelihood ratio of the hypotheses "the readings show this line" and "they show another
     line", both with the joint uncertainty of poses and line (two degrees of freedom); then the chi-square that "another
-    line" leaves, and how many readings were compared.
+    line" leaves, how many readings were compared, and how far along its normal the readings put a parallel line, m,
+    with the variance of that, m^2.
     """
     count = len(chosen)
     H, values = np.empty((count, 7)), np.empty((count, 3))
@@ -167,18 +168,18 @@ def compare(
     a, b, c = dot(values, 1, 1, count), dot(values, 1, 2, count), dot(values, 2, 2, count)
     along, across = dot(values, 0, 1, count), dot(values, 0, 2, count)
     of_line = (c * along * along - 2.0 * b * along * across + a * across * across) / (a * c - b * b)
-    return of_line, dot(values, 0, 0, count) - of_line, count
+    return of_line, dot(values, 0, 0, count) - of_line, count, along / a, 1.0 / a
 
 
 @entry
 def compare_readings(
     x: FloatArray, P: FloatArray, start: int, places: IntArray, readings: FloatArray, line: int,
     anchor: tuple[float, float], variances: FloatArray,
-) -> tuple[float, float, int]:  # fmt: skip
+) -> tuple[float, float, int, float, float]:  # fmt: skip
     """:func:`compare` with a whole covariance P, as Python calls it; no reading is used if there are too few."""
     chosen = clear_readings(x, start, places, readings, line, anchor)
     if len(chosen) < FEWEST_TO_COMPARE:
-        return 0.0, 0.0, 0
+        return 0.0, 0.0, 0, 0.0, 0.0
     columns, begins = involved(places, chosen, (len(x) - start) // POSE, start, line)
     return compare(x, start, dense_block(P, columns), begins, places, readings, chosen, line, anchor, variances)
 

@@ -278,7 +278,8 @@ def state_of(states: States, number: int) -> States:
             ekf.counts[number],
         ),
         Walls(
-            walls.table[number], walls.counted[number], walls.reached[number], walls.ends[number], walls.tally[number]
+            walls.table[number], walls.counted[number], walls.reached[number], walls.ends[number], walls.seen[number],
+            walls.behind[number], walls.tally[number],
         ),
         states.travel[number], states.pending[number], states.fill[number], states.contact[number],
         states.grid[number], states.window[number],

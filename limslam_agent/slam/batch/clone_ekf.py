@@ -26,6 +26,7 @@ from limslam_agent.slam.consistent.limits import HUBER
 from limslam_agent.slam.core import carried_anchors
 from limslam_agent.slam.core.carried_anchors import KNOWN_PLACE
 from limslam_agent.slam.core.ekf import POSE
+from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_env.geometry import FloatArray, IntArray
 
 __all__ = ["extract_lines"]
@@ -212,15 +213,24 @@ def straight_segments(
 @algebra
 def compare(
     ekf: Filter, places: IntArray, readings: FloatArray, index: int, variances: FloatArray
-) -> tuple[float, float, int]:
+) -> tuple[float, float, int, float, float]:
     """How badly readings fit a line: ``kernels.updates.compare``; no reading is used if too few can be compared."""
     start, line, anchor = clones_from(ekf), POSE + 2 * index, (ekf.anchors[index, 0], ekf.anchors[index, 1])
     chosen = clear_readings(ekf.x, start, places, readings, line, anchor)
     if len(chosen) < FEWEST_TO_COMPARE:
-        return 0.0, 0.0, 0
+        return 0.0, 0.0, 0, 0.0, 0.0
     columns, begins = involved(places, chosen, len(ekf.clones), start, line)
     block = block_of(ekf.top, ekf.rest, columns)
     return updates.compare(ekf.x, start, block, begins, places, readings, chosen, line, anchor, variances)
+
+
+@algebra
+def side_of(ekf: Filter, places: IntArray, readings: FloatArray, index: int) -> int:
+    """From which side readings hit a line: ``POSITIVE`` or ``NEGATIVE``."""
+    total, start, theta = 0.0, clones_from(ekf), ekf.x[POSE + 2 * index + 1]
+    for i in range(len(places)):
+        total += math.cos(ekf.x[start + POSE * places[i] + 2] + readings[i, 2] - theta)
+    return POSITIVE if total < 0.0 else NEGATIVE
 
 
 @algebra

@@ -6,16 +6,15 @@ What a listener is told is left out of compiled code, where the listener is None
 """
 
 import math
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from limslam_agent.kernels.extents import add_wall, count_hits, merge_walls
+from limslam_agent.kernels.extents import add_wall, count_hits
 from limslam_agent.kernels.lines import uncontested
 from limslam_agent.kernels.tables import (
     ANGLE_STD,
     EXTENT,
-    FEWEST,
     LANDMARK,
     LEFT,
     MIDDLE_X,
@@ -31,21 +30,20 @@ from limslam_agent.kernels.tables import (
 )
 from limslam_agent.slam.consistent.filter_access import (
     add_line,
-    anchor_of,
     compare,
-    difference,
     end_points,
     extract_lines,
     keep_clones,
     line_of,
     lines_near,
-    merge,
     num_lines,
     observe,
+    side_of,
     straight_segments,
 )
 from limslam_agent.slam.consistent.limits import (
     COMPLETE_AFTER,
+    END_SLACK,
     FAR_GATE,
     FIRST_ITERATIONS,
     GAP_AHEAD,
@@ -56,11 +54,16 @@ from limslam_agent.slam.consistent.limits import (
     MAX_ANGLE_STD,
     MAX_END_GAP,
     MAX_OFFSET,
-    MIN_OVERLAP,
-    ONE_WALL_GATE,
     RESIDUAL_SIGMAS,
     SHORTEST,
-    STRAIGHTNESS,
+)
+from limslam_agent.slam.consistent.merging import (
+    Listener,
+    along_line,
+    close_loops_of,
+    closes_loop,
+    is_board,
+    turn_between,
 )
 from limslam_agent.slam.consistent.pending_readings import AHEAD, CLONE, DRIVEN_THEN, FRESH, SIDES, WAITING, readings_of
 from limslam_agent.slam.consistent.step_settings import StepSettings
@@ -87,25 +90,6 @@ class Piece(NamedTuple):
     variances: FloatArray
     points: FloatArray
     segment: FloatArray
-
-
-class Listener(Protocol):
-    """What is told of each decision."""
-
-    def extracted(self, row: int, points: FloatArray, owner: IntArray) -> None:
-        """The lines that were found in the pending readings of a side."""
-
-    def considered(self, waiting: FloatArray, residuals: FloatArray) -> None:
-        """A piece's rows of ``pending`` and the residuals of its readings, before anything is decided about it."""
-
-    def compared(self, piece: Piece, candidates: FloatArray, gate: float) -> None:
-        """The landmarks that the piece was compared with, and the gate."""
-
-    def updated(self, number: int, is_new: bool) -> None:
-        """The piece has corrected a landmark."""
-
-    def merged(self, older: int, younger: int, squared: float, offset: float) -> None:
-        """Two landmarks, by number, were merged: their squared Mahalanobis distance, and their offset, m."""
 
 
 def process(
@@ -145,8 +129,6 @@ def process(
     is_kept = np.ones(count, dtype=np.bool_)
     for index in range(len(lines)):
         members = uncontested(points, owner, lines, ends, index, settings.near_line)
-        if len(members) < FEWEST:
-            continue
         # The lines before this one have updated the filter, so the end points are computed anew.
         now = end_points(ekf, places, readings, lines[index, 1])
         segments, segment_of, residuals = straight_segments(
@@ -234,13 +216,26 @@ def candidates(ekf: Any, walls: Walls, piece: Piece, settings: StepSettings) -> 
         along = along_line(ekf, index, piece.points)
         if max(along.min() - walls.ends[index, 1], walls.ends[index, 0] - along.max()) > MAX_END_GAP:
             continue
-        of_line, left, used = compare(ekf, piece.places, piece.readings, index, piece.variances)
-        if used:
+        of_line, left, used, offset, variance = compare(ekf, piece.places, piece.readings, index, piece.variances)
+        if used and may_show(ekf, walls, piece, index, along, offset, variance):
             found[size, OF_LINE], found[size, LEFT], found[size, USED], found[size, LANDMARK] = (
                 of_line, left, used, index,
             )  # fmt: skip
             size += 1
     return found[np.argsort(found[:size, OF_LINE].copy())]
+
+
+def may_show(
+    ekf: Any, walls: Walls, piece: Piece, index: int, along: FloatArray, offset: float, variance: float
+) -> bool:
+    """Whether a landmark was seen from the side of a piece near it, or it is a board and not another face of a wall."""
+    side, seen = side_of(ekf, piece.places, piece.readings, index), walls.seen[index]
+    own = np.mean((along > seen[side, 0] - END_SLACK) & (along < seen[side, 1] + END_SLACK))
+    other = np.mean((along > seen[1 - side, 0] - END_SLACK) & (along < seen[1 - side, 1] + END_SLACK))
+    is_close = max(along.min() - seen[side, 1], seen[side, 0] - along.max()) <= MAX_END_GAP
+    if own >= 0.5 or (other < 0.5 and is_close):
+        return True
+    return is_board(walls, num_lines(ekf), 1 - side, offset, variance)[0]
 
 
 def fits(ekf: Any, piece: Piece, index: int, left: float, used: float) -> bool:
@@ -259,92 +254,7 @@ def update(
     """Update filter and map by a piece of a landmark, and merge the landmark with others that are the same wall."""
     observe(ekf, piece.places, piece.readings, index, piece.variances, iterations)
     points = end_points(ekf, piece.places, piece.readings, line_of(ekf, index)[1])
-    count_hits(walls, index, along_line(ekf, index, points))
+    count_hits(walls, index, along_line(ekf, index, points), side_of(ekf, piece.places, piece.readings, index))
     if listener is not None:
         listener.updated(walls.table[index, NUMBER], iterations == FIRST_ITERATIONS)
     close_loops_of(ekf, walls, index, settings, 1, listener)
-
-
-def close_loops_of(
-    ekf: Any, walls: Walls, index: int, settings: StepSettings, iterations: int, listener: Listener | None
-) -> None:
-    """Merge a landmark that has just changed with all landmarks that are the same wall."""
-    found = True
-    while found:
-        found = False
-        x, y = anchor_of(ekf, index)
-        for other in lines_near(ekf, line_of(ekf, index)[1], x, y, MAX_ANGLE, 2.0 * MAX_OFFSET):
-            if other != index and closes_loop(ekf, walls, other, index, settings, iterations, listener):
-                # The younger landmark is removed. If that is this one, there is nothing left to compare.
-                if other < index:
-                    return
-                found = True
-                break
-
-
-def closes_loop(
-    ekf: Any, walls: Walls, first: int, second: int, settings: StepSettings, iterations: int, listener: Listener | None
-) -> bool:
-    """Whether two landmarks are one wall; then they are merged, and the younger one is removed."""
-    older, younger = min(first, second), max(first, second)
-    overlap, offset = separation(ekf, walls, older, younger)
-    if not settings.closes_loops or overlap < MIN_OVERLAP or offset > MAX_OFFSET:
-        return False
-    off, covariance = difference(ekf, older, younger)
-    squared = squared_difference(off, covariance)
-    if abs(off[1]) > MAX_ANGLE or squared > ONE_WALL_GATE:
-        return False
-    merge_landmarks(ekf, walls, older, younger, iterations, listener)
-    return True
-
-
-def merge_landmarks(
-    ekf: Any, walls: Walls, older: int, younger: int, iterations: int, listener: Listener | None
-) -> None:
-    """Merge two landmarks, and remove the younger one."""
-    theta, (x, y), count = line_of(ekf, younger)[1], anchor_of(ekf, younger), num_lines(ekf)
-    if listener is not None:
-        off, covariance = difference(ekf, older, younger)
-        numbers = walls.table[older, NUMBER], walls.table[younger, NUMBER]
-        listener.merged(
-            numbers[0], numbers[1], squared_difference(off, covariance), separation(ekf, walls, older, younger)[1]
-        )
-    merge(ekf, older, younger, iterations)
-    factor = 1.0 if math.cos(theta - line_of(ekf, older)[1]) > 0.0 else -1.0
-    merge_walls(walls, older, younger, factor, along_point(ekf, older, x, y), count)
-
-
-def separation(ekf: Any, walls: Walls, older: int, younger: int) -> tuple[float, float]:
-    """Length, m, that two landmarks share along the older one, and the distance, m, of the younger's middle from it."""
-    (d, theta), (x, y), middle = line_of(ekf, younger), anchor_of(ekf, younger), 0.5 * walls.ends[younger].sum()
-    cos, sin = math.cos(theta), math.sin(theta)
-    x, y, low, high = x + d * cos, y + d * sin, walls.ends[younger, 0], walls.ends[younger, 1]
-    one = along_point(ekf, older, x - low * sin, y + low * cos)
-    two = along_point(ekf, older, x - high * sin, y + high * cos)
-    overlap = min(max(one, two), walls.ends[older, 1]) - max(min(one, two), walls.ends[older, 0])
-    (d, theta), (anchor_x, anchor_y) = line_of(ekf, older), anchor_of(ekf, older)
-    across_x, across_y = x - middle * sin - anchor_x, y + middle * cos - anchor_y
-    return overlap, abs(across_x * math.cos(theta) + across_y * math.sin(theta) - d)
-
-
-def squared_difference(off: FloatArray, covariance: FloatArray) -> float:
-    """Squared Mahalanobis distance of two landmarks by their difference (2,), m and rad, with its covariance (2, 2)."""
-    a, b, c = covariance[0, 0] + STRAIGHTNESS[0], covariance[0, 1], covariance[1, 1] + STRAIGHTNESS[1]
-    return float((c * off[0] ** 2 - 2.0 * b * off[0] * off[1] + a * off[1] ** 2) / (a * c - b * b))
-
-
-def turn_between(theta: float, other: float) -> float:
-    """Angle between two lines with normals at these angles, rad."""
-    return abs((theta - other + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
-
-
-def along_line(ekf: Any, index: int, points: FloatArray) -> FloatArray:
-    """Positions (n,) of points (n, 2) along a landmark, m from its anchor."""
-    (x, y), theta = anchor_of(ekf, index), line_of(ekf, index)[1]
-    return (points[:, 1] - y) * math.cos(theta) - (points[:, 0] - x) * math.sin(theta)
-
-
-def along_point(ekf: Any, index: int, x: float, y: float) -> float:
-    """Position of one point along a landmark, m from its anchor."""
-    (from_x, from_y), theta = anchor_of(ekf, index), line_of(ekf, index)[1]
-    return (y - from_y) * math.cos(theta) - (x - from_x) * math.sin(theta)

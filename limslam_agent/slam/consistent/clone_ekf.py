@@ -10,7 +10,7 @@ once.
 import numpy as np
 from scipy.linalg.blas import dgemm
 
-from limslam_agent.slam.consistent.clone_slots import CloneSlots
+from limslam_agent.slam.consistent.clone_slots import CloneSlots, SpareMemory
 from limslam_agent.slam.consistent.limits import HUBER
 from limslam_agent.slam.consistent.separate_bias import (
     TURNS,
@@ -19,7 +19,6 @@ from limslam_agent.slam.consistent.separate_bias import (
     SeparateBias,
     by_range_errors,
 )
-from limslam_agent.slam.consistent.spare_memory import SpareMemory
 from limslam_agent.slam.core.carried_anchors import KNOWN_PLACE, by_carried_anchor
 from limslam_agent.slam.core.ekf import POSE, LineEKF
 from limslam_agent.slam.core.triangular import solve_lower

@@ -1,4 +1,4 @@
-"""Which clone is in which slot of the filter's state.
+"""Which clone is in which slot of the filter's state, and memory for the covariance of a state that changes its size.
 
 In a large map, the slot of a clone that is gone means nothing until the next clone takes it. So clones come and go all
 the time, while the covariance is hardly ever copied. In a small map, copies take less time than the work on free slots.
@@ -6,7 +6,7 @@ the time, while the covariance is hardly ever copied. In a small map, copies tak
 
 import numpy as np
 
-from limslam_env.geometry import IntArray
+from limslam_env.geometry import FloatArray, IntArray
 
 _LARGE = 120
 """Number of states without clones from which slots may be free."""
@@ -80,3 +80,23 @@ class CloneSlots:
             self._found = key, self.numbers, np.array(list(self._slots.values()), dtype=np.int64)
         _, numbers, slots = self._found
         return np.asarray(slots[numbers.searchsorted(clones)])
+
+
+class SpareMemory:
+    """Two blocks of memory that take turns: one holds a covariance, and the other one the next covariance.
+
+    Copies of an estimate are made often and need no spare memory: a copy has none.
+    """
+
+    def __init__(self) -> None:
+        self._blocks = [np.empty(0), np.empty(0)]
+
+    def square(self, size: int) -> FloatArray:
+        """An uninitialised matrix (size, size) outside of the last one. Allocating one takes longer than filling it."""
+        self._blocks.reverse()
+        if self._blocks[0].size < size**2:
+            self._blocks[0] = np.empty(2 * size**2)
+        return self._blocks[0][: size**2].reshape(size, size)
+
+    def __reduce__(self) -> tuple[type["SpareMemory"], tuple[()]]:
+        return type(self), ()

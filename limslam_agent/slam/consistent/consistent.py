@@ -132,7 +132,7 @@ class ConsistentEstimator(Estimator):
                 points, _ = sample(segments[list(mark.segments)], KNOWN_SPACING)
                 spread = mark.covariance + np.diag(KNOWN_VARIANCES)
                 self._filter.add_known_line(np.array([mark.r, mark.theta]), spread, points.mean(axis=0))
-                self._map.add(points)
+                self._map.add_known(points)
 
     def odometry_calibration(self, robot: int) -> tuple[OdometryCalibration, FloatArray] | None:
         """A robot's odometry calibration and its covariance (3, 3); None if its odometry is not corrected."""
@@ -175,7 +175,7 @@ class ConsistentEstimator(Estimator):
         those that were recognised, since another wall may be as near to where a landmark seems to be. Landmarks through
         which most beams have passed by now are left out.
         """
-        from limslam_agent.slam.consistent.association import close_loops_of
+        from limslam_agent.slam.consistent.merging import close_loops_of
 
         walls = self._map.up_to_date(state.walls)
         state = replace(state, walls=walls).select([index for index, wall in enumerate(walls) if wall.is_wall])
@@ -288,7 +288,7 @@ class ConsistentEstimator(Estimator):
 
     def _merge_recognised(self, new: Sequence[int], known_as: Sequence[int], reports: StepReports) -> None:
         """Merge new landmarks with the known ones that they were recognised as, as far as all of them agree."""
-        from limslam_agent.slam.consistent.association import merge_landmarks
+        from limslam_agent.slam.consistent.merging import merge_landmarks
 
         places = {number: place for place, number in enumerate(self._map.numbers.tolist())}
         pairs = [

@@ -8,6 +8,7 @@ import numpy as np
 
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.core.hough import line_parts
+from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_env.geometry import FloatArray, IntArray
 
 
@@ -71,7 +72,7 @@ def straight_segments(
 
 def compare(
     ekf: CloneEKF, places: IntArray, readings: FloatArray, index: int, variances: FloatArray
-) -> tuple[float, float, int]:
+) -> tuple[float, float, int, float, float]:
     """How badly readings fit a line: ``kernels.updates.compare``; no reading is used if too few can be compared."""
     from limslam_agent.kernels.updates import compare_readings
 
@@ -79,6 +80,12 @@ def compare(
     return compare_readings(
         ekf.x, ekf.P, ekf.clones_from, places, readings, start, anchor_of(ekf, index), variances
     )  # fmt: skip
+
+
+def side_of(ekf: CloneEKF, places: IntArray, readings: FloatArray, index: int) -> int:
+    """From which side readings hit a line: ``POSITIVE`` or ``NEGATIVE``."""
+    headings = ekf.x[ekf.clones_from + 3 * places + 2] + readings[:, 2]
+    return POSITIVE if np.cos(headings - line_of(ekf, index)[1]).sum() < 0.0 else NEGATIVE
 
 
 def add_line(ekf: CloneEKF, theta: float, x: float, y: float) -> int:

@@ -38,6 +38,9 @@ LEAST_LENGTH = 0.15
 RESIDUAL_SIGMAS = 3.0
 """Largest chi-square of the residuals about the best line, in standard deviations of its distribution."""
 
+END_SLACK = 0.05
+"""Readings up to this far beyond a landmark's known ends count as inside."""
+
 HUBER = 1.5
 """Residuals of more standard deviations than this are weighted down (Huber's weights)."""
 

@@ -19,6 +19,7 @@ from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with, 
 from limslam_agent.slam.consistent.wall_map import NEW, Wall
 from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.line_graph.line_smoother import pose_columns
+from limslam_agent.slam.line_graph.reassociation import seen_ends
 from limslam_agent.slam.line_graph.smoothed_map import drawn_pieces, is_contradicted, wall_extents
 from limslam_agent.slam.line_graph.smoother import FilteredRun, Settled, filter_labels, settle
 from limslam_env.geometry import FloatArray, IntArray
@@ -77,6 +78,7 @@ def _joined(start: MapState, found: Settled, labels: IntArray) -> MapState:
         if len(drawn_pieces(extent))
     }
     kept, counts = np.array(list(extents), dtype=int), np.bincount(found.association.labels + 1)[1:]
+    seen = seen_ends(found.problem, state, found.association.labels)
     lines, anchors, last = state.lines[kept], state.anchors[kept], state.poses[0, -1]
     columns = np.append(
         pose_columns(solution.unknowns.ends[-1:]), solution.unknowns.first_line + 2 * kept[:, None] + np.arange(2)
@@ -101,7 +103,7 @@ def _joined(start: MapState, found: Settled, labels: IntArray) -> MapState:
             *start.walls,
             *(
                 Wall(
-                    NEW, extents[index], 1, int(counts[index]),
+                    NEW, extents[index], 1, int(counts[index]), seen[index],
                     known_as=_most_frequent(labels[found.association.labels == index]),
                 )
                 for index in kept.tolist()

@@ -15,6 +15,7 @@ from support.readings import (
     Readings,
     clone_poses,
     columns_of,
+    compared,
     expected_ranges,
     hit_points,
     observe,
@@ -134,7 +135,7 @@ def test_an_update_of_a_new_line(recorded: ConsistentEstimator) -> None:
 
 
 def test_gates(recorded: ConsistentEstimator) -> None:
-    ekf, compared = recorded._filter, 0
+    ekf, count = recorded._filter, 0
     for readings in all_readings(recorded):
         for index in range(ekf.num_lines):
             found, own = compared(ekf, readings, index, NOISE), clear(ekf, readings, index)
@@ -147,9 +148,10 @@ def test_gates(recorded: ConsistentEstimator) -> None:
             along, information = by_line.T @ np.linalg.solve(spread, off), by_line.T @ np.linalg.solve(spread, by_line)
             of_line = along @ np.linalg.solve(information, along)
             wanted = [of_line, off @ np.linalg.solve(spread, off) - of_line, len(off)]
+            wanted += [along[0] / information[0, 0], 1.0 / information[0, 0]]
             np.testing.assert_allclose(found, wanted, rtol=1e-7, atol=1e-9)
-            compared += 1
-    assert compared > 2
+            count += 1
+    assert count > 2
 
 
 def test_motions(recorded: ConsistentEstimator) -> None:

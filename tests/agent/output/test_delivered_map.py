@@ -84,7 +84,7 @@ def test_a_landmark_with_a_door_is_written_as_two_segments(tmp_path):
     belief.add_line(np.pi / 2, np.array([0.0, 1.0]))
     walls = WallMap(belief, ExtentConfig())
     along = np.arange(-1.0, 1.0, 0.05)
-    walls.add(np.column_stack((along, np.ones(len(along)))))
+    walls.add_known(np.column_stack((along, np.ones(len(along)))))
     for through in np.repeat(along[np.abs(along) < 0.3], 3).tolist():
         pass_at(walls.arrays, 0, -through)
     write_map(tmp_path, Snapshot(*[np.zeros((1, 3))] * 3, walls.landmarks, walls.segments, UNKNOWN, [], []))

@@ -436,12 +436,15 @@ def test_huber_counts_a_stray_reading_for_less_and_good_ones_fully() -> None:
 
 def test_the_disagreement_is_distributed_as_chi_square_under_the_truth() -> None:
     ekf, readings, index = linear(0)
-    values, left = np.zeros(400), np.zeros(400)
+    values, left, offsets = np.zeros(400), np.zeros(400), np.zeros(400)
     for seed in range(400):
         disagreement = compared(ekf, measured(ekf, readings, index, seed), index, STD)
         assert disagreement is not None
-        values[seed], left[seed] = disagreement.of_line, disagreement.left
+        values[seed], left[seed], offsets[seed] = disagreement.of_line, disagreement.left, disagreement.offset
         assert disagreement.used == 16
+    # Given the direction, the offset is zero with the variance that is stated.
+    assert offsets.mean() == pytest.approx(0.0, abs=4.0 * np.sqrt(disagreement.variance / 400.0))
+    assert offsets.var() == pytest.approx(disagreement.variance, rel=0.25)
     assert values.mean() == pytest.approx(2.0, abs=0.3)
     assert left.mean() == pytest.approx(14.0, abs=0.8)
     assert kstest(values, chi2(2).cdf).pvalue > 0.01

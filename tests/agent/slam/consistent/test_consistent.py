@@ -24,8 +24,13 @@ from support.drives import (
 
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig, preset
-from limslam_agent.slam.core.diagnostics import AssociationRecord
+from limslam_agent.kernels.extents import add_wall, count_hits
+from limslam_agent.kernels.tables import IS_KNOWN
+from limslam_agent.slam.consistent.consistent import ConsistentEstimator
+from limslam_agent.slam.consistent.merging import closes_loop
+from limslam_agent.slam.core.diagnostics import AssociationRecord, Comparison
 from limslam_agent.slam.core.line_map import Landmark
+from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.team import LimSlamTeam
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
@@ -520,3 +525,77 @@ def test_odometry_poses_serve_in_place_of_wheels(yaw: float) -> None:
     check_pose(slam, poses[-1], 0.25, 4.0)
     check_covariance(slam)
     check_each_reading_is_used_once(records)
+
+
+def test_a_comparison_names_the_test_with_sides() -> None:
+    # As above, with a wall that is too thick to be a board.
+    walls = np.vstack(([[0.0, 0.45, 3.0, 0.45], [0.0, 0.6, 3.0, 0.6]], room(-0.8, -0.5, 4.0, 1.5)))
+    observations, _ = drive(walls, np.zeros(3), along([(0.0, 0.0), (3.5, 0.0), (3.5, 1.1), (-0.3, 1.1)]), noise=0.02)
+    slam, heard = LineSlam(ROBOT, NOISY, np.zeros(3)), list[Comparison]()
+    slam.on_comparison = heard.append
+    for observation in observations:
+        slam.step(observation)
+    near = [test for each in heard if abs(each.ends[0, 1] - 0.6) < 0.1 for test in each.tests if test.offset < 0.25]
+    sides = [test for test in near if test.excluded == "side"]
+    assert len(sides) >= 3
+    assert all(math.isnan(test.distance) and test.angle < 0.2 for test in sides)
+
+
+def two_landmarks(behind: float, std: float, sides: tuple[int, int]) -> ConsistentEstimator:
+    """An estimator with two parallel landmarks of 2 m, seen from given sides, the second ``behind`` m behind."""
+    slam = ConsistentEstimator(RobotSpec(), ConsistentConfig(), 0.02, np.zeros((1, 3)))
+    along = np.column_stack((np.linspace(-1.0, 1.0, 20), np.zeros(20)))
+    for place, side in zip((3.0, 3.0 - behind), sides, strict=True):
+        line, spread = np.array([place, 0.5 * np.pi]), np.diag([0.5 * std**2, 1e-5])
+        index = slam.belief.add_known_line(line, spread, np.array([0.0, place]))
+        add_wall(slam.walls, index)
+        count_hits(slam.walls, index, -along[:, 0], side)
+    return slam
+
+
+def kinds(slam: ConsistentEstimator) -> tuple[float, float]:
+    """Length of the landmarks that are boards, and of the walls that have two faces, m."""
+    walls, count = slam.walls, slam.belief.num_lines
+    seen, is_known = walls.seen[:count], walls.table[:count, IS_KNOWN]
+    boards = np.minimum(seen[:, 0, 1], seen[:, 1, 1]) - np.maximum(seen[:, 0, 0], seen[:, 1, 0])
+    return float((np.maximum(boards, 0.0) * (1 - is_known)).sum()), float(0.5 * walls.behind[:count].sum())
+
+
+@pytest.mark.parametrize(
+    ("behind", "std", "opposite", "is_one"),
+    [
+        (0.003, 0.01, True, True),
+        (0.15, 0.08, True, False),
+        (0.15, 0.08, False, True),
+        (0.15, 0.01, True, False),
+        (0.02, 0.2, True, False),
+        (-0.1, 0.08, True, False),
+    ],
+)
+def test_landmarks_seen_from_opposite_sides_are_merged_if_they_are_a_board(
+    behind: float, std: float, opposite: bool, is_one: bool
+) -> None:
+    slam = two_landmarks(behind, std, (POSITIVE, NEGATIVE if opposite else POSITIVE))
+    assert closes_loop(slam.belief, slam.walls, 0, 1, slam.settings, 1, None) == is_one
+    # The length of a board, and that of a wall whose thickness is known.
+    boards, walls = kinds(slam)
+    assert boards == pytest.approx(2.0 if is_one and opposite else 0.0)
+    assert walls == pytest.approx(2.0 if opposite and std < 0.05 < behind else 0.0)
+
+
+def test_walls_of_an_earlier_map_say_nothing_about_boards() -> None:
+    slam = two_landmarks(0.15, 0.08, (POSITIVE, NEGATIVE))
+    before = kinds(slam)
+    wall = Landmark(9.0, 0.0, 1e-4 * np.eye(2), np.array([[9.0, -3.0], [9.0, 3.0]]), 1, segments=(0,))
+    slam.know([wall], np.array([[9.0, -3.0, 9.0, 3.0]]))
+    assert kinds(slam) == before
+    assert len(slam._map) == 3
+
+
+def test_boards_that_are_known_let_vague_landmarks_merge() -> None:
+    slam = two_landmarks(0.02, 0.2, (POSITIVE, NEGATIVE))
+    other = slam._filter.add_known_line(np.array([7.0, 0.0]), 1e-4 * np.eye(2), np.array([7.0, 0.0]))
+    add_wall(slam.walls, other)
+    for side in (POSITIVE, NEGATIVE):
+        count_hits(slam.walls, other, np.linspace(-3.0, 3.0, 20), side)
+    assert closes_loop(slam.belief, slam.walls, 0, 1, slam.settings, 1, None)

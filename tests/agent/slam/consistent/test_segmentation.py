@@ -164,7 +164,7 @@ def test_a_piece_tells_where_the_wall_is_believed_to_be_and_how_surely_it_runs_t
         (piece,) = drive.pieces()
         assert abs(math.sin(piece.theta)) > 0.99
         assert piece.middle[1] == pytest.approx(0.6, abs=0.02)
-        np.testing.assert_array_equal(piece.points, drive.points[piece.members])
+        np.testing.assert_allclose(piece.points, drive.points[piece.members], rtol=0.0, atol=1e-12)
         line = np.array([0.0, piece.theta])
         assert abs(distance(line, piece.points - piece.middle).mean()) < 0.01
         assert piece.length == pytest.approx(np.ptp(piece.points @ direction(line)), abs=0.1)

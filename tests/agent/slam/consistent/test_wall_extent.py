@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 from limslam_agent.config.consistent import ExtentConfig
 from limslam_agent.kernels.extents import add_wall, clear_along_beams, count_hits, merge_walls, pass_at
 from limslam_agent.kernels.tables import BIN, FARTHEST, HITS, empty_walls
-from limslam_agent.slam.consistent.association import merge_landmarks
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
+from limslam_agent.slam.consistent.merging import merge_landmarks
 from limslam_agent.slam.consistent.wall_map import WallExtent, WallMap
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import at, direction, normal
@@ -30,7 +30,7 @@ class Extent:
         add_wall(self.walls, 0)
 
     def hit(self, along: FloatArray) -> None:
-        count_hits(self.walls, 0, along)
+        count_hits(self.walls, 0, along, 0)
 
     def pass_at(self, along: float) -> bool:
         """Count a beam that passes; whether it counted."""
@@ -39,7 +39,7 @@ class Extent:
         return bool(self.walls.counted.sum() > before)
 
     def absorb(self, other: "Extent", factor: float, shift: float) -> None:
-        for own, others in zip(self.walls[:4], other.walls[:4], strict=True):
+        for own, others in zip(self.walls[:6], other.walls[:6], strict=True):
             own[1] = others[0]
         merge_walls(self.walls, 0, 1, factor, shift, 2)
 
@@ -222,7 +222,7 @@ def wall_map(theta: float = 0.7, config: ExtentConfig | None = None) -> tuple[Wa
     line = np.array([1.0, theta])
     belief.add_line(theta, line[0] * np.array([math.cos(theta), math.sin(theta)]))
     walls = WallMap(belief, config or ExtentConfig())
-    walls.add(at(line, wall(-1.0, 1.0)))
+    walls.add_known(at(line, wall(-1.0, 1.0)))
     return walls, line
 
 
@@ -275,7 +275,7 @@ def test_landmarks_read_too_little_or_too_short_are_not_drawn() -> None:
     walls, _ = wall_map(config=ExtentConfig(min_readings=41))
     assert walls.segments.shape == (0, 4)
     assert walls.landmarks == []
-    count_hits(walls.arrays, 0, np.zeros(1))
+    count_hits(walls.arrays, 0, np.zeros(1), 0)
     assert len(walls.segments) == len(walls.landmarks) == 1
     short, _ = wall_map(config=ExtentConfig(min_length=1.96))
     assert short.segments.shape == (0, 4)
@@ -290,7 +290,7 @@ def test_the_walls_of_two_landmarks_made_one_lie_end_to_end(turned: bool) -> Non
     line = np.array([1.0, theta])
     for index, (place, own) in enumerate(((-0.5, wall(-1.0, 0.3)), (0.8, wall(0.2, 1.5)))):
         belief.add_line(theta + (math.pi if turned and index else 0.0), unit + place * tangent)
-        walls.add(at(line, own))
+        walls.add_known(at(line, own))
     assert len(walls.segments) == 2
     merge_landmarks(belief, walls.arrays, 0, 1, 1, None)
     (segment,) = walls.segments
@@ -298,5 +298,5 @@ def test_the_walls_of_two_landmarks_made_one_lie_end_to_end(turned: bool) -> Non
     (only,) = walls.walls
     assert (len(walls), only.groups, only.readings, only.number) == (1, 2, 52, 0)
     belief.add_line(0.0, np.zeros(2))
-    walls.add(np.zeros((1, 2)))
+    walls.add_known(np.zeros((1, 2)))
     assert walls.numbers.tolist() == [0, 2]

@@ -1,0 +1,171 @@
+"""Landmarks that are one wall: when two of them are merged, and the geometry that the decisions of a step share.
+
+These functions are plain, as those of ``association`` are.
+"""
+
+import math
+from typing import Any, Protocol
+
+import numpy as np
+
+from limslam_agent.kernels.extents import merge_walls, moved_along
+from limslam_agent.kernels.tables import IS_KNOWN, NUMBER, Walls
+from limslam_agent.slam.consistent.filter_access import anchor_of, difference, line_of, lines_near, merge, num_lines
+from limslam_agent.slam.consistent.limits import MAX_ANGLE, MAX_OFFSET, MIN_OVERLAP, ONE_WALL_GATE, STRAIGHTNESS
+from limslam_agent.slam.consistent.step_settings import StepSettings
+from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, board_evidence, board_odds, is_wall
+from limslam_env.geometry import FloatArray, IntArray
+
+
+class Listener(Protocol):
+    """What is told of each decision."""
+
+    def extracted(self, row: int, points: FloatArray, owner: IntArray) -> None:
+        """The lines that were found in the pending readings of a side."""
+
+    def considered(self, waiting: FloatArray, residuals: FloatArray) -> None:
+        """A piece's rows of ``pending`` and the residuals of its readings, before anything is decided about it."""
+
+    def compared(self, piece: Any, candidates: FloatArray, gate: float) -> None:
+        """The landmarks that the piece was compared with, and the gate."""
+
+    def updated(self, number: int, is_new: bool) -> None:
+        """The piece has corrected a landmark."""
+
+    def merged(self, older: int, younger: int, squared: float, offset: float) -> None:
+        """Two landmarks, by number, were merged: their squared Mahalanobis distance, and their offset, m."""
+
+
+def close_loops_of(
+    ekf: Any, walls: Walls, index: int, settings: StepSettings, iterations: int, listener: Listener | None
+) -> None:
+    """Merge a landmark that has just changed with all landmarks that are the same wall."""
+    found = True
+    while found:
+        found = False
+        x, y = anchor_of(ekf, index)
+        for other in lines_near(ekf, line_of(ekf, index)[1], x, y, MAX_ANGLE, 2.0 * MAX_OFFSET):
+            if other != index and closes_loop(ekf, walls, other, index, settings, iterations, listener):
+                # The younger landmark is removed. If that is this one, there is nothing left to compare.
+                if other < index:
+                    return
+                found = True
+                break
+
+
+def closes_loop(
+    ekf: Any, walls: Walls, first: int, second: int, settings: StepSettings, iterations: int, listener: Listener | None
+) -> bool:
+    """Whether two landmarks are one wall; then they are merged, and the younger one is removed."""
+    older, younger = min(first, second), max(first, second)
+    overlap, offset = separation(ekf, walls, older, younger)
+    if not settings.closes_loops or overlap < MIN_OVERLAP or offset > MAX_OFFSET:
+        return False
+    off, covariance = difference(ekf, older, younger)
+    if abs(off[1]) > MAX_ANGLE or not is_one_line(ekf, walls, older, younger, off, covariance):
+        return False
+    if squared_difference(off, covariance) > ONE_WALL_GATE:
+        return False
+    merge_landmarks(ekf, walls, older, younger, iterations, listener)
+    return True
+
+
+def merge_landmarks(
+    ekf: Any, walls: Walls, older: int, younger: int, iterations: int, listener: Listener | None
+) -> None:
+    """Merge two landmarks, and remove the younger one."""
+    theta, (x, y), count = line_of(ekf, younger)[1], anchor_of(ekf, younger), num_lines(ekf)
+    if listener is not None:
+        off, covariance = difference(ekf, older, younger)
+        numbers = walls.table[older, NUMBER], walls.table[younger, NUMBER]
+        listener.merged(
+            numbers[0], numbers[1], squared_difference(off, covariance), separation(ekf, walls, older, younger)[1]
+        )
+    merge(ekf, older, younger, iterations)
+    factor = 1.0 if math.cos(theta - line_of(ekf, older)[1]) > 0.0 else -1.0
+    merge_walls(walls, older, younger, factor, along_point(ekf, older, x, y), count)
+
+
+def is_one_line(ekf: Any, walls: Walls, older: int, younger: int, off: FloatArray, covariance: FloatArray) -> bool:
+    """Whether two landmarks share a stretch that is seen from one side, or are a board.
+
+    Their difference (2,) has a covariance (2, 2). It is noted if they are the two faces of a wall.
+    """
+    factor = 1.0 if math.cos(line_of(ekf, older)[1] - line_of(ekf, younger)[1]) > 0.0 else -1.0
+    x, y = anchor_of(ekf, older)
+    seen, other = moved_along(walls.seen[older], factor, along_point(ekf, younger, x, y)), walls.seen[younger]
+    own = max(shared(seen[0], other[0]), shared(seen[1], other[1]))
+    from_positive, from_negative = shared(seen[1], other[0]), shared(seen[0], other[1])
+    opposite = max(from_positive, from_negative)
+    if own >= min(MIN_OVERLAP, opposite):
+        return True
+    # The difference of two parallel lines is their offset alone, given that their directions are equal.
+    share = covariance[0, 1] / covariance[1, 1]
+    offset, variance = off[0] - share * off[1], covariance[0, 0] - share * covariance[0, 1]
+    side = POSITIVE if from_positive >= from_negative else NEGATIVE
+    is_thin, is_face = is_board(walls, num_lines(ekf), side, offset, variance)
+    if is_face:
+        walls.behind[older] = max(walls.behind[older], opposite)
+        walls.behind[younger] = max(walls.behind[younger], opposite)
+    return is_thin
+
+
+def is_board(walls: Walls, count: int, side: int, offset: float, variance: float) -> tuple[bool, bool]:
+    """Whether a line that is seen from one side, and a line seen from the other side, are a board; or a wall.
+
+    Parameters
+    ----------
+    walls, count
+        The landmarks, and their number.
+    side
+        The side from which the line is seen.
+    offset, variance
+        How far along the line's normal the other line is, m, if the two are parallel, and the variance, m^2.
+    """
+    seen, is_known = walls.seen[:count], walls.table[:count, IS_KNOWN]
+    boards = np.minimum(seen[:, 0, 1], seen[:, 1, 1]) - np.maximum(seen[:, 0, 0], seen[:, 1, 0])
+    behind = -offset if side == POSITIVE else offset
+    evidence = board_evidence(behind, variance + STRAIGHTNESS[0])
+    odds = board_odds(evidence, (np.maximum(boards, 0.0) * (1 - is_known)).sum(), 0.5 * walls.behind[:count].sum())
+    return odds > SURE, is_wall(evidence, behind)
+
+
+def shared(first: FloatArray, second: FloatArray) -> float:
+    """Length of the stretch between the outermost hits (2,) of two lines, m; below 0 if there is none."""
+    return min(first[1], second[1]) - max(first[0], second[0])
+
+
+def separation(ekf: Any, walls: Walls, older: int, younger: int) -> tuple[float, float]:
+    """Length, m, that two landmarks share along the older one, and the distance, m, of the younger's middle from it."""
+    (d, theta), (x, y), middle = line_of(ekf, younger), anchor_of(ekf, younger), 0.5 * walls.ends[younger].sum()
+    cos, sin = math.cos(theta), math.sin(theta)
+    x, y, low, high = x + d * cos, y + d * sin, walls.ends[younger, 0], walls.ends[younger, 1]
+    one = along_point(ekf, older, x - low * sin, y + low * cos)
+    two = along_point(ekf, older, x - high * sin, y + high * cos)
+    overlap = min(max(one, two), walls.ends[older, 1]) - max(min(one, two), walls.ends[older, 0])
+    (d, theta), (anchor_x, anchor_y) = line_of(ekf, older), anchor_of(ekf, older)
+    across_x, across_y = x - middle * sin - anchor_x, y + middle * cos - anchor_y
+    return overlap, abs(across_x * math.cos(theta) + across_y * math.sin(theta) - d)
+
+
+def squared_difference(off: FloatArray, covariance: FloatArray) -> float:
+    """Squared Mahalanobis distance of two landmarks by their difference (2,), m and rad, with its covariance (2, 2)."""
+    a, b, c = covariance[0, 0] + STRAIGHTNESS[0], covariance[0, 1], covariance[1, 1] + STRAIGHTNESS[1]
+    return float((c * off[0] ** 2 - 2.0 * b * off[0] * off[1] + a * off[1] ** 2) / (a * c - b * b))
+
+
+def turn_between(theta: float, other: float) -> float:
+    """Angle between two lines with normals at these angles, rad."""
+    return abs((theta - other + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
+
+
+def along_line(ekf: Any, index: int, points: FloatArray) -> FloatArray:
+    """Positions (n,) of points (n, 2) along a landmark, m from its anchor."""
+    (x, y), theta = anchor_of(ekf, index), line_of(ekf, index)[1]
+    return (points[:, 1] - y) * math.cos(theta) - (points[:, 0] - x) * math.sin(theta)
+
+
+def along_point(ekf: Any, index: int, x: float, y: float) -> float:
+    """Position of one point along a landmark, m from its anchor."""
+    (from_x, from_y), theta = anchor_of(ekf, index), line_of(ekf, index)[1]
+    return (y - from_y) * math.cos(theta) - (x - from_x) * math.sin(theta)
