@@ -235,19 +235,20 @@ class _Graph:
         """Add the motions, and the prior of the calibrations, if these are estimated."""
         problem, unknowns = self._problem, self._unknowns
         errors, jacobian = state.motions - problem.motions(state.calibration), self._by_poses(state)
-        columns = pose_columns(np.arange(unknowns.robots * unknowns.steps)).reshape(state.poses.shape)
-        columns = np.concatenate((columns[:, :-1], columns[:, 1:]), axis=-1)
+        poses = pose_columns(np.arange(unknowns.robots * unknowns.steps)).reshape(state.poses.shape)
+        columns: IntArray = np.concatenate((poses[:, :-1], poses[:, 1:]), axis=-1)
         if problem.prior is not None:
             by_calibration = np.zeros((*problem.wheels.shape, unknowns.calibrated))
             by_calibration[:, :, 0, 0], by_calibration[:, :, 1, 1] = -problem.wheels[..., 0], -problem.wheels[..., 1]
             by_calibration[..., 2] = self._by_axle(state)
             jacobian = np.concatenate((jacobian, by_calibration), axis=-1)
-            own = np.arange(unknowns.first_calibration, unknowns.first_line).reshape(state.calibration.shape)
-            columns = np.concatenate((columns, np.repeat(own[:, None], columns.shape[1], axis=1)), axis=-1)
+            shared = np.arange(unknowns.first_calibration, unknowns.first_line)
+            own: IntArray = shared.reshape(unknowns.robots, unknowns.calibrated)
+            columns = np.concatenate((columns, np.repeat(own[:, None], problem.steps - 1, axis=1)), axis=-1)
             off, count = state.calibration - problem.assumed_calibration, len(own)
             identity = np.tile(np.eye(unknowns.calibrated), (count, 1, 1))
             self.equations.add(own, identity, off, np.tile(problem.prior, (count, 1, 1)))
-        white, width = problem.whitened(jacobian), columns.shape[-1]
+        white, width = problem.whitened(jacobian), jacobian.shape[-1]
         self.equations.add(
             columns.reshape(-1, width), white.reshape(-1, 3, width), problem.whitened(errors).reshape(-1, 3)
         )
