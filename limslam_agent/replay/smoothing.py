@@ -118,10 +118,8 @@ def trusted_path(
     wide = smooth_log(data, start, config, saying("in wide windows", report), reach=FAR)
     for found in (wide, *without_loops(best, config, data.range_std)):
         other = path_signals(found, *known)
-        if other.status.level == "ok" or signals.is_worse_than(other):
+        if signals.is_worse_than(other):
             best, signals = found, other
-        if signals.status.level == "ok":
-            break
     return best, signals
 
 

@@ -46,7 +46,7 @@ _MOSTLY = 0.5  # a stretch of which a larger share is contradicted is wrong, wha
 
 @dataclass(frozen=True, eq=False)
 class LoopVerdict:
-    """A loop that was found in the round of the result, and its status: ``KEPT``, or the reason for its rejection."""
+    """A loop that was found, and its status: ``KEPT``, or the reason for its rejection."""
 
     loop: Loop
     reason: str
