@@ -178,19 +178,23 @@ def clear_along_beams(
     cos, sin, rays, count = math.cos(pose[2]), math.sin(pose[2]), np.empty((len(ranges), 6)), 0
     for beam in range(len(ranges)):
         if measured[beam] and ranges[beam] > beams[beam, TOO_NEAR]:
-            ray, far, heading = rays[count], min(ranges[beam], beams[beam, FARTHEST]), pose[2] + beams[beam, ANGLE]
-            ray[0] = pose[0] + cos * beams[beam, FROM_X] - sin * beams[beam, FROM_Y]
-            ray[1] = pose[1] + sin * beams[beam, FROM_X] + cos * beams[beam, FROM_Y]
-            ray[2], ray[3], grown = math.cos(heading), math.sin(heading), noise[1] * far * far
+            far, heading = min(ranges[beam], beams[beam, FARTHEST]), pose[2] + beams[beam, ANGLE]
+            rays[count, 0] = pose[0] + cos * beams[beam, FROM_X] - sin * beams[beam, FROM_Y]
+            rays[count, 1] = pose[1] + sin * beams[beam, FROM_X] + cos * beams[beam, FROM_Y]
+            rays[count, 2], rays[count, 3], grown = math.cos(heading), math.sin(heading), noise[1] * far * far
             margin = THROUGH_SIGMAS * math.sqrt(noise[0] ** 2 + grown**2 + variances[0] + variances[1] * far**2)
-            ray[4], ray[5], count = far - THROUGH_SLACK, margin, count + 1
+            rays[count, 4], rays[count, 5], count = far - THROUGH_SLACK, margin, count + 1
+    ends = walls.ends
     for index in range(len(lines)):
-        nx, ny = math.cos(lines[index, 1]), math.sin(lines[index, 1])
-        for ray in rays[:count]:
-            cosine = ray[2] * nx + ray[3] * ny
+        nx, ny, low, high = math.cos(lines[index, 1]), math.sin(lines[index, 1]), ends[index, LEAST], ends[index, MOST]
+        for ray in range(count):
+            ux, uy = rays[ray, 2], rays[ray, 3]
+            cosine = ux * nx + uy * ny
             if abs(cosine) <= GRAZING:
                 continue
-            off_x, off_y = ray[0] - anchors[index, 0], ray[1] - anchors[index, 1]
+            off_x, off_y = rays[ray, 0] - anchors[index, 0], rays[ray, 1] - anchors[index, 1]
             ahead = (lines[index, 0] - off_x * nx - off_y * ny) / cosine
-            if ahead > 0.0 and ahead + ray[5] / abs(cosine) < ray[4]:
-                pass_at(walls, index, (off_y + ahead * ray[3]) * nx - (off_x + ahead * ray[2]) * ny)
+            if ahead > 0.0 and ahead + rays[ray, 5] / abs(cosine) < rays[ray, 4]:
+                position = (off_y + ahead * uy) * nx - (off_x + ahead * ux) * ny
+                if low < position < high:
+                    pass_at(walls, index, position)

@@ -23,7 +23,10 @@ class Readings(NamedTuple):
     cone: float = 0.0
 
     def select(self, chosen: IntArray) -> "Readings":
-        return Readings(*(each[chosen] for each in self[:5]), self.growth, self.cone)
+        return Readings(
+            self.clones[chosen], self.origins[chosen], self.angles[chosen], self.ranges[chosen], self.sources[chosen],
+            self.growth, self.cone,
+        )  # fmt: skip
 
     @property
     def rows(self) -> FloatArray:

@@ -6,7 +6,7 @@ window is moved, and the cells that leave it are forgotten.
 """
 
 import math
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -38,7 +38,7 @@ def shift(grid: GridArray, window: IntArray, axis: int, low: int, high: int) -> 
 
 @compiled
 def update(
-    pose: FloatArray, grid: GridArray, window: IntArray, ranges: FloatArray, measured: BoolArray, settings: np.void,
+    pose: FloatArray, grid: GridArray, window: IntArray, ranges: FloatArray, measured: BoolArray, settings: Any,
     beams: FloatArray, stamps: StampArray, stamp: int,
 ) -> None:  # fmt: skip
     """Update a grid by one step's readings (b,), m, of which those ``measured`` (b,) are new.

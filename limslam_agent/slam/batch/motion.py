@@ -1,6 +1,7 @@
 """Differential-drive motion from wheel travel: compiled counterpart of ``core.motion``."""
 
 import math
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from limslam_env.geometry import FloatArray
 
 
 @algebra
-def motion_from_wheels(wheels: FloatArray, settings: np.void) -> tuple[FloatArray, FloatArray]:
+def motion_from_wheels(wheels: FloatArray, settings: Any) -> tuple[FloatArray, FloatArray]:
     """The arc of left and right wheel travel (2,), m, as a pose increment (3,), and its covariance (3, 3)."""
     distance, turn = 0.5 * (wheels[0] + wheels[1]), (wheels[1] - wheels[0]) / settings.axle
     half = 0.5 * turn

@@ -67,7 +67,7 @@ from limslam_agent.slam.consistent.merging import (
 )
 from limslam_agent.slam.consistent.pending_readings import AHEAD, CLONE, DRIVEN_THEN, FRESH, SIDES, WAITING, readings_of
 from limslam_agent.slam.consistent.step_settings import StepSettings
-from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _NUM_SIDES = len(SIDES)
 
@@ -148,7 +148,7 @@ def process(
     prune(ekf, pending, fill, settings.max_clones)
 
 
-def discard(pending: FloatArray, fill: IntArray, row: int, is_kept: FloatArray) -> None:
+def discard(pending: FloatArray, fill: IntArray, row: int, is_kept: BoolArray) -> None:
     """Keep only some of the pending readings (n,) of a side."""
     kept = pending[row][np.flatnonzero(is_kept)]
     pending[row, : len(kept)], fill[row, WAITING] = kept, len(kept)

@@ -40,7 +40,7 @@ def lines_near(ekf: CloneEKF, theta: float, x: float, y: float, angle: float, of
 
 def places_of(ekf: CloneEKF, clones: FloatArray) -> IntArray:
     """Places (n,) of clones (n,) in the state."""
-    return ekf.places(clones)
+    return ekf.places(clones.astype(np.int64))
 
 
 def keep_clones(ekf: CloneEKF, wanted: FloatArray) -> None:

@@ -132,7 +132,7 @@ def is_board(walls: Walls, count: int, side: int, offset: float, variance: float
 
 def shared(first: FloatArray, second: FloatArray) -> float:
     """Length of the stretch between the outermost hits (2,) of two lines, m; below 0 if there is none."""
-    return min(first[1], second[1]) - max(first[0], second[0])
+    return float(min(first[1], second[1]) - max(first[0], second[0]))
 
 
 def separation(ekf: Any, walls: Walls, older: int, younger: int) -> tuple[float, float]:

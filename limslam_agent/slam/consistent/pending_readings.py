@@ -8,6 +8,8 @@ them. For each robot, ``travel`` (7,) has the places that are named below, and f
 5) has a row for each reading, and ``fill`` (2,) says how many of its rows are used and how many of these are fresh.
 """
 
+from typing import Any
+
 import numpy as np
 
 from limslam_agent.kernels.tables import ANGLE, FROM_X, FROM_Y
@@ -85,7 +87,7 @@ def has_ended(travel: FloatArray, fill: IntArray, side: int, gap: float) -> bool
 
 
 def readings_of(
-    ekf: object, waiting: FloatArray, beams: FloatArray, settings: StepSettings
+    ekf: Any, waiting: FloatArray, beams: FloatArray, settings: StepSettings
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Pending readings (n, 5) as the filter takes them: places of their clones (n,), beams and ranges, and variances.
 

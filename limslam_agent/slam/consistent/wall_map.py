@@ -1,6 +1,7 @@
 """The landmarks of the consistent estimator, without their lines: extents, and numbers of readings."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -151,7 +152,8 @@ class WallMap:
         if len(self) + landmarks > room or 2 * longest + _BINS > bins:
             more = landmarks + _LANDMARKS if len(self) + landmarks > room else 0
             old, self.arrays = self.arrays, empty_walls(room + more, max(bins, 3 * longest + _BINS))
-            for before, after in zip(old, self.arrays, strict=True):
+            pairs: list[tuple[Any, Any]] = list(zip(old, self.arrays, strict=True))
+            for before, after in pairs:
                 after[tuple(slice(size) for size in before.shape)] = before
 
     def add_known(self, points: FloatArray) -> None:
