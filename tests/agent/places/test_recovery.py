@@ -272,7 +272,7 @@ def test_a_robot_that_is_lost_before_its_map_has_walls_begins_a_new_map(episode,
 
 
 FOUND = OdometryCalibration(0.01, -0.01, 0.005), 1e-10 * np.eye(3)
-SENSOR = RangeSensor(0.03, growth=0.01, bias=0.01)
+SENSOR = RangeSensor(NOISE, bias=0.01)
 
 
 def lost_mapper(episode, monkeypatch, prepare=None):

@@ -241,7 +241,7 @@ def with_turned_beams(steps: int) -> tuple[LineSlam, tuple[float, ...]]:
 
 
 def test_a_correction_keeps_what_is_reported_of_the_turns() -> None:
-    slam, _ = with_turned_beams(200)
+    slam, _ = with_turned_beams(300)
     before, sensor = slam.beam_turns, slam.range_sensor
     assert before is not None
     assert before[:, 1].min() < math.radians(0.5)
