@@ -1,29 +1,29 @@
 """Mapper: SLAM, the occupancy grid and pure odometry, without a policy.
 
-What a step does within a frame is in :mod:`limslam_agent.frame_mapper`. The mapper begins again when errors of odometry
+What a step does within a frame is in :mod:`limslam_agent.frame_mapper`, and what all frames share in
+:mod:`limslam_agent.frames`. The mapper begins again when errors of odometry
 or sensor are found early, begins in the map of an earlier run, and goes on in other frames when the robot is lost.
 """
 
-from collections.abc import Iterable, Sequence
-from typing import NamedTuple
+from collections.abc import Sequence
 
 import numpy as np
 
 from limslam_agent.belief import Belief
 from limslam_agent.config import DEFAULT_PRESET
-from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
-from limslam_agent.frame_mapper import FrameMapper
+from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent.frames import Frames, ProcessedAgain
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.map_snapshot import MapSnapshot
 from limslam_agent.places.absence import Placement
-from limslam_agent.places.history import LoggedStep, StepLog, copied
+from limslam_agent.places.history import LoggedStep, copied
 from limslam_agent.places.lookup import NOT_YET_FOUND, Lookup
 from limslam_agent.places.recovery import WRONG_PLACE, Recovery
 from limslam_agent.places.revisions import PlaceHistory, Revision, Unplaced
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.motion import check_travel, longest_travel
-from limslam_agent.slam.slam import LineSlam, RangeSensor
+from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.monitor import Loss
 from limslam_agent.status.rays import wall_points
 from limslam_agent.status.status import Status
@@ -38,23 +38,7 @@ MOST_RESTARTS = 6
 """A mapper begins again at most this often. Later estimates of the errors only act from then on."""
 
 
-class ProcessedAgain(NamedTuple):
-    """Stored steps that were processed again.
-
-    Attributes
-    ----------
-    poses, covariances
-        Poses (t, n, 3), m and rad, and covariances (t, n, 3, 3) of the robots after each step.
-    was_lost
-        Whether a robot was lost after any of the steps.
-    """
-
-    poses: FloatArray
-    covariances: FloatArray
-    was_lost: bool
-
-
-class Mapper:
+class Mapper(Frames):
     """Estimates poses and builds the map for one robot, or for several robots that share one map.
 
     Each step runs the SLAM, watches whether its estimate can be trusted, updates the occupancy grid from the new poses,
@@ -82,13 +66,6 @@ class Mapper:
     longest_travel
         Longest travel of a wheel in one step that is accepted, m: 300 times what the robot's largest wheel speed allows
         in a control period. Set it higher if observations may be farther apart than 300 control periods.
-    slam_ms
-        Wall-clock time that the SLAM took in the latest step, without the grid and the odometry, ms.
-    frame
-        Number of times that the frame of the poses has changed: a lost robot goes on in a local frame until it has
-        found its place, and then in the earlier frame again. A renewal that moves the path far counts as well.
-    map_number
-        Number of the present map. A local frame has a map of its own; in the earlier frame, the number is as before.
     prior_frame
         Pose (3,) of the robot's first frame in the frame of ``prior_map``; None until its place there is found.
 
@@ -106,7 +83,8 @@ class Mapper:
         *,
         prior_map: SavedMap | None = None,
     ) -> None:
-        self.robot, self.config, self._prior_map = robot, config or preset(DEFAULT_PRESET), prior_map
+        super().__init__(robot, config or preset(DEFAULT_PRESET))
+        self._prior_map = prior_map
         self.longest_travel = longest_travel(robot)
         self.reset(np.zeros(3) if start_pose is None else start_pose)
 
@@ -129,16 +107,14 @@ class Mapper:
     def _start_at(self, starts: FloatArray, slam: LineSlam) -> None:
         """Begin at known poses (n, 3) with an empty map."""
         self._starts, self._is_finished = starts, False
-        self._present = FrameMapper(slam, OccupancyGrid(self.config.grid), self.config)
+        self._begin(slam)
         self._first_steps, self._known = list[tuple[Observation, ...]](), self._found()
-        self.frame, self._revisions = 0, list[Revision]()
-        self.map_number = self._own_map = self._maps = 0
+        self._revisions = list[Revision]()
         self._unplaced: Unplaced | None = None
         self._recovery, self._lookup = self._new_recovery(), self._new_lookup()
         self.prior_frame: FloatArray | None = None
         self.odometry = starts.copy()
         self.odometry.setflags(write=False)
-        self.slam_ms = 0.0
 
     def step(self, *observations: Observation) -> None:
         """Process one observation of each robot.
@@ -211,11 +187,6 @@ class Mapper:
         ]  # fmt: skip
 
     @property
-    def slam(self) -> LineSlam:
-        """The SLAM, with landmarks, loop closures and everything else that it knows. Another frame has another SLAM."""
-        return self._present.slam
-
-    @property
     def poses(self) -> FloatArray:
         """Estimated pose of each robot (n, 3), m and rad."""
         return self.slam.poses
@@ -271,25 +242,6 @@ class Mapper:
         (front or self.slam.robots[0]).check(observation)
         check_travel(observation, self.robot, self.longest_travel)
 
-    def _process_again(self, steps: Iterable[Sequence[Observation]]) -> ProcessedAgain:
-        """Process stored observations, one of each robot in each step, in the present frame."""
-        poses, covariances, was_lost = list[FloatArray](), list[FloatArray](), False
-        for observations in steps:
-            # The caller has later steps already, which a renewal would not move.
-            self._present.process(observations, self.frame, may_renew=False)
-            self.slam_ms += self._present.slam_ms
-            poses.append(self.slam.poses)
-            covariances.append(self.slam.covariances)
-            was_lost = was_lost or any(monitor.status.level == "lost" for monitor in self._present.monitors)
-        count = len(self._starts)
-        return ProcessedAgain(
-            np.array(poses).reshape(-1, count, 3), np.array(covariances).reshape(-1, count, 3, 3), was_lost
-        )
-
-    def _found(self) -> tuple[RangeSensor | None, list[bool]]:
-        """The sensor as it is known now, and whether the odometry of each robot is corrected."""
-        return self.slam.sensor, [found is not None for found in self.slam.odometry_calibrations]
-
     def _is_to_restart(self, observations: Sequence[Observation]) -> bool:
         """Whether the SLAM has found errors of odometry or sensor in one of the first steps, which are kept."""
         before, self._known = self._known, self._found()
@@ -314,12 +266,6 @@ class Mapper:
             self.step(*observations)
             spent += self.slam_ms
         self.slam_ms = spent
-
-    def _slam_at(self, starts: FloatArray) -> LineSlam:
-        """A SLAM with an empty map and robots at these poses, with what is known of odometry and sensor."""
-        sensor, is_calibrated = self._found()
-        config = self_calibrating(self.config) if any(is_calibrated) else self.config
-        return LineSlam(self.robot, config, starts, sensor)
 
     def _new_recovery(self) -> Recovery | None:
         """What follows the estimate of a single robot, if it is to find its place again when it is lost."""
@@ -443,23 +389,6 @@ class Mapper:
         self._use(*absence.known.copied())
         self.slam.relocate(pose, covariance)
         recovery.give_up()
-
-    def _number_map(self, *, is_own: bool) -> None:
-        """Give a new map its number. The robot never goes back to a map from before its own map."""
-        self._maps += 1
-        self.map_number, self._own_map = self._maps, self._maps if is_own else self._own_map
-
-    def _use(self, slam: LineSlam, grid: OccupancyGrid) -> None:
-        """Go on with another SLAM and grid, in another frame, with what is known of odometry and sensor."""
-        slam.learn_from(self.slam)
-        self._present = FrameMapper(slam, grid, self.config, self._present.drawers)
-        self.frame, self.map_number = self.frame + 1, self._own_map
-
-    def _replay(self, log: StepLog, begin: int, end: int) -> ProcessedAgain:
-        """Process the logged steps from ``begin`` to before ``end`` again, and log their new poses."""
-        again = self._process_again((log[number].observation,) for number in range(begin, end))
-        log.move(begin, again.poses[:, 0])
-        return again
 
     def _revise(self, begin: int, *parts: ProcessedAgain) -> None:
         """Note that the poses from a step on are known better now."""

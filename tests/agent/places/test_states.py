@@ -8,7 +8,7 @@ import pytest
 from support.halls import HALL, PART, ROBOT, SENSOR, WAY, drive, known
 
 from limslam_agent import Mapper, preset
-from limslam_agent.mapper import ProcessedAgain
+from limslam_agent.frames import ProcessedAgain
 from limslam_agent.places.absence import Absence, Placed
 from limslam_agent.places.history import StepLog
 from limslam_agent.places.localisation import FAR_SHARE, Localisation, agree, localise
