@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import cast
 
 import numpy as np
 
@@ -11,15 +10,15 @@ from limslam_agent.config.presets import AgentConfig, self_calibrating
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.mapper import Mapper
-from limslam_agent.places.history import LoggedStep
+from limslam_agent.places.history import LoggedStep, copied
 from limslam_agent.places.localisation import KnownPlaces
 from limslam_agent.places.meeting import Meeting
 from limslam_agent.places.revisions import PlaceHistory, Unplaced
-from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.status import Status, worst
 from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import Observation, RobotSpec
 
 NOT_YET_JOINED = Status("unsure", "the second robot's place relative to the first one is not known yet")
@@ -37,14 +36,17 @@ UNKNOWN = np.diag([100.0, 100.0, np.pi**2])
 class Joined:
     """The steps until two robots were joined, by what was known then, in the shared frame.
 
-    Of robots that parted again: the same steps, each in its own frame.
+    Of robots that parted again: the steps since they were joined, each in its own frame.
 
     Attributes
     ----------
+    begin
+        Number of the first step.
     poses, covariances, odometry
         Poses of both robots (t, 2, 3), m and rad, their covariances (t, 2, 3, 3), and poses by odometry alone.
     """
 
+    begin: int
     poses: FloatArray
     covariances: FloatArray
     odometry: FloatArray
@@ -69,7 +71,7 @@ class JoiningMapper(Mapper):
     joined
         The steps until the robots were joined; None before, and after a joining was taken back.
     parted
-        The steps until a joining was taken back, as the robots know them by themselves; None without it.
+        The steps from a joining until it was taken back, as the robots know them by themselves; None without it.
 
     Raises
     ------
@@ -83,15 +85,14 @@ class JoiningMapper(Mapper):
     def reset(self, start_pose: FloatArray) -> None:
         """Forget everything. The poses (2, 3): the first robot's in the world, the second one's in its own frame."""
         self._apart: list[Mapper] | None = None
-        self._placed: tuple[FloatArray, FloatArray] | None = None
         self.joined: Joined | None = None
         self.parted: Joined | None = None
         super().reset(start_pose)
         if not self.config.can_recover or len(self._starts) != 2:
             raise ValueError("unknown starts are for two robots with the preset graph or consistent")
-        self._own = self._starts
-        self._apart = self._separate_mappers()
-        self._meeting, self._steps = Meeting(self.robot), list[tuple[Observation, ...]]()
+        self._own, self._meeting = self._starts, Meeting(self.robot)
+        self._apart = self._alone = self._separate_mappers()
+        self._steps, self._odometry = list[tuple[Observation, ...]](), list[FloatArray]()
 
     def step(self, *observations: Observation) -> None:
         """Process one observation of each robot; the errors are those of :meth:`Mapper.step`."""
@@ -194,16 +195,6 @@ class JoiningMapper(Mapper):
         """How the search ended. The second robot's own map is known after :meth:`finish`, if it was not placed."""
         return PlaceHistory(unplaced=self._unplaced, records=list(self._meeting.records))
 
-    def _new_slam(self) -> LineSlam:
-        slam = super()._new_slam()
-        if self._placed is not None:
-            slam.relocate(*self._placed, robot=1)
-        return slam
-
-    def _forget_associations(self, kept: int) -> None:
-        if self.on_restart is not None:
-            self.on_restart(kept)
-
     def _follow_both(self, apart: Sequence[Mapper]) -> None:
         """Take over what the robots know by themselves."""
         changes = 0 if self.parted is None else 2  # the shared frame came and went
@@ -236,31 +227,25 @@ class JoiningMapper(Mapper):
 
         If the readings of one robot contradict the map of the other one, both stay apart, and the result is False.
         """
-        own, records, on_restart = self._starts, list[AssociationRecord](), self.on_restart
-        listener, self.on_restart = self.slam.on_association, lambda kept: records.__delitem__(slice(kept, None))
-        self._apart, self._placed = None, (start, covariance)
-        self._slam_config, self._sensor = self._found_by(apart)
-        self._start_at(np.array([own[0], start]))
-        self.slam.on_association = records.append
-        replayed, is_lost = list[tuple[FloatArray, ...]](), False
-        for observations in self._steps:
-            super().step(*observations)
-            replayed.append((self.slam.poses, self.covariances, self.odometry))
-            is_lost = is_lost or any(status.level == "lost" for status in self.statuses)
-        self.on_restart, self.slam_ms = on_restart, 0.0
-        if is_lost:
-            self._apart, self._placed, self._starts = apart, None, own
+        starts, odometry = np.array([self._own[0], start]), np.array(self._odometry)
+        config, sensor = self._found_by(apart)
+        slam = LineSlam(self.robot, config, starts, sensor)
+        slam.relocate(start, covariance, robot=1)
+        self._apart = None
+        self._start_at(starts, slam)
+        again = self._process_again(self._steps)
+        if again.was_lost:
+            self._apart = apart
             self._follow_both(apart)
             self._meeting.refuse("the readings contradict the shared map")
             return False
-        self._forget_associations(0)
-        self.slam.on_association = listener
-        if listener is not None:
-            for record in records:
-                listener(record)
-        self.joined = Joined(*(np.array(column) for column in zip(*replayed, strict=True)))
+        self.slam_ms, self._frame_of_second = 0.0, compose(start, inverse(self._own[1]))
+        odometry[:, 1] = compose(self._frame_of_second, odometry[:, 1])
+        self.joined = Joined(0, again.poses, again.covariances, odometry)
+        self.odometry = odometry[-1]
         self.frame = 1 + sum(mapper.frame for mapper in apart)
         self._meeting.has_joined(start)
+        self._forget_steps()
         return True
 
     def _found_by(self, apart: Sequence[Mapper]) -> tuple[AgentConfig, RangeSensor | None]:
@@ -282,14 +267,15 @@ class JoiningMapper(Mapper):
         What ends in space that is known to be free may be the body of the other robot, and contradicts no map.
         """
         config = replace(self.config, free_space_counts=False)
-        mappers = [Mapper(self.robot, config, start) for start in self._own]
-        mappers[0].on_restart = self._forget_associations
-        return mappers
+        return [Mapper(self.robot, config, start) for start in self._own]
 
     def _keep(self, observations: Sequence[Observation]) -> None:
-        """Keep the observations of a step: they are processed again at a joining, and when it is taken back."""
-        copies = ({name: np.array(value) for name, value in seen.items()} for seen in observations)
-        self._steps.append(cast("tuple[Observation, ...]", tuple(copies)))
+        """Keep the observations of a step: they are processed again at a joining, or when it is taken back."""
+        self._steps.append(copied(observations))
+        self._odometry.append(self.odometry)
+
+    def _forget_steps(self) -> None:
+        self._steps, self._odometry = [], []
 
     def _check_joining(self, *, is_over: bool = False) -> None:
         """Confirm a joining, or take it back if a robot is lost in the shared map or if another place fits as well."""
@@ -303,22 +289,25 @@ class JoiningMapper(Mapper):
             if ambiguity and is_complete:
                 self._part(ambiguity)
         if not self._meeting.is_doubtful:
-            self._steps = []
+            self._alone = []
+            self._forget_steps()
 
     def _part(self, reason: str) -> None:
-        """Take a joining back: each robot has the map again that it would have made by itself."""
-        self._forget_associations(0)
-        listener, parted = self.slam.on_association, list[tuple[FloatArray, ...]]()
-        self._apart, self._placed, self._starts, self.joined = self._separate_mappers(), None, self._own, None
-        self._apart[0].slam.on_association = listener
+        """Take a joining back: each robot goes on with the map that it had by itself, and with its steps since then."""
+        assert self.joined is not None  # noqa: S101 (the robots are a team)
+        poses, covariances = list[FloatArray](), list[FloatArray]()
+        begin, self.joined, self._apart = len(self.joined.poses), None, self._alone
         for observations in self._steps:
-            for mapper, observation in zip(self._apart, observations, strict=True):
+            for mapper, observation in zip(self._alone, observations, strict=True):
                 mapper.step(observation)
-            odometry = np.concatenate([mapper.odometry for mapper in self._apart])
-            parted.append((self.poses, self.covariances, odometry))
-        self.parted = Joined(*(np.array(column) for column in zip(*parted, strict=True)))
+            poses.append(self.poses)
+            covariances.append(self.covariances)
+        odometry = np.array(self._odometry)
+        odometry[:, 1] = compose(inverse(self._frame_of_second), odometry[:, 1])
+        self.parted = Joined(begin, np.array(poses), np.array(covariances), odometry)
         self._meeting.take_back(reason)
-        self._follow_both(self._apart)
+        self._forget_steps()
+        self._follow_both(self._alone)
 
 
 def _has_left_its_path(places: PlaceHistory) -> bool:

@@ -1,31 +1,29 @@
 """Mapper: SLAM, the occupancy grid and pure odometry, without a policy.
 
-What a step does within a frame is in :mod:`limslam_agent.frame_mapper`. The mapper starts again when errors of odometry
+What a step does within a frame is in :mod:`limslam_agent.frame_mapper`, and what all frames share in
+:mod:`limslam_agent.frames`. The mapper begins again when errors of odometry
 or sensor are found early, begins in the map of an earlier run, and goes on in other frames when the robot is lost.
 """
 
-from collections.abc import Callable
-from dataclasses import replace
-from typing import cast
+from collections.abc import Sequence
 
 import numpy as np
 
 from limslam_agent.belief import Belief
 from limslam_agent.config import DEFAULT_PRESET
-from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
-from limslam_agent.frame_mapper import FrameMapper
+from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent.frames import Frames, ProcessedAgain
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.map_snapshot import MapSnapshot
 from limslam_agent.places.absence import Placement
-from limslam_agent.places.history import LoggedStep
+from limslam_agent.places.history import LoggedStep, copied
 from limslam_agent.places.lookup import NOT_YET_FOUND, Lookup
 from limslam_agent.places.recovery import WRONG_PLACE, Recovery
 from limslam_agent.places.revisions import PlaceHistory, Revision, Unplaced
 from limslam_agent.places.saved_map import SavedMap
-from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.motion import check_travel, longest_travel
-from limslam_agent.slam.slam import LineSlam, RangeSensor
+from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.monitor import Loss
 from limslam_agent.status.rays import wall_points
 from limslam_agent.status.status import Status
@@ -34,13 +32,13 @@ from limslam_env.geometry.se2 import compose
 from limslam_env.interface import Observation, RobotSpec
 
 RESTART_WITHIN = 1800
-"""Number of first steps within which a mapper starts again when the SLAM finds errors of odometry or sensor."""
+"""Number of first steps within which a mapper begins again when the SLAM finds errors of odometry or sensor."""
 
 MOST_RESTARTS = 6
-"""A mapper starts again at most this often. Later estimates of the errors only act from then on."""
+"""A mapper begins again at most this often. Later estimates of the errors only act from then on."""
 
 
-class Mapper:
+class Mapper(Frames):
     """Estimates poses and builds the map for one robot, or for several robots that share one map.
 
     Each step runs the SLAM, watches whether its estimate can be trusted, updates the occupancy grid from the new poses,
@@ -68,16 +66,6 @@ class Mapper:
     longest_travel
         Longest travel of a wheel in one step that is accepted, m: 300 times what the robot's largest wheel speed allows
         in a control period. Set it higher if observations may be farther apart than 300 control periods.
-    slam_ms
-        Wall-clock time that the SLAM took in the latest step, without the grid and the odometry, ms.
-    on_restart
-        Called before observations are processed again, if set, with the number of associations so far that remain
-        valid. The SLAM is then another object.
-    frame
-        Number of times that the frame of the poses has changed: a lost robot goes on in a local frame until it has
-        found its place, and then in the earlier frame again. A renewal that moves the path far counts as well.
-    map_number
-        Number of the present map. A local frame has a map of its own; in the earlier frame, the number is as before.
     prior_frame
         Pose (3,) of the robot's first frame in the frame of ``prior_map``; None until its place there is found.
 
@@ -95,9 +83,9 @@ class Mapper:
         *,
         prior_map: SavedMap | None = None,
     ) -> None:
-        self.robot, self.config, self._prior_map = robot, config or preset(DEFAULT_PRESET), prior_map
+        super().__init__(robot, config or preset(DEFAULT_PRESET))
+        self._prior_map = prior_map
         self.longest_travel = longest_travel(robot)
-        self.on_restart: Callable[[int], None] | None = None
         self.reset(np.zeros(3) if start_pose is None else start_pose)
 
     def reset(self, start_pose: FloatArray) -> None:
@@ -113,25 +101,20 @@ class Mapper:
             raise ValueError(f"a start pose has the shape (3,), or (n, 3) for n robots, not {np.shape(start_pose)}")
         if not np.isfinite(starts).all():
             raise ValueError(f"start poses must be finite, not {starts.tolist()}")
-        self._slam_config = self.config
-        self._sensor: RangeSensor | None = None
-        self._start_at(starts)
+        self._restarts = 0
+        self._start_at(starts, LineSlam(self.robot, self.config, starts))
 
-    def _start_at(self, starts: FloatArray) -> None:
-        """Begin with an empty map, and with what is known of odometry and sensor, at known poses (n, 3)."""
+    def _start_at(self, starts: FloatArray, slam: LineSlam) -> None:
+        """Begin at known poses (n, 3) with an empty map."""
         self._starts, self._is_finished = starts, False
-        self._present, self._restarts = self._new_frame(), 0
-        self._sensor = self.slam.sensor
-        self._early = list[tuple[Observation, ...]]()
-        self.frame, self._revisions = 0, list[Revision]()
-        self.map_number = self._own_map = self._maps = 0
+        self._begin(slam)
+        self._first_steps, self._known = list[tuple[Observation, ...]](), self._found()
+        self._revisions = list[Revision]()
         self._unplaced: Unplaced | None = None
-        self._listener: Callable[[AssociationRecord], None] | None = None
         self._recovery, self._lookup = self._new_recovery(), self._new_lookup()
         self.prior_frame: FloatArray | None = None
         self.odometry = starts.copy()
         self.odometry.setflags(write=False)
-        self.slam_ms = 0.0
 
     def step(self, *observations: Observation) -> None:
         """Process one observation of each robot.
@@ -146,20 +129,19 @@ class Mapper:
         """
         for front, observation in zip(self.slam.robots, observations, strict=False):  # the SLAM checks their number
             self.check(observation, front)
-        may_calibrate, self.slam_ms = self.slam.may_calibrate, 0.0
-        may_restart = self._may_restart and len(self._early) < RESTART_WITHIN
-        motions = self._process(observations)
+        has_jumped = self._present.process(observations, self.frame)
+        self.slam_ms, motions = self._present.slam_ms, self.slam.increments
+        if has_jumped:
+            self.frame += 1
+            if self._recovery is not None:
+                self._recovery.move(self._present.renewed_path[:-1])  # the present step is noted afterwards
         self.odometry = np.array([compose(*each) for each in zip(self.odometry, motions, strict=True)])
         self.odometry.setflags(write=False)
         if self._lookup is not None and self._lookup.is_open:
             self._lookup.note(LoggedStep.of(observations[0], self.slam, motions[0]))
-        if may_restart:
-            copies = ({name: np.array(value) for name, value in seen.items()} for seen in observations)
-            self._early.append(cast("tuple[Observation, ...]", tuple(copies)))
-            if self.slam.may_calibrate != may_calibrate or self.slam.sensor != self._sensor:
-                self._restart()
-                return
-        self._remember()
+        if self._is_to_restart(observations):
+            self._restart()
+            return
         if self._recovery is not None and "wheels" in observations[0]:
             self._follow(self._recovery, observations[0], motions[0])
         if self._lookup is not None and self._lookup.is_due:
@@ -203,11 +185,6 @@ class Mapper:
             )
             for number, front in enumerate(slam.robots)
         ]  # fmt: skip
-
-    @property
-    def slam(self) -> LineSlam:
-        """The SLAM, with landmarks, loop closures and everything else that it knows. Another frame has another SLAM."""
-        return self._present.slam
 
     @property
     def poses(self) -> FloatArray:
@@ -265,15 +242,16 @@ class Mapper:
         (front or self.slam.robots[0]).check(observation)
         check_travel(observation, self.robot, self.longest_travel)
 
-    def _process(self, observations: tuple[Observation, ...], *, may_renew: bool = True) -> list[FloatArray]:
-        """Process one observation of each robot in the present frame; the reported motions."""
-        has_jumped = self._present.process(observations, self.frame, may_renew=may_renew)
-        self.slam_ms += self._present.slam_ms
-        if has_jumped:
-            self.frame += 1
-            if self._recovery is not None:
-                self._recovery.move(self._present.renewed_path[:-1])  # the present step is noted afterwards
-        return self.slam.increments
+    def _is_to_restart(self, observations: Sequence[Observation]) -> bool:
+        """Whether the SLAM has found errors of odometry or sensor in one of the first steps, which are kept."""
+        before, self._known = self._known, self._found()
+        if self.frame or self._known[0] is None or len(self._first_steps) >= RESTART_WITHIN:
+            self._first_steps = []
+            self._restarts = MOST_RESTARTS
+        if self._restarts >= MOST_RESTARTS:
+            return False
+        self._first_steps.append(copied(observations))
+        return self._known != before
 
     def _restart(self) -> None:
         """Process all observations again, by a filter that knows the errors of odometry and sensor from the start.
@@ -281,46 +259,13 @@ class Mapper:
         The filter that has just found out that they are not as specified has mapped the first metres with large errors
         of the heading, and the linear correction of its state leaves errors of second order.
         """
-        if self.on_restart is not None:
-            self.on_restart(0)
-        listener = self.slam.on_association
-        self._remember()
         self._restarts += 1
-        self._present = self._new_frame()
-        self.slam.on_association = listener
-        self._recovery, self._revisions = self._new_recovery(), []
-        for number, observations in enumerate(self._early):
-            may_calibrate = self.slam.may_calibrate
-            motions = self._process(observations)
-            if self._lookup is not None and self._lookup.is_open:
-                self._lookup.steps[number] = LoggedStep.of(observations[0], self.slam, motions[0])
-            if self._may_restart and (self.slam.may_calibrate, self.slam.sensor) != (may_calibrate, self._sensor):
-                self._restart()
-                return
-            if self._recovery is not None and "wheels" in observations[0]:
-                self._follow(self._recovery, observations[0], motions[0])
-
-    def _remember(self) -> None:
-        """Keep what the SLAM has found out about odometry and sensor. It holds in every frame."""
-        self._sensor = self.slam.sensor
-        if self._slam_config is self.config and any(each is not None for each in self.slam.odometry_calibrations):
-            self._slam_config = self_calibrating(self.config)
-
-    @property
-    def _may_restart(self) -> bool:
-        return not self.frame and self.slam.sensor is not None and self._restarts < MOST_RESTARTS
-
-    def _new_frame(self) -> FrameMapper:
-        """An empty map, with the robots at their starts."""
-        return FrameMapper(self._new_slam(), OccupancyGrid(self.config.grid), self.config)
-
-    def _new_slam(self) -> LineSlam:
-        """The SLAM with an empty map, and the robots at their starts."""
-        return self._slam_at(self._starts)
-
-    def _slam_at(self, start: FloatArray) -> LineSlam:
-        """The SLAM with an empty map, with what is known of odometry and sensor, and the robots at these poses."""
-        return LineSlam(self.robot, self._slam_config, start, self._sensor)
+        steps, spent = self._first_steps, self.slam_ms
+        self._start_at(self._starts, self._slam_at(self._starts))
+        for observations in steps:
+            self.step(*observations)
+            spent += self.slam_ms
+        self.slam_ms = spent
 
     def _new_recovery(self) -> Recovery | None:
         """What follows the estimate of a single robot, if it is to find its place again when it is lost."""
@@ -341,21 +286,15 @@ class Mapper:
         if found is None:
             return
         self.prior_frame = found.frame
-        if self.on_restart is not None:
-            self.on_restart(0)
         slam = self._slam_at(found.start)
         slam.know(lookup.saved.landmarks, lookup.saved.segments)
         slam.relocate(found.start, found.covariance, ends=wall_points(found.rays))
-        slam.on_association = self.slam.on_association
         self._use(slam, OccupancyGrid.of(lookup.saved.grid, self.config.grid))
         self._number_map(is_own=True)
         self._recovery = self._new_recovery()
-        for step in lookup.steps:
-            self._process((step.observation,))
-            if self._recovery is not None:
-                self._recovery.note(replace(step, pose=self.slam.pose), self.slam, self._present.grid)
+        again = self._process_again((step.observation,) for step in lookup.steps)
         if self._recovery is not None:
-            self._recovery.arrive(found.rays)
+            self._recovery.arrive(lookup.steps, again.poses[:, 0], found.rays)
         self.odometry = compose(self.prior_frame, self.odometry)
         self.odometry.setflags(write=False)
 
@@ -398,22 +337,20 @@ class Mapper:
         """
         absence, log = recovery.absence, recovery.log
         assert absence is not None  # noqa: S101 (the robot is lost)
-        self._listener, is_anew = self.slam.on_association or self._listener, recovery.begin_anew()
+        is_anew = recovery.begin_anew()
         slam = self._slam_at(log[absence.first - 1].pose)
-        if is_anew:
-            slam.on_association = self._heard_until(0)
-        if absence.known is not None and absence.known.slam.odometry_calibration is not None:
-            slam.calibrate(absence.known.slam.odometry_calibration)
+        if absence.known is not None and absence.known.slam.odometry_calibrations[0] is not None:
+            slam.calibrate(absence.known.slam.odometry_calibrations[0])
         self._use(slam, OccupancyGrid(self.config.grid))
         self._number_map(is_own=is_anew)
         self.slam.robots[0].step = absence.first - 1
         # The first step may be a jump of the odometry, which the local frame begins with and need not doubt again.
         second = min(absence.first + 1, log.end)
-        poses = self._play(recovery, absence.first, second)
+        begun = self._replay(log, absence.first, second)
         self._present.begin_anew()
-        poses += self._play(recovery, second)
-        if is_anew and poses:
-            self._revise(absence.first, poses)
+        again = self._replay(log, second, log.end)
+        if is_anew:
+            self._revise(absence.first, begun, again)
 
     def _go_on_renewed(self, recovery: Recovery) -> bool:
         """Renew the estimate of a robot that has just been lost, if that explains its readings; whether it was done."""
@@ -421,9 +358,8 @@ class Mapper:
         if is_renewed:
             if self._present.has_jumped:
                 self.frame += 1
-            poses = self._present.renewed_path
-            covariances = self._present.renewed_covariances
-            self._revise(recovery.log.end - len(poses), list(zip(poses, covariances, strict=True)))
+            poses, covariances = self._present.renewed_path, self._present.renewed_covariances
+            self._revisions.append(Revision(recovery.log.end - len(poses), np.array(poses), np.array(covariances)))
             recovery.has_been_renewed(poses, self.slam, self._present.grid)
         return is_renewed
 
@@ -431,21 +367,17 @@ class Mapper:
         """Go on in the frame that the robot was lost from, at the place that was found."""
         absence, log = recovery.absence, recovery.log
         assert absence is not None and absence.known is not None  # noqa: PT018, S101 (the robot was lost from a frame)
-        self._listener = self.slam.on_association or self._listener
-        slam, grid = absence.known.copied()
-        slam.on_association = self._heard_until(slam.associated)
-        self._use(slam, grid)
+        self._use(*absence.known.copied())
         self.slam.robots[0].step = log.begin - 1
-        poses = self._play(recovery, log.begin, found.step)
+        before = self._replay(log, log.begin, found.step)
         found, closed = found.put(self.slam, self._present.grid)
         # The comparisons until now have seen how the robot was carried away, and no stretch with that motion can be
         # smoothed.
         self._present.begin_anew()
-        poses += self._play(recovery, found.step)
+        self._revise(log.begin, before, self._replay(log, found.step, log.end))
         # The search has weighed the readings of these steps together. While they are processed again, a bent map may
         # contradict a few of them, and the robot would be lost and found in turns.
         self._present.reset_monitors()
-        self._revise(log.begin, poses)
         recovery.has_joined(found, closed)
 
     def _give_up(self, recovery: Recovery) -> None:
@@ -454,43 +386,12 @@ class Mapper:
         assert absence is not None and absence.known is not None  # noqa: PT018, S101 (the robot was lost from a frame)
         self._unplaced = Unplaced(absence.known.step, self.slam.segments, self.slam.landmarks, self.grid)
         pose, covariance = self.slam.pose, self.slam.covariance
-        slam, grid = absence.known.copied()
-        slam.on_association = self._heard_until(slam.associated)
-        self._use(slam, grid)
+        self._use(*absence.known.copied())
         self.slam.relocate(pose, covariance)
         recovery.give_up()
 
-    def _heard_until(self, associated: int) -> Callable[[AssociationRecord], None] | None:
-        """The listener, which is to forget all associations but the first ones."""
-        if self.on_restart is not None:
-            self.on_restart(associated)
-        return self._listener
-
-    def _revise(self, begin: int, poses: list[tuple[FloatArray, FloatArray]]) -> None:
-        """Replace the poses from a step on, given with their covariances."""
-        self._revisions.append(Revision(begin, *(np.array(each) for each in zip(*poses, strict=True))))
-
-    def _number_map(self, *, is_own: bool) -> None:
-        """Give a new map its number. The robot never goes back to a map from before its own map."""
-        self._maps += 1
-        self.map_number, self._own_map = self._maps, self._maps if is_own else self._own_map
-
-    def _use(self, slam: LineSlam, grid: OccupancyGrid) -> None:
-        """Go on with another SLAM and grid, in another frame."""
-        if self._sensor is not None and slam.sensor != self._sensor:
-            slam.assume(self._sensor)
-        if self._slam_config is not self.config:
-            slam.calibrate()
-        self._present = FrameMapper(slam, grid, self.config, self._present.drawers)
-        self.frame, self.map_number = self.frame + 1, self._own_map
-
-    def _play(self, recovery: Recovery, begin: int, end: int | None = None) -> list[tuple[FloatArray, FloatArray]]:
-        """Process the steps from ``begin`` to before ``end`` again; the pose and its covariance after each of them."""
-        log, played = recovery.log, []
-        for number in range(begin, log.end if end is None else end):
-            step = log[number]
-            # The log has later steps already, which a renewal would move in place of these.
-            self._process((step.observation,), may_renew=False)
-            log.steps[number - log.begin] = replace(step, pose=self.slam.pose)
-            played.append((self.slam.pose, self.slam.covariance))
-        return played
+    def _revise(self, begin: int, *parts: ProcessedAgain) -> None:
+        """Note that the poses from a step on are known better now."""
+        poses = np.concatenate([part.poses[:, 0] for part in parts])
+        covariances = np.concatenate([part.covariances[:, 0] for part in parts])
+        self._revisions.append(Revision(begin, poses, covariances))

@@ -11,7 +11,6 @@ from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.places.localisation import is_far
 from limslam_agent.slam.consistent.map_state import MapState
-from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.known_map import DRIFT, KnownMap
 from limslam_agent.status.rays import rays_of
@@ -82,9 +81,8 @@ class Renewal:
         self._slam, self._config, self.grid, self.has_jumped = slam, config, grid, False
         self._first_grid, self.poses, self.covariances = grid, list[FloatArray](), list[FloatArray]()
         self._rows: list[tuple[FloatArray, FloatArray, BoolArray, FloatArray, FloatArray]] = []
-        self._associations: list[AssociationRecord] = []
         self._start: MapState | None = None
-        self._closures = self._first_step = 0
+        self._associations = self._closures = self._first_step = 0  # numbers of those before the stretch
         wanted = config.renewal is not None and config.run_smoothing is not None
         self.is_possible = wanted and slam.is_renewable
 
@@ -171,9 +169,8 @@ class Renewal:
 
     def _begin(self) -> None:
         """Begin a new stretch at the present estimate."""
-        self._start, self._associations = self._slam.map_state, list[AssociationRecord]()
-        self._slam.recent_associations = self._associations
-        self._closures, self._first_step = len(self._slam.closures), self._slam.robots[0].step
+        self._start, self._first_step = self._slam.map_state, self._slam.robots[0].step
+        self._associations, self._closures = len(self._slam.associations), len(self._slam.closures)
         self._first_grid = self.grid.copied()
 
     def _smoothed(self) -> tuple[MapState, FloatArray] | None:
@@ -199,7 +196,7 @@ class Renewal:
             usable=usable[:, None],
             poses=poses[:, None],
             covariances=covariances[:, None],
-            associations=self._associations,
+            associations=self._slam.associations[self._associations :],
             closures=self._slam.closures[self._closures :],
             first_step=self._first_step,
             sensor=self._slam.sensor,

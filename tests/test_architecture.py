@@ -91,9 +91,12 @@ AGENT = {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid", "renewal", "slam", "slam.core", "status"),
     },
     "limslam_agent.map_snapshot": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "slam.core")},
+    "limslam_agent.frames": {
+        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "frame_mapper", "grid", "places", "slam"),
+    },
     "limslam_agent.mapper": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("belief", "config", "frame_mapper", "slam", "slam.core", "grid", "map_snapshot", "status", "places"),
+        *agent("belief", "config", "frames", "slam", "slam.core", "grid", "map_snapshot", "status", "places"),
     },
     "limslam_agent.joining": {
         *WHAT_AN_AGENT_MAY_KNOW,

@@ -8,7 +8,7 @@ import limslam_agent
 
 ESTIMATOR = (
     "slam", "places", "status", "kernels",
-    "mapper.py", "frame_mapper.py", "renewal.py", "joining.py", "dropouts.py",
+    "mapper.py", "frames.py", "frame_mapper.py", "renewal.py", "joining.py", "dropouts.py",
     "replay/calibration.py", "replay/filter_estimate.py", "replay/hand_over.py", "replay/joined_lines.py",
     "replay/local_views.py", "replay/loop_scores.py", "replay/plausibility.py", "replay/reversing.py",
     "replay/smoothing.py", "replay/trust.py", "replay/two_logs.py",

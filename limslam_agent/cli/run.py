@@ -126,7 +126,7 @@ def _filmed_run(config: "RunConfig", advance: Advance, options: RunOptions) -> "
                 recorder.watch(team, env, time, coverage)
                 show(team, env, time, coverage)
 
-            return run_episode(config, watch, on_association=recorder.on_association, render_mode="rgb_array")
+            return run_episode(config, watch, render_mode="rgb_array")
 
 
 @contextmanager

@@ -1,6 +1,7 @@
 """Watches a mapper step by step and keeps what the page shows."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
+from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -85,9 +86,7 @@ class Recorder:
         self._last_goals, self._goals_noted = np.full((2, len(mapper.poses), 2), np.nan)
         self._last_levels = [0] * len(mapper.poses)
         self._frontiers_at = -_FRONTIERS_EVERY
-        self._restarted, mapper.on_restart = mapper.on_restart, self._on_restart
         self._slam: LineSlam | None = None
-        self._composites: list[Callable[[AssociationRecord], None]] = []
         self._listen()
 
     def note(
@@ -127,6 +126,7 @@ class Recorder:
         """Note what the mapper has done with the pending readings at the end of the run."""
         self._row = max(self._row - 1, 0)
         self._close()
+        self._listen()
         if self._mapper.frame != self._frame and self._frame_rows and self._frame_rows[-1] == self._row:
             # The last row of a run is in the frame in which the run has ended.
             for name, column in self._estimates().items():
@@ -205,20 +205,21 @@ class Recorder:
         self._events.sort(key=lambda event: int(event["row"]))
 
     def _listen(self) -> None:
-        """Attach the listeners. A mapper that begins anew has another SLAM.
+        """Keep the associations of the present map, and listen to its SLAM: another frame has another one.
 
-        Only the first SLAM may have no listener yet. A later one without a listener is that of a lost robot in its
-        local frame: the mapper wants to hear nothing of it, and would keep a listener for the map that it returns to.
+        The local map of a lost robot is left alone, since most of it is forgotten.
         """
-        slam = self._mapper.slam
+        slam, is_lost = self._mapper.slam, self._mapper.statuses[0].level == "lost"
         if slam is not self._slam:
-            heard = slam.on_association
-            if heard not in self._composites and (heard is not None or self._slam is None):
-                slam.on_association = _both(heard, self._on_association)
-                self._composites.append(slam.on_association)
-            if slam.on_association is not None:
-                slam.on_comparison = self._on_comparison
+            if self._slam is not None and not self._mapper.frame:
+                self._add({"kind": "restart", "words": "all observations are processed again, with what is known now"})
+            if not is_lost:
+                slam.on_association, slam.on_comparison = self._on_association, self._on_comparison
+                kept = zip(self._associations, slam.associations, strict=False)
+                del self._associations[sum(1 for _ in takewhile(lambda pair: pair[0][1] is pair[1], kept)) :]
             self._slam, self._closures, self._extraction = slam, len(slam.closures), slam.last_extraction
+        if slam.on_association is not None:
+            self._associations += [(self._row, record) for record in slam.associations[len(self._associations) :]]
 
     def _on_comparison(self, comparison: Comparison) -> None:
         slam = self._slam
@@ -229,20 +230,11 @@ class Recorder:
         self._open = event, comparison, len(slam.closures)
 
     def _on_association(self, record: AssociationRecord) -> None:
-        self._associations.append((self._row, record))
         if self._open is None or self._slam is None or self._open[1].robot != record.robot:
-            return  # observations are processed again
+            return
         event, _, _ = self._open
         correct(event, record, self._slam)
         self._open = None
-
-    def _on_restart(self, kept: int) -> None:
-        if self._restarted is not None:
-            self._restarted(kept)
-        del self._associations[kept:]
-        self._close()
-        if not self._mapper.frame:
-            self._add({"kind": "restart", "words": "all observations are processed again, with what is known now"})
 
     def _close(self) -> None:
         """Finish the event of a line that was compared but not associated."""
@@ -421,19 +413,6 @@ class Recorder:
         solved = np.linalg.solve(covariances[is_known], error[is_known][..., None])[..., 0]
         found[is_known] = np.einsum("ni,ni->n", error[is_known], solved) / 3.0
         return found.astype(np.float32)
-
-
-def _both(
-    first: Callable[[AssociationRecord], None] | None, second: Callable[[AssociationRecord], None]
-) -> Callable[[AssociationRecord], None]:
-    """A listener that tells two listeners."""
-
-    def heard(record: AssociationRecord) -> None:
-        if first is not None:
-            first(record)
-        second(record)
-
-    return heard
 
 
 def _goals_of(policies: Sequence[Policy] | None, robots: int) -> FloatArray:

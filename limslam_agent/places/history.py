@@ -1,6 +1,7 @@
 """The latest observations of a robot, and the step at which it was most likely carried away."""
 
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from typing import cast
 
 import numpy as np
@@ -15,6 +16,12 @@ from limslam_env.interface import Observation, RobotSpec
 
 _WORST = 3.0  # usual changes: largest change that counts
 _CHANGE = 0.10  # m: a reading seldom changes by more in a step in which the robot is not carried away
+
+
+def copied(observations: Sequence[Observation]) -> tuple[Observation, ...]:
+    """Copies of the observations of a step, which their sender cannot change any more."""
+    copies = ({name: np.array(value) for name, value in seen.items()} for seen in observations)
+    return cast("tuple[Observation, ...]", tuple(copies))
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,8 +47,7 @@ class LoggedStep:
     def of(cls, observation: Observation, slam: LineSlam, motion: FloatArray) -> "LoggedStep":
         """The step that a SLAM of one robot has just processed."""
         front = slam.robots[0]
-        kept = cast("Observation", {name: np.array(value) for name, value in observation.items()})
-        return cls(kept, slam.pose, motion, np.where(front.measured, front.ranges, np.nan))
+        return cls(copied([observation])[0], slam.pose, motion, np.where(front.measured, front.ranges, np.nan))
 
 
 @dataclass(eq=False)
@@ -74,6 +80,11 @@ class StepLog:
     def before(self, number: int) -> list[LoggedStep]:
         """The steps before a number, as far as they are kept."""
         return self.steps[: number - self.begin]
+
+    def move(self, begin: int, poses: Sequence[FloatArray] | FloatArray) -> None:
+        """Replace the poses of the steps from ``begin`` on by others (m, 3)."""
+        for number, pose in enumerate(poses, begin - self.begin):
+            self.steps[number] = replace(self.steps[number], pose=pose)
 
     def forget_before(self, number: int) -> None:
         """Remove the steps before a number.

@@ -7,7 +7,6 @@ succession find the same place. The robot then goes on there, until its place is
 
 import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -147,8 +146,8 @@ class Recovery:
     def move(self, poses: Sequence[FloatArray]) -> None:
         """A renewal has moved the latest steps to poses (3,): copies from before and searches mean nothing any more."""
         self._copies = []
-        for back, pose in zip(range(1, len(self.log.steps) + 1), reversed(poses), strict=False):
-            self.log.steps[-back] = replace(self.log.steps[-back], pose=pose)
+        kept = poses[max(len(poses) - len(self.log.steps), 0) :]
+        self.log.move(self.log.end - len(kept), kept)
         if self.absence is not None and self.absence.search is not None:
             self.absence.search.latest = None
 
@@ -205,8 +204,13 @@ class Recovery:
         self.absence = Absence(BEGUN_ANEW, absence.first, absence.first, placed=Placed(0.0, np.empty((0, 7)), None))
         return True
 
-    def arrive(self, rays: FloatArray) -> None:
-        """The robot's place in the map of an earlier run was found by rays (n, 7), and has to be confirmed."""
+    def arrive(self, steps: Sequence[LoggedStep], poses: FloatArray, rays: FloatArray) -> None:
+        """The robot's place in the map of an earlier run was found by rays (n, 7), and has to be confirmed.
+
+        The poses of its steps until now are ``poses`` (m, 3) in that map.
+        """
+        self.log = StepLog(0, list(steps))
+        self.log.move(0, poses)
         self.absence = Absence(NOT_CONFIRMED, 0, 0, placed=Placed(0.0, rays, None))
 
     def is_refuted(self, sensor: RangeSensor) -> bool:

@@ -159,9 +159,6 @@ def replay_log(
     report = report or (lambda _: None)
     mapper = Mapper(log.robot, config, log.start_pose, prior_map=prior_map)
     mapper.longest_travel = math.inf  # a log may have gaps; its reader knows the times
-    associations = list[AssociationRecord]()
-    mapper.slam.on_association = associations.append
-    mapper.on_restart = lambda kept: associations.__delitem__(slice(kept, None))
     estimate = _estimate(mapper, log, config)
     begin = time.perf_counter()
     rows = _estimated_rows(log, estimate, progress or (lambda _: None))
@@ -188,7 +185,7 @@ def replay_log(
     )
     # The line smoother does not know the lines of an earlier map.
     sees_all = mapper.prior_frame is None
-    filtered = associations, list(slam.closures), slam.sensor
+    filtered = slam.associations, list(slam.closures), slam.sensor
     del estimate, mapper, slam  # the smoothing needs their memory
     return _smoothed(replay, filtered, report, by_lines=sees_all)
 

@@ -179,7 +179,6 @@ def run_episode(
     config: RunConfig,
     watch: Watcher | None = None,
     *,
-    on_association: Callable[[AssociationRecord], None] | None = None,
     render_mode: str | None = None,
     policies: Sequence[Policy] | None = None,
     alter: Callable[[Observation, float], Observation] | None = None,
@@ -192,8 +191,6 @@ def run_episode(
         Settings of the run.
     watch
         Called at each step.
-    on_association
-        Called with the association of each observed line.
     render_mode
         Render mode of the environment, for pictures of the truth.
     policies
@@ -208,23 +205,16 @@ def run_episode(
         coverage_goal=None, max_cycles=None, render_mode=render_mode,
     )  # fmt: skip
     team = team_of(config, policies_of(config, world) if policies is None else policies)
-    clock, associations = time.perf_counter(), list[AssociationRecord]()
-
-    def note_association(record: AssociationRecord) -> None:
-        associations.append(record)
-        if on_association is not None:
-            on_association(record)
-
-    team.mapper.on_restart = lambda kept: associations.__delitem__(slice(kept, None))
+    clock = time.perf_counter()
     with naming_lines_of(config.policy):
-        rows = _drive(config, env, team, note_association, watch, alter)
+        rows = _drive(config, env, team, watch, alter)
     joined, parted = (
         (team.mapper.joined, team.mapper.parted) if isinstance(team.mapper, JoiningMapper) else (None, None)
     )
     return Episode(
         config=config,
         world=world,
-        associations=associations,
+        associations=team.slam.associations,
         closures=list(team.slam.closures),
         calibrations=team.slam.odometry_calibrations,
         places=team.mapper.places,
@@ -326,9 +316,9 @@ def _in_shared_frame(columns: dict[str, Any], joined: Joined | None) -> dict[str
     """The columns of a run, with the second robot in the frame of the first one if both were joined."""
     if joined is None:
         return columns
-    own = slice(len(joined.poses))
-    columns["estimated"][own, 1], columns["covariances"][own, 1] = joined.poses[:, 1], joined.covariances[:, 1]
-    columns["odometry"][own, 1] = joined.odometry[:, 1]
+    known = slice(joined.begin, joined.begin + len(joined.poses))
+    columns["estimated"][known, 1], columns["covariances"][known, 1] = joined.poses[:, 1], joined.covariances[:, 1]
+    columns["odometry"][known, 1] = joined.odometry[:, 1]
     return columns
 
 
@@ -336,7 +326,6 @@ def _drive(
     config: RunConfig,
     env: LimSlamParallelEnv,
     team: LimSlamTeam,
-    on_association: Callable[[AssociationRecord], None],
     watch: Watcher | None,
     alter: Callable[[Observation, float], Observation] | None,
 ) -> list[_Row]:
@@ -344,7 +333,6 @@ def _drive(
     observed, infos = env.reset(seed=config.seed)
     starts = told_starts(config, np.array([infos[name]["pose"] for name in team.names]))
     team.reset(starts, config.seed)
-    team.slam.on_association = on_association
     for policy, start in zip(team.policies, starts, strict=True):
         if isinstance(policy, ActorPolicy):
             policy.reset(start, config.seed)

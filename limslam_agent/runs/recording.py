@@ -8,7 +8,7 @@ import numpy as np
 
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.runs.run_config import RunConfig
-from limslam_agent.slam.slam import AssociationRecord, Extraction, LineSlam
+from limslam_agent.slam.slam import Extraction, LineSlam
 from limslam_agent.status.status import worst
 from limslam_agent.team import LimSlamTeam
 from limslam_agent.video.belief_frame import BeliefFrame, BufferView, Event, HoughView, hough_view
@@ -31,15 +31,12 @@ class Recorder:
     def __init__(self, film: Film) -> None:
         self._film = film
         self._events: list[Event] = []
-        self._closures = 0
+        self._slam: LineSlam | None = None
+        self._associations = self._closures = 0
         self._extraction: Extraction | None = None
         self._hough: HoughView | None = None
         self._paths: list[list[FloatArray]] = []
         self._words = ""
-
-    def on_association(self, record: AssociationRecord) -> None:
-        """Note the association of an observed line."""
-        self._events.append(Event("new" if record.is_new else "again", record.landmark + 1, robot=record.robot))
 
     def watch(self, team: LimSlamTeam, env: LimSlamParallelEnv, time: float, coverage: float) -> None:
         """Note a step, and add a frame to the film when one is due."""
@@ -59,9 +56,13 @@ class Recorder:
         self._film.finish(self._words)
 
     def _look(self, slam: LineSlam) -> None:
+        if self._slam is not None and slam is not self._slam:  # the robot goes on in another frame
+            self._associations, self._closures = len(slam.associations), len(slam.closures)
+        for record in slam.associations[self._associations :]:
+            self._events.append(Event("new" if record.is_new else "again", record.landmark + 1, robot=record.robot))
         for closure in slam.closures[self._closures :]:
             self._events.append(Event("loop", closure.younger + 1, closure.older + 1))
-        self._closures = len(slam.closures)
+        self._slam, self._associations, self._closures = slam, len(slam.associations), len(slam.closures)
         last, hough = slam.last_extraction, slam.config.estimator.hough
         if last is None or last is self._extraction or last.side == "none":
             return

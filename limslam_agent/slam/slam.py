@@ -136,13 +136,15 @@ class LineSlam:
     def copied(self) -> "LineSlam":
         """A copy that nothing listens to. Later steps of one of the two do not change the other."""
         estimator = self._estimator
-        kept = estimator.on_association, estimator.recent_associations, estimator.on_comparison
-        estimator.on_association = estimator.recent_associations = estimator.on_comparison = None
+        listeners, records = (estimator.on_association, estimator.on_comparison), estimator.associations
+        estimator.on_association, estimator.on_comparison, estimator.associations = None, None, []
         try:
-            # The robot and the settings never change, so that copies can share them.
-            return copy.deepcopy(self, {id(shared): shared for shared in (self.robot, self.config)})
+            # The robot, the settings and associations never change, so that copies can share them.
+            copied = copy.deepcopy(self, {id(shared): shared for shared in (self.robot, self.config)})
+            copied.associations.extend(records)
+            return copied
         finally:
-            estimator.on_association, estimator.recent_associations, estimator.on_comparison = kept
+            (estimator.on_association, estimator.on_comparison), estimator.associations = listeners, records
 
     @property
     def pose(self) -> FloatArray:
@@ -196,7 +198,7 @@ class LineSlam:
 
     @property
     def on_association(self) -> Callable[[AssociationRecord], None] | None:
-        """Called with the association of each observed line, if set."""
+        """Called with the association of each observed line, if set. Copies have no listener."""
         return self._estimator.on_association
 
     @on_association.setter
@@ -213,18 +215,9 @@ class LineSlam:
         self._estimator.on_comparison = listener
 
     @property
-    def associated(self) -> int:
-        """Number of observed lines that were associated so far."""
-        return self._estimator.associated
-
-    @property
-    def recent_associations(self) -> list[AssociationRecord] | None:
-        """The associations so far are appended to this list, if it is set. Whoever sets it also empties it."""
-        return self._estimator.recent_associations
-
-    @recent_associations.setter
-    def recent_associations(self, records: list[AssociationRecord]) -> None:
-        self._estimator.recent_associations = records
+    def associations(self) -> list[AssociationRecord]:
+        """The associations of observed lines so far, in order."""
+        return self._estimator.associations
 
     @property
     def is_renewable(self) -> bool:
@@ -252,11 +245,6 @@ class LineSlam:
         return self._estimator.pending_points(self.robots)
 
     @property
-    def may_calibrate(self) -> bool:
-        """Whether the SLAM still waits for a reason to correct the odometry for constant errors."""
-        return self._estimator.odometry_calibration(0) is None and self._estimator.assumed_calibration(0) is not None
-
-    @property
     def odometry_calibrations(self) -> list[tuple[OdometryCalibration, FloatArray] | None]:
         """Each robot's odometry calibration and its covariance (3, 3); None while its odometry is not corrected."""
         return [self._estimator.odometry_calibration(number) for number in range(len(self.robots))]
@@ -265,6 +253,13 @@ class LineSlam:
     def odometry_calibration(self) -> tuple[OdometryCalibration, FloatArray] | None:
         """The first robot's odometry calibration and its covariance; None while its odometry is not corrected."""
         return self._estimator.odometry_calibration(0)
+
+    def learn_from(self, other: "LineSlam") -> None:
+        """Take odometry and sensor to be from now on as the same robot has found them with another SLAM."""
+        if other.sensor is not None and other.sensor != self.sensor:
+            self.assume(other.sensor)
+        if any(found is not None for found in other.odometry_calibrations):
+            self.calibrate()
 
     def calibrate(self, found: tuple[OdometryCalibration, FloatArray] | None = None) -> None:
         """Correct the odometry from now on, if it can be, by what the readings so far say of its constant errors.

@@ -31,12 +31,10 @@ class Estimator:
         Pairs of landmarks that were found to be one wall, in order.
     last_extraction
         The lines of the latest scan; None before the first.
-    associated
-        Number of observed lines that were associated so far.
+    associations
+        The associations of observed lines so far, in order.
     on_association
-        Called with the association of each observed line.
-    recent_associations
-        If set, the associations are appended to this list. Whoever sets it also empties it.
+        Called with the association of each observed line, for those who watch. Copies have no listener.
     on_comparison
         Called with each observed line and the landmarks that it was compared with, before the line is used. The
         comparisons are only collected if this is set.
@@ -46,9 +44,8 @@ class Estimator:
         self.robot, self._belief = robot, belief
         self.closures: list[Closure] = []
         self.last_extraction: Extraction | None = None
-        self.associated = 0
+        self.associations: list[AssociationRecord] = []
         self.on_association: Callable[[AssociationRecord], None] | None = None
-        self.recent_associations: list[AssociationRecord] | None = None
         self.on_comparison: Callable[[Comparison], None] | None = None
 
     @property
@@ -101,12 +98,10 @@ class Estimator:
         return None
 
     def report(self, record: AssociationRecord) -> None:
-        """Count an association, tell the listener of it, and store it if that is wanted."""
-        self.associated += 1
+        """Store an association, and tell the listener of it."""
+        self.associations.append(record)
         if self.on_association is not None:
             self.on_association(record)
-        if self.recent_associations is not None:
-            self.recent_associations.append(record)
 
     def relocate(self, pose: FloatArray, covariance: FloatArray, robot: int, by_lines: FloatArray | None) -> None:
         """Put a robot at another pose (3,), with a derivative (3, 2 N) by the lines: see :meth:`LineEKF.relocate`."""

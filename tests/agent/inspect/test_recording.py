@@ -16,6 +16,7 @@ from limslam_agent.mapper import Mapper
 from limslam_agent.output.finished_run import read_run
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.slam import LineSlam
+from limslam_agent.status.status import Status
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import NominalNoise
 
@@ -126,23 +127,27 @@ def test_listening_changes_nothing(name):
     assert any(test.excluded for comparison in heard for test in comparison.tests)
 
 
-def test_a_recorder_leaves_the_slam_of_a_lost_robot_alone_and_hears_each_association_once():
-    log, heard = laps_of_square(0.02, laps=0.5), []
+def test_a_recorder_leaves_the_slam_of_a_lost_robot_alone_and_keeps_each_association_once(monkeypatch):
+    log = laps_of_square(0.02, laps=0.5)
+    records = [AssociationRecord(0, is_new=True, readings=np.zeros((1, 2), dtype=int)) for _ in range(3)]
     mapper = Mapper(FOUR_BEAMS, preset("consistent", NominalNoise(0.02)), log.poses[0])
-    mapper.slam.on_association = heard.append
     watching, known = recorder.Recorder(mapper, 10), mapper.slam
-    listener, row = known.on_association, (log.observations[0]["ranges"][None],)
-    for _ in range(2):
-        # As the mapper does when the robot is lost, and when it has found its place.
-        mapper._use(mapper._slam_at(log.poses[0]), OccupancyGrid(mapper.config.grid))
+    row, grid = (log.observations[0]["ranges"][None],), OccupancyGrid(mapper.config.grid)
+    known.associations.append(records[0])
+    watching.note(0.0, *row)
+    # As the mapper does when the robot is lost, and when it has found its place.
+    with monkeypatch.context() as patch:
+        patch.setattr(Mapper, "statuses", property(lambda _: [Status("lost", "made up")]))
+        mapper._use(mapper._slam_at(log.poses[0]), grid)
+        mapper.slam.associations.append(records[1])
         watching.note(0.0, *row)
         assert mapper.slam.on_association is None
-        mapper._use(known.copied(), OccupancyGrid(mapper.config.grid))
-        mapper.slam.on_association = listener
-        watching.note(0.0, *row)
-        assert mapper.slam.on_association is listener
-    mapper.slam.on_association(AssociationRecord(0, is_new=True, readings=np.zeros((1, 2), dtype=int)))
-    assert len(heard) == len(watching._associations) == 1
+    mapper._use(known.copied(), grid)
+    mapper.slam.associations.append(records[2])
+    watching.note(0.0, *row)
+    assert mapper.slam.on_association is not None
+    assert [record for _, record in watching._associations] == [records[0], records[2]]
+    assert [number for number, _ in watching._associations] == [0, 2]
 
 
 @pytest.mark.parametrize("options", [("--robots", 2), ("--preset", "paper"), ("--policy", "tour", "--laps", 1)])

@@ -144,7 +144,9 @@ def test_a_joining_that_the_readings_contradict_is_taken_back(episode, monkeypat
     assert [each["event"] for each in mapper.places.records] == ["joined", "not joined"]
     assert mapper.places.records[1]["reason"] == "joined, and taken back: the readings contradict the shared map"
     assert mapper.parted is not None
-    assert len(mapper.parted.poses) == last + 2
+    assert (mapper.parted.begin, len(mapper.parted.poses)) == (last + 1, 1)
+    np.testing.assert_array_equal(mapper.parted.poses[-1], mapper.poses)
+    np.testing.assert_allclose(mapper.parted.odometry[-1], mapper.odometry, atol=1e-9)
     # Each robot has the map again that it makes by itself.
     alone = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), HERE)
     for step in range(last + 2):

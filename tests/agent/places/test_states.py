@@ -8,6 +8,7 @@ import pytest
 from support.halls import HALL, PART, ROBOT, SENSOR, WAY, drive, known
 
 from limslam_agent import Mapper, preset
+from limslam_agent.frames import ProcessedAgain
 from limslam_agent.places.absence import Absence, Placed
 from limslam_agent.places.history import StepLog
 from limslam_agent.places.localisation import FAR_SHARE, Localisation, agree, localise
@@ -229,21 +230,13 @@ def placed_at_once(mapper):
     mapper._go_on_at(recovery, placement)
 
 
-def test_who_listens_to_associations_still_hears_them_after_a_placement_at_once(monkeypatch):
-    mapper, heard = Mapper(ROBOT), [].append
-    mapper.slam.on_association = heard
-    monkeypatch.setattr(mapper, "_play", lambda *_: [(np.zeros(3), np.eye(3))])
-    placed_at_once(mapper)
-    assert mapper.slam.on_association is heard
-
-
 def test_readings_that_are_processed_again_at_a_place_make_no_robot_lost(monkeypatch):
     mapper = Mapper(ROBOT)
 
-    def play(*_):
+    def replay(*_):
         mapper._present.monitors[0].status = Status("lost", "4 of 31 readings contradict the map")
-        return [(np.zeros(3), np.eye(3))]
+        return ProcessedAgain(np.zeros((1, 1, 3)), np.zeros((1, 1, 3, 3)), was_lost=True)
 
-    monkeypatch.setattr(mapper, "_play", play)
+    monkeypatch.setattr(mapper, "_replay", replay)
     placed_at_once(mapper)
     assert mapper._present.monitors[0].status == Status()
