@@ -1,17 +1,20 @@
 """The search for the place of one robot in another robot's map, while both drive."""
 
+import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.places.history import LoggedStep
-from limslam_agent.places.localisation import ON_MAP, KnownPlaces, match_covariance
+from limslam_agent.places.localisation import MATCH_STD, ON_MAP, KnownPlaces, match_covariance
 from limslam_agent.places.search import CONFIRMED, FAR_CONFIRMED, PlaceSearch, other_place
 from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.slam.core.teammates import may_hit_others
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.rays import moved, rays_of
+from limslam_agent.status.rays import STEPS, moved, rays_of
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, inverse, transform_points
 from limslam_env.interface import RobotSpec
@@ -23,6 +26,7 @@ FIRST = 15.0
 """Distance that the robots drive before the first search, m, in the mean. Small maps of one room fit into another room.
 """
 
+_PLACED = np.diag([0.0, 0.0, 0.0, MATCH_STD[0] ** 2, MATCH_STD[0] ** 2, 0.0])  # covariance of both poses
 _MOST_REFUSED = 3  # places that the readings contradicted end the search
 
 
@@ -82,21 +86,41 @@ class Meeting:
             covariance (3, 3). None otherwise.
         """
         places = [KnownPlaces(slam.segments, grid, slam.range_sensor) for slam, grid in zip(slams, grids, strict=True)]
-        rays = [rays_of(steps, self._robot, place.sensor) for steps, place in zip(self._own, places, strict=True)]
-        self._search.place = places[0]
-        found = self._search.seek(rays[1], may_be_bent=False)
+        self._search.place, before = places[0], self._search.latest
+        likely = None if before is None or before.fit is None else before.fit.pose
+        rays = self._seen(1, places[1].sensor, None if likely is None else inverse(likely))
+        found = self._search.seek(rays, may_be_bent=False)
         if found is None or found.fit is None:
             if self._steps >= LONGEST:
                 self.end("the search took too long")
             return None
         frame = found.fit.pose
-        (back,) = places[1].weigh(inverse(frame)[None], rays[0])
+        (back,) = places[1].weigh(inverse(frame)[None], self._seen(0, places[0].sensor, frame))
         if back.is_on_map < -ON_MAP or back.evidence < 0.0:
             return None
         placed, middle = compose(frame, start), transform_points(frame, found.middle[None])[0]
         drift = sum(slam.covariance for slam in slams)
-        self._rays = moved(rays[1], frame)
+        self._rays = moved(rays, frame)
         return placed, match_covariance(middle, placed) + np.diag(np.diag(drift))
+
+    def _seen(self, number: int, sensor: RangeSensor, frame: FloatArray | None) -> FloatArray:
+        """The latest rays (n, 7) of a robot in its own frame, without those that may have hit the other robot.
+
+        ``frame`` (3,) is the likely pose of the other robot's frame; None if nothing is known of it.
+        """
+        own, other = (self._own[each][-STEPS:] for each in (number, 1 - number))
+        if frame is None:
+            return rays_of(own, self._robot, sensor)
+        others, mounted = compose(frame, np.array([step.pose for step in other])), sensor.mounted(self._robot)
+        reach = float(mounted.max_ranges.max()) + 2.0 * mounted.radius
+        counting = list[LoggedStep]()
+        for step, pose in zip(own, others, strict=True):
+            if math.hypot(*(pose - step.pose)[:2]) <= reach:
+                poses = np.array([step.pose, pose])
+                met = may_hit_others(0, step.ranges, poses, _PLACED, mounted, sensor)
+                step = replace(step, ranges=np.where(met, np.nan, step.ranges))  # noqa: PLW2901
+            counting.append(step)
+        return rays_of(counting, self._robot, sensor)
 
     def refuse(self, reason: str) -> None:
         """Take back the latest place, although it counted."""

@@ -119,7 +119,7 @@ class StatusMonitor:
     sensor
         How ranges are measured, and by what the beams are turned.
     free_space_counts
-        Whether a reading that ends in free space contradicts the map.
+        Whether a reading that ends in free space counts; it does not if a body may be anywhere.
 
     Attributes
     ----------
@@ -228,8 +228,9 @@ class StatusMonitor:
         """
         kept, least, before, self._suspect = list[Change](), SUSPECTED, self._suspect, None
         for change in self._changes:
-            rays = rays_of(self._sights[change.step - self._first :], self._robot, self.sensor)
             change.known.sensor = self.sensor
+            rays = rays_of(self._sights[change.step - self._first :], self._robot, self.sensor)
+            rays = self._that_count(rays, change.known)
             here = change.known.explained(rays)
             if self._step - change.step > _LONGEST or here.evidence.sum() > _SUPPORTED:
                 continue
@@ -259,13 +260,18 @@ class StatusMonitor:
         nothing = np.array([sight.ranges >= self._robot.too_far for sight in self._sights[-LASTING:]])
         ranges = np.where(nothing[-1] & ~nothing.all(axis=0), np.nan, last.ranges)
         rays = moved(step_rays(ranges, self.sensor.mounted(self._robot), self.sensor.bias), last.pose)
+        rays = self._that_count(rays, known, covariance)
         found = known.explained(rays, covariance)
         contradicts = found.against > 0.0
-        if not self._free_space_counts:
-            contradicts &= found.against < rays[:, RAY_LENGTH]
         points = rays[contradicts, :2] + found.against[contradicts, None] * rays[contradicts, RAY_TO_X:RAY_LENGTH]
         tested, beams = int(np.count_nonzero(found.tested)), rays[contradicts, RAY_BEAM].astype(int)
         self._checks.append(_Check(self._place, self._step, tested, beams, points))
+
+    def _that_count(self, rays: FloatArray, known: KnownMap, covariance: FloatArray | None = None) -> FloatArray:
+        """Those of the rays (n, 7) that say something about the pose: what ends in free space may be a moving body."""
+        if self._free_space_counts:
+            return rays
+        return rays[known.explained(rays, covariance).against < rays[:, RAY_LENGTH]]
 
     def _judge(self, heading_variance: float, present: KnownMap) -> None:
         """Find the status of a robot that was not lost so far. If it is lost now, keep the map of this moment."""

@@ -17,8 +17,10 @@ _APART = 0.10, 0.25
 for the others, m. What is seen twice is no news."""
 
 _BEAMS = 36  # largest number of beams whose readings are used: neighbours of so many see nearly the same
-_STEPS, _RAYS = 1500, 600  # largest number of latest steps and rays: the frame of a longer drive is bent
+STEPS = 1500
+"""Largest number of latest steps whose rays are used: the frame of a longer drive is bent."""
 
+_RAYS = 600  # largest number of latest rays
 
 LASTING = 4
 """Number of steps in succession in which a beam has to see nothing, so that it is no dropout of the sensor."""
@@ -45,7 +47,7 @@ def rays_of(steps: Sequence[Seen], robot: RobotSpec, sensor: RangeSensor | None 
     and to have a bias; None if it is as specified.
     """
     robot, bias = (robot, 0.0) if sensor is None else (sensor.mounted(robot), sensor.bias)
-    steps, used = steps[-_STEPS:], slice(None, None, math.ceil(len(robot.beams) / _BEAMS))
+    steps, used = steps[-STEPS:], slice(None, None, math.ceil(len(robot.beams) / _BEAMS))
     poses = np.array([step.pose for step in steps])
     ranges = np.array([step.ranges[used] for step in steps])
     seen_nothing = ranges >= robot.too_far[used]
