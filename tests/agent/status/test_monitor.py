@@ -220,6 +220,18 @@ def test_readings_that_clearly_fit_end_a_suspicion():
     assert not watched._changes
 
 
+@pytest.mark.parametrize("counts", [True, False])
+def test_a_body_beside_the_robot_makes_it_lost_only_if_free_space_counts(counts):
+    watched, levels = StatusMonitor(ROBOT, SENSOR, free_space_counts=counts), []
+    drive(watched, 40)
+    for number in range(40, 80):
+        ranges = np.where(np.arange(6) < 3, 0.25, ranges_at(place(number), WALLS))
+        if watched.observe(Sight(place(number), ranges, np.array([0.11, 0.0, 0.0])), is_busy=True):
+            watched.check(SURE, KNOWN)
+        levels.append(watched.status.level)
+    assert ("lost" in levels) == counts
+
+
 def test_a_closed_loop_ends_all_suspicions():
     watched = changing(3, (0.02, 0.0))
     watched.observe(
