@@ -2,13 +2,15 @@
 
 A landmark's extent consists of bins along its line. A bin where more beams passed than ended is not drawn as wall. So a
 doorway that was drawn as wall by mistake is removed again, and so is a wall that never existed.
+
+All but the clearing along beams is rare and therefore plain; the batch compiles these functions.
 """
 
 import math
 
 import numpy as np
 
-from limslam_agent.kernels.compilation import compiled, entry
+from limslam_agent.kernels.compilation import compiled, lean_entry
 from limslam_agent.kernels.tables import (
     ANGLE,
     BIN,
@@ -39,7 +41,6 @@ THROUGH_SIGMAS, THROUGH_SLACK = 3.0, 0.05
 deviations and by this length, m."""
 
 
-@entry
 def add_wall(walls: Walls, index: int) -> None:
     """Clear the arrays of a landmark that has just been added, and number it."""
     walls.table[index] = 0
@@ -51,7 +52,6 @@ def add_wall(walls: Walls, index: int) -> None:
     walls.seen[index, :, LEAST], walls.seen[index, :, MOST], walls.behind[index] = np.inf, -np.inf, 0.0
 
 
-@compiled
 def reach(walls: Walls, index: int, place: int) -> int:
     """Extend a landmark's bins to hold one more, and return its index; -1 if there is no room."""
     wall, counted, reached = walls.table[index], walls.counted[index], walls.reached[index]
@@ -74,7 +74,6 @@ def reach(walls: Walls, index: int, place: int) -> int:
     return int(place - wall[LOW])
 
 
-@compiled
 def note_hit(walls: Walls, index: int, place: int, first: float, last: float) -> None:
     """Note that the hits in a bin lie between two positions, m along the line, and perhaps farther apart."""
     reached, ends = walls.reached[index], walls.ends[index]
@@ -83,7 +82,6 @@ def note_hit(walls: Walls, index: int, place: int, first: float, last: float) ->
     ends[LEAST], ends[MOST] = min(ends[LEAST], first), max(ends[MOST], last)
 
 
-@entry
 def count_hits(walls: Walls, index: int, along: FloatArray, side: int) -> None:
     """Count beams that ended on a landmark at positions (n,), m along the line, and that corrected the filter.
 
@@ -111,7 +109,6 @@ def pass_at(walls: Walls, index: int, position: float) -> None:
         walls.table[index, CHANGES] += 1
 
 
-@compiled
 def moved_along(seen: FloatArray, factor: float, shift: float) -> FloatArray:
     """The outermost hits from each side (2, 2), m, of a line whose position s is ``factor`` (1 or -1) s + ``shift``."""
     moved = np.empty((2, 2))
@@ -123,7 +120,6 @@ def moved_along(seen: FloatArray, factor: float, shift: float) -> FloatArray:
     return moved
 
 
-@entry
 def merge_walls(walls: Walls, older: int, younger: int, factor: float, shift: float, count: int) -> None:
     """Merge two of ``count`` landmarks into the older one, and remove the younger one.
 
@@ -157,10 +153,10 @@ def merge_walls(walls: Walls, older: int, younger: int, factor: float, shift: fl
     walls.tally[CLOSURES] += 1
 
 
-@entry
+@lean_entry
 def clear_along_beams(
     walls: Walls, lines: FloatArray, anchors: FloatArray, pose: FloatArray, variances: tuple[float, float],
-    ranges: FloatArray, measured: BoolArray, beams: FloatArray, noise: tuple[float, float],
+    ranges: FloatArray, measured: BoolArray, beams: FloatArray, noise: tuple[float, float], rays: FloatArray,
 ) -> None:  # fmt: skip
     """Count the places of landmarks that a robot's new beams have passed through.
 
@@ -174,8 +170,10 @@ def clear_along_beams(
         Readings (b,), m, which of them are new, and ``RobotSpec.beam_table``.
     noise
         Standard deviation of a short range, m, and the growth of ``RangeSensor``, 1/m.
+    rays
+        (b, 6), filled: origin, direction, length, m, and margin, m, of the beams that count.
     """
-    cos, sin, rays, count = math.cos(pose[2]), math.sin(pose[2]), np.empty((len(ranges), 6)), 0
+    cos, sin, count = math.cos(pose[2]), math.sin(pose[2]), 0
     for beam in range(len(ranges)):
         if measured[beam] and ranges[beam] > beams[beam, TOO_NEAR]:
             far, heading = min(ranges[beam], beams[beam, FARTHEST]), pose[2] + beams[beam, ANGLE]

@@ -37,7 +37,7 @@ from limslam_agent.kernels.tables import (
     THETA,
     R,
 )
-from limslam_agent.kernels.updates import covariance_of, dense_block, involved
+from limslam_agent.kernels.updates import covariance_of, dense_block, gathered, involved
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 
@@ -254,6 +254,35 @@ def mark_loose_ends(
 
 
 @algebra
+def cut_part(
+    order: IntArray, first: int, number: int, segment: FloatArray, along: FloatArray, loose: BoolArray, rest: IntArray
+) -> int:
+    """Cut a part of ``order`` where it is bent, or cut off its loose ends; into how many parts, 0 if it is straight.
+
+    Fills where these parts begin in ``order``, and their lengths: ``rest`` (2, 2). The last one is to be processed
+    first.
+    """
+    part, before, behind, firm = order[first : first + number].copy(), 0, 0, 0
+    if segment[BENT] > 0.0:
+        for i in range(number):
+            if along[i] < segment[BEND_AT] - AROUND_KINK:
+                order[first + before] = part[i]
+                before += 1
+        for i in range(number):
+            if along[i] > segment[BEND_AT] + AROUND_KINK:
+                order[first + before + behind] = part[i]
+                behind += 1
+        rest[0, 0], rest[0, 1], rest[1, 0], rest[1, 1] = first + before, behind, first, before
+        return 2
+    for i in range(number):
+        if not loose[i]:
+            order[first + firm] = part[i]
+            firm += 1
+    rest[0, 0], rest[0, 1] = first, firm
+    return 1 if firm < number else 0
+
+
+@algebra
 def cut_at_bends(
     x: FloatArray, start: int, block: FloatArray, begins: IntArray, places: IntArray, readings: FloatArray,
     points: FloatArray, members: IntArray, line: FloatArray, std: float, variances: FloatArray,
@@ -280,35 +309,38 @@ def cut_at_bends(
     residuals
         Residuals of the members (n,), in standard deviations; infinite where a member grazes its segment.
     """
-    segments, count, ends = np.empty((2**DEEPEST, 8)), 0, np.empty((2, 2))
-    owner, residuals = np.full(len(members), -1), np.full(len(members), np.inf)
-    todo, lines, depths = [np.arange(len(members))], [(line[0], line[1])], [DEEPEST]
-    along, loose = np.empty(len(members)), np.empty(len(members), dtype=np.bool_)
-    while todo:
-        these, this, depth = todo.pop(), lines.pop(), depths.pop()
-        if len(these) < FEWEST:
-            continue
-        segment = segments[count]
+    size, count, waiting = len(members), 0, int(len(members) >= FEWEST)
+    segments, ends, owner, residuals = np.empty((2**DEEPEST, 8)), np.empty((2, 2)), np.full(size, -1), np.empty(size)
+    along, loose, order = np.empty(size), np.empty(size, dtype=np.bool_), np.arange(size)
+    rest = np.empty((2, 2), dtype=np.int64)
+    # Parts that wait: where they begin in ``order``, their lengths, how often they may be cut, and their lines.
+    parts, lines = np.empty((DEEPEST + 1, 3), dtype=np.int64), np.empty((DEEPEST + 1, 2))
+    parts[0, 0], parts[0, 1], parts[0, 2], lines[0, 0], lines[0, 1] = 0, size, DEEPEST, line[0], line[1]
+    residuals[:] = math.inf
+    while waiting:
+        waiting -= 1
+        first, number, depth, segment = parts[waiting, 0], parts[waiting, 1], parts[waiting, 2], segments[count]
+        these = order[first : first + number]
+        read = gathered(members, these)
         left, clear = fit_segment(
-            x, start, block, begins[these], places, readings, points, members[these], this, std,
-            variances[members[these]], segment, along, loose,
+            x, start, block, gathered(begins, these), places, readings, points, read,
+            (lines[waiting, 0], lines[waiting, 1]), std, gathered(variances, read), segment, along, loose,
         )  # fmt: skip
         if not len(clear):
             continue
-        here, is_loose = along[: len(these)], loose[: len(these)]
-        if depth and segment[BENT] > 0.0:
-            # The first half is processed first.
-            for half in (these[here > segment[BEND_AT] + AROUND_KINK], these[here < segment[BEND_AT] - AROUND_KINK]):
-                if len(half):
-                    todo.append(half)
-                    lines.append(fit_line(points, members[half], ends))
-                    depths.append(depth - 1)
-        elif depth and is_loose.any():
-            todo.append(these[~is_loose])
-            lines.append((segment[R], segment[THETA]))
-            depths.append(depth - 1)
-        else:
-            owner[these] = count
+        shorter = cut_part(order, first, number, segment, along, loose, rest) if depth else 0
+        for k in range(shorter):
+            begin, length = rest[k, 0], rest[k, 1]
+            if length >= FEWEST:
+                r, theta = segment[R], segment[THETA]
+                if shorter > 1:
+                    r, theta = fit_line(points, gathered(members, order[begin : begin + length]), ends)
+                parts[waiting, 0], parts[waiting, 1], parts[waiting, 2] = begin, length, depth - 1
+                lines[waiting, 0], lines[waiting, 1] = r, theta
+                waiting += 1
+        if not shorter:
+            for i in range(number):
+                owner[these[i]] = count
             for i in range(len(clear)):
                 residuals[these[clear[i]]] = left[i]
             count += 1

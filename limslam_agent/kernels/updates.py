@@ -69,9 +69,9 @@ def clear_readings(
 
 
 @algebra
-def gathered(values: FloatArray, chosen: IntArray) -> FloatArray:
+def gathered(values: np.ndarray, chosen: IntArray) -> np.ndarray:
     """Some of the values."""
-    found = np.empty(len(chosen))
+    found = np.empty(len(chosen), dtype=values.dtype)
     for i in range(len(chosen)):
         found[i] = values[chosen[i]]
     return found

@@ -307,7 +307,7 @@ def accept(
     travel[TURNED] += abs(increment[2])
     lines = ekf.x[POSE : POSE + 2 * ekf.counts[LINES]].reshape(ekf.counts[LINES], 2)
     unsure, noise = (ekf.top[0, 0] + ekf.top[1, 1], ekf.top[2, 2]), (settings.std, settings.growth)
-    clear(walls, lines, ekf.anchors, ekf.x[:POSE], unsure, ranges, measured, beams, noise)
+    clear(walls, lines, ekf.anchors, ekf.x[:POSE], unsure, ranges, measured, beams, noise, np.empty((len(ranges), 6)))
     if is_due(travel, hits, spec.sides, settings):
         if ekf.counts[CLONES] == len(ekf.clones):
             walls.tally[OVERFLOWS] += 1

@@ -273,6 +273,7 @@ class ConsistentEstimator(Estimator):
             clear_along_beams(
                 self.walls, ekf.anchored, ekf.anchors, ekf.x[at : at + POSE], (x + y, heading), front.ranges,
                 front.measured, self._mounted.beam_table, (float(sensor.std), float(sensor.growth)),
+                np.empty((len(front.ranges), 6)),
             )  # fmt: skip
 
     def _process(self, number: int, side: int, step: int, *, is_over: bool) -> None:

@@ -233,7 +233,7 @@ def beams_from(walls: WallMap, origins: FloatArray, heading: float, free: float,
     for origin in origins:
         clear_along_beams(
             walls.arrays, walls._belief.anchored, walls._belief.anchors, np.append(origin, heading), (0.0, 0.0),
-            np.array([free]), np.ones(1, dtype=bool), beam, (std, 0.0),
+            np.array([free]), np.ones(1, dtype=bool), beam, (std, 0.0), np.empty((1, 6)),
         )  # fmt: skip
 
 
