@@ -49,7 +49,7 @@ class Smoothed:
     poses
         (n, 3) of all events.
     figures
-        For ``result.json``: counts of loops, the score of the map, and what odometry was found to be wrong by.
+        For ``result.json``: counts of loops, and what odometry was found to be wrong by.
     loops
         For ``loops.json``: each loop that was found, with the reason why it was kept or left out. None from the line
         smoother, which finds loops by merging lines.

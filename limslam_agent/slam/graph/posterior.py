@@ -1,6 +1,6 @@
 """How exactly a smoothed path is known, by the posterior covariance of its graph.
 
-A stretch that no loop holds is known as exactly as odometry and the walls along the way say. How good the odometry is
+A stretch that no loop holds is known as exactly as odometry and its links say. How good the odometry is
 follows from the path itself: its variances are estimated by expectation maximisation.
 """
 
