@@ -83,11 +83,9 @@ class Difference:
 
 def compared(old: Iterable[Cell], new: Iterable[Cell]) -> list[Difference]:
     """Compare the rows that both scoreboards have, by the cells that both have."""
-    before = {_key(cell): cell for cell in old}
     rows: dict[str, list[tuple[Cell, Cell]]] = {}
-    for cell in new:
-        if _key(cell) in before:
-            rows.setdefault(str(cell["row"]), []).append((before[_key(cell)], cell))
+    for pair in _paired(old, new):
+        rows.setdefault(str(pair[1]["row"]), []).append(pair)
     return [difference(row, pairs) for row, pairs in rows.items()]
 
 
@@ -146,8 +144,13 @@ def comparison_table(found: Sequence[Difference]) -> list[str]:
 
 def pooled(old: Iterable[Cell], new: Iterable[Cell]) -> Difference:
     """All cells that both scoreboards have, as one row."""
+    return difference("all", _paired(old, new))
+
+
+def _paired(old: Iterable[Cell], new: Iterable[Cell]) -> list[tuple[Cell, Cell]]:
+    """The cells that both scoreboards have."""
     before = {_key(cell): cell for cell in old}
-    return difference("all", [(before[_key(cell)], cell) for cell in new if _key(cell) in before])
+    return [(before[_key(cell)], cell) for cell in new if _key(cell) in before]
 
 
 def _key(cell: Cell) -> tuple[Any, ...]:

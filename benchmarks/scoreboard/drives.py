@@ -14,6 +14,7 @@ from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.policies.controller import TURN_RATE, wheel_speeds
 from limslam_agent.policies.simple_policies import LAP_SPEED
 from limslam_agent.runs.oracle import Oracle
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.bounds.roadmap import Roadmap
 from limslam_env.bounds.tours import Speeds
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
@@ -60,7 +61,10 @@ def recorded_drive(row: Row, world: World, seed: int, jitter: float) -> Recorded
     """
     robot, generator = RobotSpec(), np.random.default_rng([seed, 1])
     beam = seed % len(robot.beams)
-    true_robot = _turned(robot, beam, row.fault.size) if row.fault and row.fault.kind == "turned beam" else robot
+    turns = np.zeros(len(robot.beams))
+    if row.fault and row.fault.kind == "turned beam":
+        turns[beam] = math.radians(row.fault.size)
+    true_robot = RangeSensor(0.0, turns=tuple(turns.tolist())).mounted(robot)
     noise = row.true_noise if row.true_noise.sensor_noise else replace(row.true_noise, sensor_noise=row.noise)
     env = LimSlamParallelEnv(world, robot=true_robot, noise=noise, num_robots=1, coverage_goal=None, max_cycles=None)
     observed, infos = env.reset(seed=seed)
@@ -73,9 +77,7 @@ def recorded_drive(row: Row, world: World, seed: int, jitter: float) -> Recorded
         rows.append((observed[name], infos[name]))
     ranges, wheels = (np.array([seen[key] for seen, _ in rows], dtype=float) for key in ("ranges", "wheels"))
     true = np.array([info["pose"] for _, info in rows])
-    if jitter:
-        shaken = ranges + jitter * np.random.default_rng([seed, 2]).standard_normal(ranges.shape)
-        ranges = np.where((ranges > robot.too_near) & (ranges < robot.too_far), shaken, ranges)
+    ranges = shaken(ranges, robot, jitter, seed)
     if row.fault:
         ranges, wheels = _with_fault(row.fault, robot, beam, ranges, wheels, generator)
     return RecordedLog(
@@ -84,10 +86,12 @@ def recorded_drive(row: Row, world: World, seed: int, jitter: float) -> Recorded
     )  # fmt: skip
 
 
-def _turned(robot: RobotSpec, beam: int, degrees: float) -> RobotSpec:
-    beams = list(robot.beams)
-    beams[beam] = replace(beams[beam], angle=beams[beam].angle + math.radians(degrees))
-    return replace(robot, beams=tuple(beams))
+def shaken(ranges: FloatArray, robot: RobotSpec, jitter: float, seed: int) -> FloatArray:
+    """Ranges (t, n_beams), m, with noise of a standard deviation, m, on those that show a wall."""
+    if not jitter:
+        return ranges
+    noisy = ranges + jitter * np.random.default_rng([seed, 2]).standard_normal(ranges.shape)
+    return np.where((ranges > robot.too_near) & (ranges < robot.too_far), noisy, ranges)
 
 
 def _from_place_to_place(env: LimSlamParallelEnv, start: FloatArray, generator: np.random.Generator) -> Driver:

@@ -4,13 +4,14 @@ import functools
 import tempfile
 import time
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.scoreboard.compare import CPU
-from benchmarks.scoreboard.drives import recorded_drive, world_of
+from benchmarks.scoreboard.drives import recorded_drive, shaken, world_of
 from benchmarks.scoreboard.rows import Row
 from benchmarks.suite.faults import fault_scores
 from benchmarks.suite.jobs import Job, Outcome
@@ -184,10 +185,8 @@ def _log(row: Row, job: Job, jitter: float) -> Scores:
     from limslam_agent.logs.relations import read_relations
 
     log = read_log(data_file(row.file), row.beams, row.max_range)
-    if jitter:
-        shaken = log.ranges + jitter * np.random.default_rng([job.seed, 2]).standard_normal(log.ranges.shape)
-        is_free = ~((log.ranges > log.robot.too_near) & (log.ranges < log.robot.too_far))
-        object.__setattr__(log, "ranges", np.where(is_free, log.ranges, shaken).astype(np.float32))
+    ranges = shaken(log.ranges.astype(np.float64), log.robot, jitter, job.seed)
+    log = replace(log, ranges=ranges.astype(np.float32))
     begin = time.process_time()
     found = replay_log(log, preset(job.preset, NominalNoise(row.noise)))
     spent = time.process_time() - begin

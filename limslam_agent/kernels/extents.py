@@ -31,14 +31,12 @@ from limslam_agent.kernels.tables import (
     NUMBER,
     OVERFLOWS,
     READINGS,
+    THROUGH_SIGMAS,
+    THROUGH_SLACK,
     TOO_NEAR,
     Walls,
 )
 from limslam_env.geometry import BoolArray, FloatArray
-
-THROUGH_SIGMAS, THROUGH_SLACK = 3.0, 0.05
-"""A beam has passed through a landmark's line if it is longer than the distance to the line by this many standard
-deviations and by this length, m."""
 
 
 def add_wall(walls: Walls, index: int) -> None:

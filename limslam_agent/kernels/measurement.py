@@ -10,9 +10,9 @@ perpendicular (J. Leonard and H. Durrant-Whyte, "Directed sonar sensing for mobi
 measures what a ray measures that is turned towards the wall's normal, by c or until it is perpendicular to the wall.
 The derivatives are those of this ray, too: where it follows the normal, its range does not depend on its direction.
 
-Readings come as ``places`` (n,), the places of their clones in the
-state, and ``readings`` (n, 6): the beam's origin x, y in the robot's frame (m), its direction (rad), its range (m),
-half its opening angle (rad), and the number of the beam. The clones begin in the state ``x`` at the index ``start``.
+Readings come as ``places`` (n,), the places of their clones in the state, and ``readings`` (n, 6): the beam's origin x,
+y in the robot's frame (m), its direction (rad), its range (m), half its opening angle (rad), and the number of the
+beam. The clones begin in the state ``x`` at the index ``start``.
 """
 
 import math
@@ -35,17 +35,6 @@ def read_share(cosine: float, width: float) -> float:
     steep, sine = abs(cosine), math.sqrt(max(1.0 - cosine * cosine, 0.0))
     turned = steep * math.cos(width) + sine * math.sin(width)
     return steep if sine <= math.sin(width) else steep / turned
-
-
-@compiled
-def reading_of(sensor: tuple[float, float, float, float], distance: float, cosine: float) -> tuple[float, float]:
-    """The range, m, that a sensor reads of a wall at a distance along the middle of its beam, and its variance, m^2.
-
-    ``sensor`` is ``RangeSensor.numbers``, and the cosine is that of :func:`read_share`.
-    """
-    std, growth, cone, bias = sensor
-    seen = distance * read_share(cosine, cone)
-    return seen + bias, std**2 + (growth * seen**2) ** 2
 
 
 @algebra

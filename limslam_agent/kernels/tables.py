@@ -79,6 +79,10 @@ LEAST_GAIN = 1e-9
 NOTHING = 0.5
 """Likelihood that a beam sees nothing at a random place."""
 
+THROUGH_SIGMAS, THROUGH_SLACK = 3.0, 0.05
+"""A beam has passed through a wall if it is longer than the distance to the wall's line by this many standard
+deviations and by this length, m."""
+
 BIN = 0.05
 """Length of a bin, m."""
 

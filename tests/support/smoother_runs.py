@@ -3,7 +3,7 @@
 import numpy as np
 from support.drives import ROBOT, along, drive, ranges_at, room
 
-from limslam_agent.slam.line_graph.problem import make_problem
+from limslam_agent.slam.line_graph.problem import make_problem, moved
 from limslam_env.interface import NominalNoise
 
 WALLS = room(0.0, 0.0, 3.0, 2.4)
@@ -47,3 +47,9 @@ def true_labels(problem, poses, walls=WALLS):
 def position_error(state, poses):
     """Root mean square of the position errors of all poses, m."""
     return float(np.sqrt(np.mean(np.sum((state.poses - poses)[..., :2] ** 2, axis=-1))))
+
+
+def state_from_motions(problem):
+    """The state without lines that follows from the reported wheel travel, and from where robots were carried."""
+    nothing, calibration = np.zeros((0, 2)), problem.assumed_calibration
+    return moved(problem, problem.motions(calibration), nothing, nothing, calibration)

@@ -127,12 +127,8 @@ class Problem:
     @cached_property
     def noise(self) -> FloatArray:
         """Standard deviation of each reading (k,), as a share of ``range_std``."""
-        return self._noise_of(self.readings)
-
-    @cached_property
-    def look_noise(self) -> FloatArray:
-        """Standard deviation of each look (k,), as a share of ``range_std``."""
-        return self._noise_of(self.looks)
+        sensor = RangeSensor(1.0, self.growth)
+        return sensor.stds(self.readings.distances) / sensor.usual_std(float(self.robot.max_ranges.max()))
 
     @cached_property
     def assumed_calibration(self) -> FloatArray:
@@ -156,10 +152,6 @@ class Problem:
         for number, motion, root in self.loose:
             result[number, motion] = root @ errors[number, motion]
         return np.asarray(result)
-
-    def _noise_of(self, readings: Readings) -> FloatArray:
-        sensor = RangeSensor(1.0, self.growth)
-        return sensor.stds(readings.distances) / sensor.usual_std(float(self.robot.max_ranges.max()))
 
     def _beams_of(self, readings: Readings) -> FloatArray:
         table = np.column_stack((self.robot.beam_origins, self.robot.beam_angles))
@@ -279,15 +271,6 @@ def state_from_poses(problem: Problem, poses: FloatArray, calibration: FloatArra
         motions_between(chain, problem.axle(sizes)) for chain, sizes in zip(chains, calibration, strict=True)
     ])  # fmt: skip
     return moved(problem, motions, np.zeros((0, 2)), np.zeros((0, 2)), calibration)
-
-
-def state_from_motions(problem: Problem, calibration: FloatArray | None = None) -> State:
-    """The state without lines that follows from the reported wheel travel, and from where robots were carried.
-
-    The calibration (n, 4) is the assumed one if it is None.
-    """
-    nothing, calibration = np.zeros((0, 2)), problem.assumed_calibration if calibration is None else calibration
-    return moved(problem, problem.motions(calibration), nothing, nothing, calibration)
 
 
 def moved(

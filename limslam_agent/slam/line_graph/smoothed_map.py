@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limslam_agent.kernels.tables import BIN
+from limslam_agent.kernels.tables import BIN, THROUGH_SIGMAS, THROUGH_SLACK
 from limslam_agent.slam.consistent.wall_map import WallExtent
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.line_graph import line_kernels as kernels
@@ -22,8 +22,6 @@ _MOST_PASSED = 1.0  # beams that passed for each beam that hit, where a wall is 
 _FEWEST_SHOWN = 10  # readings of a line that is drawn
 # The least length of a drawn segment: in m, and in standard deviations of a range.
 _SHORTEST_SHOWN, _SHORTEST_IN_STDS = 0.20, 7.5
-# A beam went through a wall if it reached this far beyond it: in standard deviations of a range, and in m.
-_THROUGH_SIGMAS, _THROUGH_SLACK = 3.0, 0.05
 _CONTRADICTED = 0.01  # share of the beams that go through walls of a wrong map
 
 
@@ -61,7 +59,7 @@ def tally(problem: Problem, found: Association) -> Tally:
     misses = np.zeros_like(hits)
     crossed = kernels.count_crossings(
         state.flat_poses, looks.places, problem.look_beams, looks.distances, state.lines, state.anchors,
-        low, hits, _THROUGH_SIGMAS * problem.range_std + _THROUGH_SLACK, misses,
+        low, hits, THROUGH_SIGMAS * problem.range_std + THROUGH_SLACK, misses,
     )  # fmt: skip
     return Tally(low, hits, misses, crossed)
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.smoother_runs import state_from_motions
 
 from limslam_agent import Mapper, preset
 from limslam_agent.config.presets import with_until
@@ -19,7 +20,7 @@ from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.runs.smoothing import final_status
 from limslam_agent.slam.core.motion import OdometryCalibration
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.line_graph.problem import make_problem, state_from_motions, state_from_poses
+from limslam_agent.slam.line_graph.problem import make_problem, state_from_poses
 from limslam_agent.slam.line_graph.smoother import FilteredRun, with_breaks
 from limslam_agent.status.status import Status
 from limslam_env.geometry.se2 import compose, wrap_angle

@@ -14,6 +14,7 @@ from support.smoother_runs import (
     noisy_drive,
     noisy_run,
     position_error,
+    state_from_motions,
     true_labels,
 )
 
@@ -24,7 +25,6 @@ from limslam_agent.slam.line_graph.problem import (
     Readings,
     first_steps,
     make_problem,
-    state_from_motions,
 )
 from limslam_agent.slam.line_graph.reassociation import reassociate, solve_labels
 from limslam_agent.slam.line_graph.smoothed_map import smoothed_map, tally

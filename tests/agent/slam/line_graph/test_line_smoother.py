@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.drives import ROBOT
-from support.smoother_runs import START, WHEEL_VARIANCE, noisy_run, true_labels
+from support.smoother_runs import START, WHEEL_VARIANCE, noisy_run, state_from_motions, true_labels
 
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph import line_smoother
@@ -17,7 +17,6 @@ from limslam_agent.slam.line_graph.problem import (
     Readings,
     expected,
     make_problem,
-    state_from_motions,
     state_from_poses,
 )
 from limslam_agent.slam.line_graph.reassociation import solve_labels

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from support.smoother_runs import noisy_run, position_error, true_labels
+from support.smoother_runs import noisy_run, position_error, state_from_motions, true_labels
 
 from limslam_agent.slam.least_squares.normal_equations import DegenerateError
-from limslam_agent.slam.line_graph.problem import make_problem, state_from_motions
+from limslam_agent.slam.line_graph.problem import make_problem
 from limslam_agent.slam.line_graph.reassociation import (
     carriers,
     lines_of,
