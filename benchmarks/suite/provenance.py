@@ -1,7 +1,6 @@
 """The origin of results: versions of all packages that a metric depends on."""
 
 from collections.abc import Callable
-from importlib import metadata
 
 from benchmarks.suite.jobs import Job, Outcome
 from limslam_agent.output.provenance import version_changes
@@ -11,10 +10,7 @@ def package_versions() -> dict[str, str]:
     """Versions of all packages that a metric depends on."""
     from limslam_agent.runs.results import versions
 
-    try:
-        return {**versions(), "gtsam": metadata.version("gtsam")}
-    except metadata.PackageNotFoundError:  # only the offline optimum needs this package
-        return versions()
+    return versions()
 
 
 def work_alike(work: Callable[[Job], Outcome], expected: dict[str, str], job: Job) -> Outcome:

@@ -145,7 +145,7 @@ Ablation = Annotated[
         "none",
     ),
 ]
-Limit = Annotated[bool | None, _option(_RESULTS, "Also compute the offline optimum (needs gtsam).")]
+Limit = Annotated[bool | None, _option(_RESULTS, "Also compute the offline optimum.")]
 FilmSpeed = Annotated[
     float | None,
     _option(

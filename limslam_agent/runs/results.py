@@ -18,12 +18,12 @@ from limslam_agent.output.summary import calibration_record, place_records, reco
 from limslam_agent.output.tum import write_tum
 from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.episode import Episode
+from limslam_agent.runs.optimum import offline_optimum
 from limslam_agent.runs.oracle import explores
 from limslam_agent.runs.policy_file import short_name
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.runs.smoothing import FinalMap, final_status, mean_scores, online_map, smoothed_scores
 from limslam_agent.status.status import status_scores, worst
-from limslam_env.bounds.offline_optimum import UnreadWallsError, solve_optimum
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.metrics import metrics
@@ -171,20 +171,15 @@ def _wall_scores(
 def offline_optimum_scores(episode: Episode, ate: float | None) -> dict[str, float | None]:
     """Error of the offline optimum, m, and the ratio of an estimate's error ``ate`` (m) to it.
 
-    Both are None if there is no optimum: no wall was read, or the solver did not converge.
+    Both are None if there is no optimum, because no wall has enough readings.
     """
-    agent, true = episode.config.agent, episode.true
-    nothing: dict[str, float | None] = {"limit_ate_m": None, "ate_over_limit": None}
-    try:
-        limit = solve_optimum(
-            episode.config.robot, true, episode.wheels, episode.ranges, episode.wall_seen,
-            range_std=agent.noise.range_std, wheel_variance=agent.noise.wheel_variance, contact=episode.contact,
-        )  # fmt: skip
-    except UnreadWallsError:
-        return nothing
-    if not limit.is_converged:
-        return nothing
-    errors = np.linalg.norm(limit.poses[..., :2] - true[..., :2], axis=-1)
+    config, true = episode.config, episode.true
+    limit = offline_optimum(
+        config.robot, config.agent.noise, true, episode.wheels, episode.ranges, episode.wall_seen, episode.contact
+    )
+    if limit is None:
+        return {"limit_ate_m": None, "ate_over_limit": None}
+    errors = np.linalg.norm(limit[..., :2] - true[..., :2], axis=-1)
     best = float(np.sqrt(np.mean(errors**2, axis=0)).mean())
     return {"limit_ate_m": best, "ate_over_limit": ate / best if ate is not None and best > 0.0 else None}
 
@@ -211,7 +206,7 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
     result = {
         "metrics": score(episode), "cost": cost(episode), "config": _config(episode), "record": _record(episode),
         "closures": [asdict(closure) for closure in episode.closures],
-        "versions": {**versions(), **({"gtsam": version("gtsam")} if episode.config.limit else {})},
+        "versions": versions(),
         "seed": episode.config.seed,
     }  # fmt: skip
     write_json(folder / "result.json", result)

@@ -10,7 +10,6 @@ from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.places.saved_map import read_saved_map
 from limslam_agent.policies.frontier_policy import least_reach, short_reach
 from limslam_agent.runs.oracle import check_policy, needs_loop
-from limslam_env.bounds.offline_optimum import require_gtsam
 from limslam_env.config import NoiseConfig
 from limslam_env.envs.adapter import MAX_ROBOTS
 from limslam_env.interface import NominalNoise, RobotSpec
@@ -55,7 +54,7 @@ class RunConfig:
         estimators listen: ``tour`` drives around the world's loop, or without a loop past everything that can be seen
         and back, and ``oracle`` drives past everything as fast as possible.
     limit
-        Whether to also compare the run with the offline optimum of its log, which needs gtsam.
+        Whether to also compare the run with the offline optimum of its log.
     settings
         The agent's settings before the ablation. The preset's settings by default.
     until
@@ -76,8 +75,8 @@ class RunConfig:
     Raises
     ------
     ValueError
-        If a number is out of bounds, a preset or policy does not exist, the settings do not go together, the world
-        cannot be used or has no loop to drive laps on, or gtsam is missing for the offline optimum.
+        If a number is out of bounds, a preset or policy does not exist, the settings do not go together, or the
+        world cannot be used or has no loop to drive laps on.
     """
 
     world: WorldSource = "env1"
@@ -101,8 +100,6 @@ class RunConfig:
 
     def __post_init__(self) -> None:
         _ = self.agent
-        if self.limit:
-            require_gtsam()
         if not 1 <= self.robots <= MAX_ROBOTS:
             raise ValueError(f"there can be 1 to {MAX_ROBOTS} robots, not {self.robots}")
         if not 0.0 < self.max_time <= LONGEST_TIME:

@@ -11,11 +11,10 @@ from support.smoother_runs import START, WHEEL_VARIANCE, noisy_run, state_from_m
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph import line_smoother
 from limslam_agent.slam.line_graph.factors import drive, expected_readings, motion_jacobians, motions_between
-from limslam_agent.slam.line_graph.line_smoother import chi_square, pose_columns, solve
+from limslam_agent.slam.line_graph.line_smoother import pose_columns, solve
 from limslam_agent.slam.line_graph.problem import (
     CALIBRATION_PRIOR,
     Readings,
-    expected,
     make_problem,
     state_from_poses,
 )
@@ -87,28 +86,6 @@ def block(request, monkeypatch):
     """Poses of a block of the elimination: every pose remains, some remain, only the last one remains."""
     monkeypatch.setattr(line_smoother, "_BLOCK", request.param)
     return request.param
-
-
-@pytest.mark.usefixtures("block")
-def test_the_optimum_is_that_of_gtsam():
-    pytest.importorskip("gtsam")
-    from limslam_env.bounds.offline_optimum import solve_optimum
-
-    problem, poses = noisy_run(3)
-    labels = true_labels(problem, poses)
-    ours = solve(problem, smoothed(problem, poses).state, labels)
-    walls = np.full((problem.steps, 1, len(ROBOT.beams)), -1)
-    ranges = np.full(walls.shape, 1.5)
-    at = problem.readings.places, 0, problem.readings.beams
-    walls[at], ranges[at] = labels, problem.readings.distances
-    wheels = np.concatenate((np.zeros((1, 1, 2)), np.moveaxis(problem.wheels[..., :2], 0, 1)))
-    limit = solve_optimum(
-        ROBOT, np.moveaxis(poses, 0, 1), wheels, ranges, walls, range_std=0.02, wheel_variance=WHEEL_VARIANCE
-    )  # fmt: skip
-    assert limit.is_converged
-    assert np.abs(ours.state.poses[0, :, :2] - limit.poses[:, 0, :2]).max() < 3e-5
-    readings = expected(problem, ours.state, labels)
-    assert chi_square(problem, ours.state, readings, ours.weights) == pytest.approx(limit.chi_square, rel=1e-4)
 
 
 @pytest.mark.usefixtures("block")

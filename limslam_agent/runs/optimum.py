@@ -1,0 +1,73 @@
+"""The offline optimum of a run: the best estimate of its path, given which wall each beam truly hit.
+
+All poses and all wall lines are estimated together by least squares, as the line smoother does it, but nothing is left
+to be associated, and contact is known. Nothing else of the truth is used: neither where the walls are, nor which of
+them are parallel. The ratio of an estimator's error to the error of this optimum shows how much the estimator loses.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from limslam_agent.slam.least_squares.normal_equations import DegenerateError
+from limslam_agent.slam.line_graph.problem import Problem, make_problem, state_from_poses
+from limslam_agent.slam.line_graph.reassociation import solve_again, solve_labels
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.interface import NominalNoise, RobotSpec
+
+_CONVERGED, _MOST_SOLUTIONS = 1e-5, 10  # m or rad
+
+
+def offline_optimum(
+    robot: RobotSpec,
+    noise: NominalNoise,
+    true: FloatArray,
+    wheels: FloatArray,
+    ranges: FloatArray,
+    wall_seen: IntArray,
+    contact: BoolArray,
+) -> FloatArray | None:
+    """The poses (t, n, 3) of n robots with the least sum of squared residuals, m and rad.
+
+    Readings that hit nothing or another robot, repeated readings of slow sensors, readings at grazing angles, and walls
+    with few readings are left out.
+
+    Parameters
+    ----------
+    robot, noise
+        Body and beams of each robot, and the noise that is assumed; 5 mm of a range where it is less.
+    true
+        Poses (t, n, 3), m and rad, from which the iteration begins. The first row is the known start.
+    wheels, ranges, wall_seen
+        (t, n, 2), m, (t, n, n_beams), m, and (t, n, n_beams): the log, row 0 the moment of the reset, and the wall that
+        each beam truly hit (-1 nothing, -2 a robot).
+    contact
+        (t, n), in which rows a robot touches something. In these rows the wheels slip, and their travel only bounds
+        the motion.
+
+    Returns
+    -------
+    poses
+        Or None, if no wall has enough readings.
+    """
+    problem = _with_contact(make_problem(robot, noise, true[0], wheels, ranges, wall_seen >= 0), contact)
+    steps = len(true)
+    number, step = np.divmod(problem.readings.places, steps)
+    walls = wall_seen[step, number, problem.readings.beams]
+    try:
+        found = solve_labels(problem, state_from_poses(problem, true), walls)
+        # A solution ends before it has converged to the last digit, and finds grazing readings by the poses before it.
+        for _ in range(_MOST_SOLUTIONS):
+            before = found.state.poses
+            found = solve_again(problem, found.state, found.labels)
+            if np.abs(found.state.poses - before).max() < _CONVERGED:
+                break
+    except DegenerateError:
+        return None
+    return np.moveaxis(found.state.poses, 0, 1)
+
+
+def _with_contact(problem: Problem, contact: BoolArray) -> Problem:
+    stds, farthest = problem.stds, np.abs(problem.wheels[..., :2]).max(axis=-1, keepdims=True)
+    touching = np.moveaxis(contact, 0, 1)[:, 1:, None]
+    return replace(problem, stds=np.where(touching, np.maximum(stds, farthest), stds), loose=())
