@@ -12,19 +12,15 @@ def texts(language):
     return [block.text for block in blocks(README) if block.language == language]
 
 
-def test_the_python_examples_explore_env1_and_score_a_policy(capsys):
-    namespace = {"__name__": "__main__"}
-    for block in blocks(README):
-        if block.language == "python":
-            block.run_python(namespace)
-    explored, scored = capsys.readouterr().out.splitlines()
-    share, seconds, walls = re.fullmatch(r"(\d+)% seen after (\d+) s, (\d+) walls", explored).groups()
+def test_the_python_example_explores_env1(capsys):
+    (block,) = [block for block in blocks(README) if block.language == "python"]
+    block.run_python({"__name__": "__main__"})
+    share, seconds, walls = re.fullmatch(
+        r"(\d+)% seen after (\d+) s, (\d+) walls", capsys.readouterr().out.strip()
+    ).groups()
     assert int(share) >= 95
     assert int(seconds) < 600
     assert int(walls) >= 16
-    share, error = re.fullmatch(r"(\d+)% seen, ([\d.]+) m off", scored).groups()
-    assert 5 < int(share) < 95
-    assert float(error) < 1.0
 
 
 def test_the_two_commands_make_all_that_they_need():
@@ -37,7 +33,9 @@ def test_the_two_commands_make_all_that_they_need():
 
 
 def test_it_can_be_read_in_one_go():
-    assert len(README.read_text(encoding="utf-8").splitlines()) <= 120
+    text = README.read_text(encoding="utf-8")
+    assert len(text.split()) <= 620
+    assert len(text.split("```sh")[0].split()) <= 80
 
 
 def test_nothing_was_left_to_be_filled_in():
