@@ -17,7 +17,7 @@ from scipy import ndimage
 
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.worlds.formats.outlines import outlines_of
-from limslam_env.worlds.formats.png import read_picture
+from limslam_env.worlds.formats.pictures import read_picture
 from limslam_env.worlds.world import World, WorldError, named
 
 START_GREY, FREE_ABOVE = 208, 150

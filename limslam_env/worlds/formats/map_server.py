@@ -12,15 +12,13 @@ import yaml
 
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.worlds.formats.outlines import outlines_of
-from limslam_env.worlds.formats.pgm import read_pgm
-from limslam_env.worlds.formats.png import read_png
+from limslam_env.worlds.formats.pictures import read_levels
 from limslam_env.worlds.formats.text_files import read_text
 from limslam_env.worlds.world import World, WorldError, named
 
 FINEST, COARSEST = 0.001, 10.0
 """Smallest and largest side of a cell, m."""
 
-_PICTURES = {".pgm": read_pgm, ".png": read_png}
 _YAML_BYTES = 100_000  # a map's YAML has six lines, and PyYAML takes its time
 _YAML_DEPTH = 2  # a table, and the origin's three numbers in it
 _KEYS = ("image", "resolution", "origin", "negate", "occupied_thresh", "free_thresh")
@@ -68,10 +66,7 @@ def read_map_server(path: str | os.PathLike[str]) -> World:
     with named(path):
         info = _info(read_text(path, _YAML_BYTES))
         with named(f"image {info.image!r}"):
-            read = _PICTURES.get(Path(info.image).suffix.lower())
-            if read is None:
-                raise WorldError("not a .pgm or .png file")
-            samples, largest = read(path.parent / info.image)
+            samples, largest = read_levels(path.parent / info.image)
         # The shade of each level: 0 for white, which is free, and 1 for black.
         shade = np.arange(largest + 1) / largest if info.negate else np.arange(largest, -1, -1) / largest
         # A file's name may hold bytes that are no text.

@@ -11,7 +11,7 @@ from scipy import ndimage
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.segment import sample
 from limslam_env.worlds.formats.map_server import COARSEST, FINEST
-from limslam_env.worlds.formats.pgm import MAX_PIXELS
+from limslam_env.worlds.formats.pictures import MAX_PIXELS
 from limslam_env.worlds.formats.text_files import replace_file
 from limslam_env.worlds.free_space import block_inside
 from limslam_env.worlds.world import World, WorldError

@@ -12,7 +12,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from limslam_env.geometry.segment import distances, sample
-from limslam_env.worlds.formats import pgm
+from limslam_env.worlds.formats import pictures
 from limslam_env.worlds.formats.loading import load_world, shipped_worlds
 from limslam_env.worlds.formats.toml import parse_world, world_toml
 from limslam_env.worlds.formats.writing import write_world
@@ -202,7 +202,7 @@ class TestRefused:
             write_world(large, tmp_path / "m.yaml", 0.001)
         # What is written just can be read.
         monkeypatch.setattr("limslam_env.worlds.formats.map_server_writer.MAX_PIXELS", 19 * 19)
-        monkeypatch.setattr(pgm, "MAX_PIXELS", 19 * 19)
+        monkeypatch.setattr(pictures, "MAX_PIXELS", 19 * 19)
         write_world(box_world(), tmp_path / "m.yaml", 0.1)
         load_world(tmp_path / "m.yaml")
         with pytest.raises(WorldError, match="20 x 20 cells"):

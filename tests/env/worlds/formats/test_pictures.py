@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from limslam_env.worlds.formats.loading import load_world
-from limslam_env.worlds.formats.png import read_png
+from limslam_env.worlds.formats.pictures import read_levels
 from limslam_env.worlds.world import WorldError
 
 ABOUT = "image: {}\nresolution: 0.1\norigin: [0.0, 0.0, 0.0]\nnegate: {}\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
@@ -88,4 +88,4 @@ def test_damaged_pictures_are_refused(tmp_path):
     for cut in (0, 5, 20, 40, len(whole) // 2):
         assert "cannot be read" in refusal(tmp_path, whole[:cut])
     with pytest.raises(WorldError):
-        read_png(tmp_path / "missing.png")
+        read_levels(tmp_path / "missing.png")

@@ -1,4 +1,4 @@
-"""Pictures in the PNG format, which many maps of map_server are made of."""
+"""Pictures in the formats PGM and PNG, which maps of map_server are made of."""
 
 import io
 import warnings
@@ -10,18 +10,20 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, UnidentifiedImageError
 
-from limslam_env.worlds.formats.pgm import MAX_PIXELS
 from limslam_env.worlds.formats.text_files import read_bytes
 from limslam_env.worlds.world import WorldError
 
+MAX_PIXELS = 36_000_000
+
+_FORMATS = {".pgm": "PPM", ".png": "PNG"}  # Pillow's name of a family of formats, PGM among them
 _MAX_FILE_BYTES = 256_000_000
 _GREY_16_BIT = ("I;16", "I;16B", "I")
 
 _Content = TypeVar("_Content")
 
 
-def read_png(path: Path) -> tuple[NDArray[np.integer[Any]], int]:
-    """Read a PNG file. The level of a coloured pixel is the sum of its three colours; transparency is not used.
+def read_levels(path: Path) -> tuple[NDArray[np.integer[Any]], int]:
+    """Read a picture. The level of a coloured pixel is the sum of its three colours; transparency is not used.
 
     Returns
     -------
@@ -33,30 +35,37 @@ def read_png(path: Path) -> tuple[NDArray[np.integer[Any]], int]:
     Raises
     ------
     WorldError
-        If it is no PNG file, is damaged, or has too many pixels.
+        If it is no PGM or PNG file, is damaged, or has too many pixels.
     """
     return read_picture(path, _levels)
 
 
 def read_picture(path: Path, read: Callable[[Image.Image], _Content]) -> _Content:
-    """What ``read`` makes of the picture in a PNG file.
+    """What ``read`` makes of the picture in a PGM or PNG file.
 
     Raises
     ------
     WorldError
-        If it is no PNG file, is damaged, or has too many pixels.
+        If it is no such file, is damaged, or has too many pixels.
     """
+    suffix = path.suffix.lower()
+    if suffix not in _FORMATS:
+        raise WorldError("not a .pgm or .png file")
     content = read_bytes(path, _MAX_FILE_BYTES)
     try:
         # Pillow warns about very large pictures, which are refused here.
-        with warnings.catch_warnings(action="ignore"), Image.open(io.BytesIO(content), formats=["PNG"]) as image:
+        with (
+            warnings.catch_warnings(action="ignore"),
+            Image.open(io.BytesIO(content), formats=[_FORMATS[suffix]]) as image,
+        ):
             _check_size(*image.size)
             return read(image)
     # Damaged pictures raise errors of many types: SyntaxError, struct.error, zlib.error and others.
     except Exception as error:
         if isinstance(error, WorldError):
             raise
-        reason = "it is no PNG file" if isinstance(error, UnidentifiedImageError) else str(error)
+        is_other = isinstance(error, UnidentifiedImageError)
+        reason = f"it is no {suffix[1:].upper()} file" if is_other else " ".join(str(error).split())
         raise WorldError(f"cannot be read: {reason}") from error
 
 
