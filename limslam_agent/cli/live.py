@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import typer
 
 from limslam_agent.cli import options as take
-from limslam_agent.cli.settings import Given, LiveOptions, robot_named, write_live_settings
+from limslam_agent.cli.options import LiveOptions, takes
+from limslam_agent.cli.settings import Given, robot_named, write_live_settings
 from limslam_agent.cli.terminal import progress_bar, warn
 
 if TYPE_CHECKING:
@@ -20,30 +21,17 @@ if TYPE_CHECKING:
     from limslam_env.interface import RobotSpec
 
 
+@takes(LiveOptions)
 def live(
-    serial: take.Serial = None,
-    baud: take.Baud = None,
-    udp: take.Udp = None,
-    ros2: take.Ros2 = None,
     robot: take.LiveRobot = None,
-    patience: take.Patience = None,
-    max_time: take.LiveTime = None,
-    noise: take.AssumedNoise = None,
-    preset: take.RunPreset = None,
-    policy: take.LivePolicy = None,
-    until: take.Until = None,
-    watch: take.Watch = None,
-    out: take.Out = None,
-    force: take.Force = None,
     config: take.Config = None,
     ros_arguments: take.RosArguments = None,
+    **told: Any,
 ) -> None:
     """Explore with a live robot, and draw its map. Ctrl-C stops the robot and draws the map of what it has seen."""
-    arguments = locals()
     from limslam_agent.runs.oracle import check_belief_policy
 
-    ros_arguments = arguments.pop("ros_arguments") or []
-    given = Given.read(arguments.pop("config"), arguments)
+    given = Given.read(config, {**told, "robot": robot})
     options = given.merged(LiveOptions(), ("agent", "robot"))
     ways = {"--serial": options.serial is not None, "--udp": options.udp is not None, "--ros2": options.ros2}
     places = [name for name, is_given in ways.items() if is_given]
@@ -57,7 +45,7 @@ def live(
     agent = _agent_config(given, options)
     check_belief_policy(options.policy)
     warn(given.warnings(options.preset))
-    with _wired(options, given.replay_robot(), ros_arguments) as wired:
+    with _wired(options, given.replay_robot(), ros_arguments or []) as wired:
         carry_out(options, agent, wired)
 
 
@@ -185,7 +173,7 @@ def _agent_config(given: Given, options: LiveOptions) -> "AgentConfig":
     from limslam_env.interface import NominalNoise
 
     base = with_until(preset(options.preset, NominalNoise(options.noise)), options.until)
-    return given.agent(base, given.table.get("preset", options.preset))
+    return given.agent(base)
 
 
 @contextmanager

@@ -60,6 +60,12 @@ class Recorder:
         The mapper. Of steps that it has made before, nothing is known.
     steps
         Number of steps that will come, or at least their largest number.
+
+    Attributes
+    ----------
+    events
+        What has happened, each with its ``kind`` and its ``row``, the number of the step. Complete once the step is
+        noted.
     """
 
     def __init__(self, mapper: Mapper, steps: int) -> None:
@@ -69,7 +75,7 @@ class Recorder:
         beams = len(mapper.robot.beams)
         self._beams = np.unique(np.linspace(0, beams - 1, min(beams, MOST_BEAMS)).round().astype(int))
         self._row, self._frame_rows = 0, list[int]()
-        self._events: list[Event] = []
+        self.events: list[Event] = []
         self._columns: dict[str, list[Any]] = {
             name: [] for name in ("pose", "cov", "odometry", "level", "reason", "ranges", "landmarks", "buffers")
         } | {name: [] for name in ("map_index", "plan_index", "frontier_index", "goal")}
@@ -182,7 +188,7 @@ class Recorder:
             "limits": self._mapper.slam.association_limits, "reasons": list(self._reasons),
             "frontiers": self._frontiers,
             "merges": isinstance(mapper.config.estimator, ConsistentConfig),
-            "events": [self._dated(event) for event in self._events],
+            "events": [self._dated(event) for event in self.events],
         }  # fmt: skip
 
     def _dated(self, event: Event) -> Event:
@@ -201,8 +207,8 @@ class Recorder:
 
     def mark(self, row: int, kind: str, words: str) -> None:
         """Add an event of a step that the mapper does not know, such as that the robot was carried away."""
-        self._events.append({"row": row, "kind": kind, "words": words})
-        self._events.sort(key=lambda event: int(event["row"]))
+        self.events.append({"row": row, "kind": kind, "words": words})
+        self.events.sort(key=lambda event: int(event["row"]))
 
     def _listen(self) -> None:
         """Keep the associations of the present map, and listen to its SLAM: another frame has another one.
@@ -252,7 +258,7 @@ class Recorder:
 
     def _add(self, event: Event) -> Event:
         event["row"] = self._row
-        self._events.append(event)
+        self.events.append(event)
         return event
 
     def _look_at(self, slam: LineSlam) -> None:

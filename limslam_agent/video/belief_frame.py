@@ -145,6 +145,8 @@ class BeliefFrame:
         Centres of the frontier cells (m, 2).
     plans, goals
         Each robot's planned path (p, 2) and its goal (2,) or None.
+    new_goals
+        Robots that have got another goal since the previous frame.
     paths
         Positions (q, 2) of each robot so far, as it estimated them.
     buffers
@@ -176,6 +178,7 @@ class BeliefFrame:
     frontier: FloatArray = field(default_factory=lambda: no_rows(2))
     plans: Sequence[FloatArray] = ()
     goals: Sequence[FloatArray | None] = ()
+    new_goals: Sequence[int] = ()
     paths: Sequence[FloatArray] = ()
     buffers: Sequence[BufferView] = ()
     hough: HoughView | None = None
