@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import typer
 
@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from limslam_agent.agent import LimSlamAgent
     from limslam_agent.config.presets import AgentConfig
     from limslam_agent.live.protocol import Hello
-    from limslam_agent.live.session import Connection, Session
-    from limslam_agent.policies.policy import Policy
+    from limslam_agent.live.session import Session, Wired
     from limslam_env.interface import RobotSpec
 
 
@@ -49,88 +48,7 @@ def live(
         carry_out(options, agent, wired)
 
 
-class Wired(Protocol):
-    """A robot that is connected.
-
-    Attributes
-    ----------
-    place
-        Where the robot is, in words.
-    """
-
-    place: str
-
-    @property
-    def link(self) -> "Connection":
-        """The connection."""
-        ...
-
-    def robot(self, hello: "Hello") -> "RobotSpec":
-        """The description of the robot that has said hello. Raises a ValueError if it cannot be driven."""
-        ...
-
-    def policy(self, policy: "Policy | None", config: "AgentConfig", robot: "RobotSpec") -> "Policy | None":
-        """The policy that drives, from the one that was asked for; None is that of the agent itself."""
-        ...
-
-    def watch(self, session: "Session") -> None:
-        """Called after each decision."""
-        ...
-
-    def obey(self, session: "Session") -> None:
-        """Called before each decision, and again and again while the robot is silent."""
-        ...
-
-
-class WiredByLines:
-    """A robot that speaks the line protocol.
-
-    Parameters
-    ----------
-    link
-        The connection.
-    place
-        Where the robot is, in words.
-    described
-        Description of the robot. None if a shipped robot has the robot's name.
-    """
-
-    def __init__(self, link: "Connection", place: str, described: "RobotSpec | None") -> None:
-        self.link, self.place, self._described = link, place, described
-
-    def robot(self, hello: "Hello") -> "RobotSpec":
-        """The robot of ``--robot``, else the shipped robot that it says it is.
-
-        Raises
-        ------
-        ValueError
-            If there is no such robot, or it has another number of beams.
-        """
-        from limslam_env.robots import ROBOTS
-
-        described = self._described
-        if described is None and hello.name not in ROBOTS:
-            raise ValueError(f"no shipped robot is called {hello.name!r}: describe the robot in a file for --robot")
-        robot = described or robot_named(hello.name)
-        if len(robot.beams) != hello.beams:
-            raise ValueError(
-                f"the robot {hello.name} has {hello.beams} beams, but its description has {len(robot.beams)}"
-            )
-        return robot
-
-    def policy(self, policy: "Policy | None", config: "AgentConfig", robot: "RobotSpec") -> "Policy | None":
-        """The policy that was asked for."""
-        del config, robot
-        return policy
-
-    def watch(self, session: "Session") -> None:
-        """Do nothing."""
-
-    def obey(self, session: "Session") -> None:
-        """Do nothing: a robot gives no orders."""
-
-
-def carry_out(options: LiveOptions, config: "AgentConfig", wired: Wired) -> None:
+def carry_out(options: LiveOptions, config: "AgentConfig", wired: "Wired") -> None:
     """Drive a robot, write the folder of the session, and print its summary.
 
     Raises
@@ -139,9 +57,11 @@ def carry_out(options: LiveOptions, config: "AgentConfig", wired: Wired) -> None
         If no robot answers, the robot cannot be driven, or the folder cannot be written.
     """
     from limslam_agent.live.folder import session_lines, write_session
+    from limslam_agent.live.link import NoRobotError
     from limslam_agent.live.recording import Recording, kept
-    from limslam_agent.live.session import NoRobotError, Session
+    from limslam_agent.live.session import Session
     from limslam_agent.output.run_folder import new_folder
+    from limslam_agent.runs.policy_file import naming_lines_of
     from limslam_agent.runs.results import versions
     from limslam_env.messages import printable
 
@@ -156,7 +76,8 @@ def carry_out(options: LiveOptions, config: "AgentConfig", wired: Wired) -> None
             agent = _agent(options, config, recording.robot, wired)
             with _display(options, agent, wired, save_if_due) as watch:
                 session = Session(wired.link, hello, agent, recording, watch, wired.obey)
-                reason = _driven(session, options)
+                with naming_lines_of(options.policy):
+                    reason = session.drive(options.max_time, options.patience)
             if not len(recording):
                 raise NoRobotError(f"the robot {hello.name} has said hello, but has sent no telemetry that fits it")
             typer.echo("smoothing   and writing the map", err=True)
@@ -185,15 +106,35 @@ def _wired(options: LiveOptions, described: "RobotSpec | None", ros_arguments: S
         with wired_by_ros(described, ros_arguments) as robot:
             yield robot
         return
-    from limslam_agent.live.session import Link
+    from limslam_agent.live.link import Link
+    from limslam_agent.live.session import Wired
     from limslam_agent.live.transports import SerialTransport, UdpTransport
 
     port = options.serial
     with closing(UdpTransport(options.udp or 0) if port is None else SerialTransport(port, options.baud)) as transport:
-        yield WiredByLines(Link(transport), f"at {port or f'UDP port {options.udp}'}", described)
+        place = f"at {port or f'UDP port {options.udp}'}"
+        yield Wired(Link(transport), place, lambda hello: _robot_of(hello, described))
 
 
-def _agent(options: LiveOptions, config: "AgentConfig", robot: "RobotSpec", wired: Wired) -> "LimSlamAgent":
+def _robot_of(hello: "Hello", described: "RobotSpec | None") -> "RobotSpec":
+    """The robot of ``--robot``, else the shipped robot that it says it is.
+
+    Raises
+    ------
+    ValueError
+        If there is no such robot, or it has another number of beams.
+    """
+    from limslam_env.robots import ROBOTS
+
+    if described is None and hello.name not in ROBOTS:
+        raise ValueError(f"no shipped robot is called {hello.name!r}: describe the robot in a file for --robot")
+    robot = described or robot_named(hello.name)
+    if len(robot.beams) != hello.beams:
+        raise ValueError(f"the robot {hello.name} has {hello.beams} beams, but its description has {len(robot.beams)}")
+    return robot
+
+
+def _agent(options: LiveOptions, config: "AgentConfig", robot: "RobotSpec", wired: "Wired") -> "LimSlamAgent":
     from limslam_agent.agent import LimSlamAgent
     from limslam_agent.runs.oracle import policies_by_belief
 
@@ -201,15 +142,8 @@ def _agent(options: LiveOptions, config: "AgentConfig", robot: "RobotSpec", wire
     return LimSlamAgent(robot, config, wired.policy(policies[0] if policies else None, config, robot))
 
 
-def _driven(session: "Session", options: LiveOptions) -> str:
-    from limslam_agent.runs.policy_file import naming_lines_of
-
-    with naming_lines_of(options.policy):
-        return session.drive(options.max_time, options.patience)
-
-
 @contextmanager
-def _display(options: LiveOptions, agent: "LimSlamAgent", wired: Wired, save_if_due: Any) -> "Iterator[Any]":
+def _display(options: LiveOptions, agent: "LimSlamAgent", wired: "Wired", save_if_due: Any) -> "Iterator[Any]":
     """The progress bar of a session, whose function is called after each decision."""
     with progress_bar("driving", options.max_time) as advance, _watched(options, agent, wired) as follow:
 
@@ -226,7 +160,7 @@ def _display(options: LiveOptions, agent: "LimSlamAgent", wired: Wired, save_if_
 
 
 @contextmanager
-def _watched(options: LiveOptions, agent: "LimSlamAgent", wired: Wired) -> "Iterator[Callable[[float], None]]":
+def _watched(options: LiveOptions, agent: "LimSlamAgent", wired: "Wired") -> "Iterator[Callable[[float], None]]":
     """What is called after each decision with the time, s, so that a browser can show the session."""
     if not options.watch:
         yield lambda _: None

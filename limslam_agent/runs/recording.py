@@ -53,7 +53,7 @@ class FilmedRun:
         slam, snapshot = team.slam, team.snapshot()
         marks, grid = slam.all_landmarks, snapshot.grid
         confirmed = {mark.number for mark in snapshot.landmarks}
-        events, self._shown = recorder.events[self._shown :], len(recorder.events)
+        events, self._shown = recorder.log.events[self._shown :], len(recorder.log.events)
         for event in events:
             if event["kind"] == "hough" and event["side"] != "none":
                 self._hough = _hough(event, event["row"] * slam.robot.control_period)

@@ -1,12 +1,14 @@
 """The parameters of the node, as users of ROS set them: ``-p NAME:=VALUE``."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any, Self
+from array import array
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
+from limslam_agent.config.tables import updated
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec, SensorSpec
 
@@ -73,7 +75,7 @@ class Parameters:
             raise ValueError("the parameter scan_mount must be three numbers: x (m), y (m), heading (deg)")
 
     @classmethod
-    def of(cls, values: Mapping[str, Any]) -> Self:
+    def of(cls, values: Mapping[str, Any]) -> "Parameters":
         """The parameters from the values of a node. Names that are missing keep their defaults.
 
         Raises
@@ -81,12 +83,9 @@ class Parameters:
         ValueError
             If there is no such parameter, or a value cannot be used.
         """
-        defaults = {field.name: field.default for field in fields(cls)}
-        unknown = sorted(set(values) - set(defaults))
-        if unknown:
-            raise ValueError(f"there is no parameter {unknown[0]}; there are {', '.join(defaults)}")
-        found: dict[str, Any] = {name: _checked(name, value, defaults[name]) for name, value in values.items()}
-        return cls(**found)
+        # ROS has arrays of numbers where a file of settings has lists.
+        told = {name: list(value) if isinstance(value, array) else value for name, value in values.items()}
+        return updated(cls(), told, "the parameters of the node")
 
     @property
     def mount(self) -> FloatArray:
@@ -111,15 +110,3 @@ class Parameters:
         if self.range_topics and len(self.range_topics) != len(beams):
             raise ValueError(f"range_topics has {len(self.range_topics)} topics, but the robot has {len(beams)} beams")
         return replace(described, beams=beams)
-
-
-def _checked(name: str, value: Any, default: Any) -> Any:
-    """A value of the type that a parameter has."""
-    if isinstance(default, tuple) and not isinstance(value, str) and isinstance(value, Sequence):
-        kind: type[str | float] = str if name == "range_topics" else float
-        return tuple(_checked(name, each, kind()) for each in value)
-    is_number = isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool)
-    if is_number or type(value) is type(default):
-        return type(default)(value)
-    words = {bool: "true or false", float: "a number", str: "a text", tuple: "a list"}[type(default)]
-    raise ValueError(f"the parameter {name} must be {words}, not {value!r}")

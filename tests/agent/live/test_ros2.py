@@ -14,6 +14,7 @@ from support.command_line import call
 
 from limslam_agent.cli.main import app, main
 from limslam_agent.grid.occupancy import GridView
+from limslam_agent.live.link import NoRobotError
 from limslam_agent.live.protocol import NOTHING_SEEN, Heartbeat, Hello, Speeds, Stop
 from limslam_agent.live.recording import Recording
 from limslam_agent.live.ros2.link import ODOMETRY, Event, RosLink
@@ -23,7 +24,6 @@ from limslam_agent.live.ros2.outputs import ros_grid
 from limslam_agent.live.ros2.parameters import Parameters
 from limslam_agent.live.ros2.sensors import RangeSensors, Reading, ScanSensors, in_mm
 from limslam_agent.live.ros2.synchroniser import MOST_WAITING, Synchroniser
-from limslam_agent.live.session import NoRobotError
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc
 from limslam_env.interface import RobotSpec, beams_on_rim
 
@@ -310,12 +310,12 @@ def test_what_is_silent_is_named(moments, words):
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"range_topic": ["a"]}, "there is no parameter range_topic; there are range_topics, scan_mount, "),
-        ({"period": "fast"}, "the parameter period must be a number, not 'fast'"),
-        ({"period": True}, "the parameter period must be a number, not True"),
-        ({"explore": 1}, "the parameter explore must be true or false, not 1"),
-        ({"range_topics": "a"}, "the parameter range_topics must be a list, not 'a'"),
-        ({"beams_deg": ["left"]}, "the parameter beams_deg must be a number, not 'left'"),
+        ({"range_topic": ["a"]}, "range_topic: there is no such setting; there are range_topics, scan_mount, "),
+        ({"period": "fast"}, "the parameters of the node: period: must be a number, not 'fast'"),
+        ({"explore": 1}, "explore: must be true or false, not 1"),
+        ({"range_topics": "a"}, "range_topics: must be a list, not 'a'"),
+        ({"watchdog": 0.0}, "watchdog must be from 0.05 to 60 s, not 0"),
+        ({"beams_deg": ["left"]}, "must be a number, not 'left'"),
     ],
 )
 def test_parameters_of_another_name_or_type_are_refused(values, words):

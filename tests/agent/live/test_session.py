@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from support.live import Faults, Wire, emulated, session_with
 
+from limslam_agent.live.link import NoRobotError
 from limslam_agent.live.protocol import Greeting, Heartbeat, Speeds, Stop, decode
 from limslam_agent.live.recording import kept
-from limslam_agent.live.session import BY_HAND, OUT_OF_TIME, NoRobotError
+from limslam_agent.live.session import BY_HAND, OUT_OF_TIME
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.replay.replay import replay_log
 from limslam_env.geometry.se2 import between
