@@ -10,7 +10,6 @@ from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.frontier import group_places, sight_begins
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.grid.planner import wall_distance
-from limslam_agent.policies.collision_guard import CollisionGuard
 from limslam_agent.policies.controller import (
     BACK_STEPS,
     PATIENCE,
@@ -94,37 +93,22 @@ class FrontierPolicy(MapExplorer):
         Body and settings. Those of the paper's robot and the default settings if left out.
     index
         The robot's place in its team. Of two robots that meet, the one with the higher index waits.
-
-    Attributes
-    ----------
-    robot
-        The robot that the policy drives.
-    stop_reason
-        Why there is nothing left to explore, in words. None while the policy is active.
-    plan
-        Path to the present goal (k, 2), m.
     """
 
     def __init__(self, robot: RobotSpec | None = None, config: PolicyConfig | None = None, index: int = 0) -> None:
-        robot = robot or RobotSpec()
-        config = config or PolicyConfig()
-        self.robot, self._config = robot, config
+        robot, self._config = robot or RobotSpec(), config or PolicyConfig()
         self._right_of_way = RightOfWay(index, robot)
         self._step = 0
         self._wall_follower: WallFollower | None = None
-        super().__init__()
+        super().__init__(robot)
 
     def _forget_map(self) -> None:
         self._memory = GoalMemory(_ASIDE_STEPS)
         self._rounds = 0  # number of rounds on the spot
 
     def _plan_anew(self) -> None:
-        robot, config = self.robot, self._config
-        self.stop_reason: str | None = None
-        self.plan: FloatArray = NO_PLAN
         self._pursuit: _Pursuit | None = None
-        self._excursion = Excursion(robot, config)
-        self._collision_guard = CollisionGuard(robot)
+        self._excursion = Excursion(self.robot, self._config)
         self._until_plan = self._backing = self._turning = 0
         # Number of steps without progress towards any goal, and largest number of known cells so far.
         self._idle = self._known = 0
@@ -138,20 +122,6 @@ class FrontierPolicy(MapExplorer):
     def frontier_size(self) -> int | None:
         """Number of cells of the frontier that the robot drives to, or None."""
         return None if self._pursuit is None else len(self._pursuit.target.group)
-
-    def act(self, belief: Belief) -> FloatArray:
-        """Wheel speeds (2,) towards the present goal. Zero after the policy has stopped."""
-        self._step += 1
-        self.enter(belief)
-        if self.stop_reason is not None:
-            return np.zeros(2)
-        if self._step == 1 and self.robot.reach < least_reach(self.robot, belief.grid.cell):
-            self._wall_follower = WallFollower(self.robot, self._config)
-        if self._wall_follower is not None:
-            return self._follow_walls(belief, self._wall_follower)
-        self._collision_guard.add_readings(belief.pose, belief.ranges)
-        self._excursion.observe(belief)
-        return self._collision_guard.limit_speed(belief.pose, self._wheels(belief))
 
     def resume(self, belief: Belief) -> bool:
         """Explore again, after the policy has stopped, if there is a frontier that can be reached; whether there is."""
@@ -170,7 +140,12 @@ class FrontierPolicy(MapExplorer):
         return wheels
 
     def _wheels(self, belief: Belief) -> FloatArray:
-        """Wheel speeds (2,) of the plan, before the collision guard limits them."""
+        self._step += 1
+        if self._step == 1 and self.robot.reach < least_reach(self.robot, belief.grid.cell):
+            self._wall_follower = WallFollower(self.robot, self._config)
+        if self._wall_follower is not None:
+            return self._follow_walls(belief, self._wall_follower)
+        self._excursion.observe(belief)
         if self._backing > 0:
             self._backing -= 1
             return back_off(belief.pose, belief.grid, self.robot, self._config.speed)

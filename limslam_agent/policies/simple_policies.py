@@ -1,6 +1,7 @@
 """Policies without a planner: laps of a known loop, wall following, and a random walk."""
 
 import math
+from abc import abstractmethod
 from typing import Literal
 
 import numpy as np
@@ -8,9 +9,8 @@ import numpy as np
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.policies.collision_guard import CollisionGuard
 from limslam_agent.policies.controller import STOP_DISTANCE, TURN_RATE, free_ahead, steer, turn_by, wheel_speeds
-from limslam_agent.policies.policy import NO_PLAN
+from limslam_agent.policies.policy import MapExplorer
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
@@ -75,7 +75,7 @@ class Laps:
         return action
 
 
-class ReactivePolicy:
+class ReactivePolicy(MapExplorer):
     """Base class of policies that react to the readings and stop when the map has not grown for a while.
 
     Parameters
@@ -89,29 +89,25 @@ class ReactivePolicy:
     """
 
     def __init__(self, robot: RobotSpec | None, config: PolicyConfig | None, patience: float, where: str) -> None:
-        self.robot = robot or RobotSpec()
         self._config = config or PolicyConfig()
-        self._collision_guard = CollisionGuard(self.robot)
         self._patience, self._where = patience, where
-        self._known = self._since = self._frame = 0
-        self.stop_reason: str | None = None
-        self.plan: FloatArray = NO_PLAN
+        super().__init__(robot or RobotSpec())
 
-    def act(self, belief: Belief) -> FloatArray:
-        """Wheel speeds (2,). Zero after the policy has stopped."""
-        if belief.frame != self._frame:
-            # The map begins anew, or is another one.
-            self._frame, self._known, self._since = belief.frame, 0, 0
-            self._collision_guard = CollisionGuard(self.robot)
-        if self.stop_reason is None and self._has_seen_nothing_new(belief.grid):
-            self.stop_reason = f"stopped: nothing new was seen {self._where} for {self._patience:g} s"
-        if self.stop_reason is not None:
-            return np.zeros(2)
-        self._collision_guard.add_readings(belief.pose, belief.ranges)
-        return self._collision_guard.limit_speed(belief.pose, self._wheels(belief))
+    def _forget_map(self) -> None:
+        """Nothing is settled in a map."""
+
+    def _plan_anew(self) -> None:
+        self._known = self._since = 0
 
     def _wheels(self, belief: Belief) -> FloatArray:
-        raise NotImplementedError
+        if self._has_seen_nothing_new(belief.grid):
+            self.stop_reason = f"stopped: nothing new was seen {self._where} for {self._patience:g} s"
+            return np.zeros(2)
+        return self._wanted(belief)
+
+    @abstractmethod
+    def _wanted(self, belief: Belief) -> FloatArray:
+        """Wheel speeds (2,) while something new is seen."""
 
     def _has_seen_nothing_new(self, grid: GridView) -> bool:
         known = int(np.count_nonzero(grid.values))
@@ -159,7 +155,7 @@ class WallFollower(ReactivePolicy):
         # Angle (rad) turned since the wall was lost. A full turn means that no wall is followed yet.
         self._turned = 2.0 * math.pi
 
-    def _wheels(self, belief: Belief) -> FloatArray:
+    def _wanted(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) along the wall."""
         ranges = belief.ranges
         robot, config = self.robot, self._config
@@ -217,7 +213,7 @@ class RandomPolicy(ReactivePolicy):
         self._heading: float | None = None
         self._until_turn = 0
 
-    def _wheels(self, belief: Belief) -> FloatArray:
+    def _wanted(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) of a random walk that bounces off the walls."""
         robot, config = self.robot, self._config
         yaw, room = float(belief.pose[2]), free_ahead(belief.ranges, robot) - STOP_DISTANCE

@@ -9,7 +9,7 @@ from limslam_agent.config.presets import AgentConfig, preset, with_until
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.places.saved_map import read_saved_map
 from limslam_agent.policies.frontier_policy import least_reach, short_reach
-from limslam_agent.runs.oracle import check_policy, needs_loop
+from limslam_agent.runs.oracle import check_policy
 from limslam_env.bounds.offline_optimum import require_gtsam
 from limslam_env.config import NoiseConfig
 from limslam_env.envs.adapter import MAX_ROBOTS
@@ -116,7 +116,7 @@ class RunConfig:
         if self.seed < 0:
             raise ValueError(f"a seed is 0 or more, not {self.seed}")
         world = load_world(self.world)
-        if needs_loop(self.policy, self.laps) and len(world.loop) < 3:
+        if self.laps and self.policy == "frontier" and len(world.loop) < 3:
             raise WorldError(f"world {world.name!r} has no loop to drive laps on")
         world.check(self.robot.radius)
 

@@ -135,7 +135,7 @@ class BeliefFrame:
     lines, line_covariances
         (r, theta) of each wall (k, 2), and its covariance (k, 2, 2).
     numbers
-        Numbers of the walls in ``events`` (k,). 1, 2, ... by default.
+        Numbers of the walls (k,), as in ``events``.
     unsure
         Numbers of provisional walls, which were seen too few times. They are drawn thinner.
     grid_low, grid_cell, grid_values
@@ -157,11 +157,6 @@ class BeliefFrame:
         Events since the previous frame.
     warning
         Why the estimate cannot be trusted, in words. Empty if it can.
-
-    Raises
-    ------
-    ValueError
-        If the numbers of poses and covariances, or of walls and their properties, differ.
     """
 
     time: float
@@ -170,7 +165,7 @@ class BeliefFrame:
     segments: FloatArray = field(default_factory=lambda: no_rows(4))
     lines: FloatArray = field(default_factory=lambda: no_rows(2))
     line_covariances: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 2)))
-    numbers: tuple[int, ...] | None = None
+    numbers: tuple[int, ...] = ()
     unsure: frozenset[int] = frozenset()
     grid_low: FloatArray = field(default_factory=lambda: np.zeros(2))
     grid_cell: float = 0.10
@@ -184,18 +179,6 @@ class BeliefFrame:
     hough: HoughView | None = None
     events: Sequence[Event] = ()
     warning: str = ""
-
-    def __post_init__(self) -> None:
-        if len(self.poses) != len(self.covariances):
-            raise ValueError(f"{len(self.poses)} poses have {len(self.covariances)} covariances")
-        counts = {len(self.segments), len(self.lines), len(self.line_covariances), len(self.names)}
-        if len(counts) > 1:
-            raise ValueError(f"walls have {sorted(counts)} segments, lines, covariances and numbers")
-
-    @property
-    def names(self) -> tuple[int, ...]:
-        """The number of each wall (k,)."""
-        return tuple(range(1, len(self.segments) + 1)) if self.numbers is None else self.numbers
 
 
 def wall_bands(frame: BeliefFrame, sigmas: float = 2.0, samples: int = 9) -> FloatArray:

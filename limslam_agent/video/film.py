@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -20,6 +19,7 @@ from limslam_agent.video.belief_panels import (
 )
 from limslam_agent.video.belief_picture import draw_belief
 from limslam_agent.video.narration import SPEED, Caption, Narrator
+from limslam_agent.video.video import VideoWriter
 from limslam_env.geometry import FloatArray
 
 WIDTH, HEIGHT = 1280, 720
@@ -36,14 +36,6 @@ _KEPT_MARGIN = 5
 _ADDED_MARGIN = 0.04  # share of the world's size at each side, so that a map that has drifted stays visible
 
 
-class Writer(Protocol):
-    """Gets the frames."""
-
-    def write(self, image: Image, hold: float = 0.0) -> None:
-        """Take a frame (height, width, 3), RGB, and show it for ``hold`` s, or for the time of one frame."""
-        ...
-
-
 @dataclass(frozen=True, eq=False)
 class Scene:
     """The content of a frame besides truth and belief.
@@ -57,18 +49,18 @@ class Scene:
     log
         Past events, with the latest first: time (s), kind and text.
     coverage
-        True coverage, 0 to 1. None if it is unknown.
+        True coverage, 0 to 1.
     window
-        Corners (2,), m, of the region that the picture of the belief shows. By default everything that is known.
+        Corners (2,), m, of the region that the picture of the belief shows.
     is_paused
         Whether the video is paused for the caption.
     """
 
     caption: Caption
-    title: str = ""
-    log: Sequence[tuple[float, str, str]] = ()
-    coverage: float | None = None
-    window: tuple[FloatArray, FloatArray] | None = None
+    title: str
+    log: Sequence[tuple[float, str, str]]
+    coverage: float
+    window: tuple[FloatArray, FloatArray]
     is_paused: bool = False
 
 
@@ -96,7 +88,7 @@ class Film:
         Title of the run.
     """
 
-    def __init__(self, writer: Writer, low: FloatArray, high: FloatArray, title: str = "") -> None:
+    def __init__(self, writer: VideoWriter, low: FloatArray, high: FloatArray, title: str) -> None:
         self._writer, self._corners, self._title = writer, (low, high), title
         self._narrator = Narrator()
         self._next, self._shown = 0.0, 0
@@ -106,7 +98,7 @@ class Film:
         """Whether a frame has to be added at a simulated time, s."""
         return time >= self._next - 1e-6
 
-    def add(self, truth: Image, frame: BeliefFrame, coverage: float | None = None) -> None:
+    def add(self, truth: Image, frame: BeliefFrame, coverage: float) -> None:
         """Add a frame.
 
         Parameters
@@ -237,10 +229,8 @@ def _draw_header(page: Image, time: float, scene: Scene) -> None:
     right = WIDTH - _GAP
     minutes, seconds = divmod(round(time, 1), 60.0)
     write(page, f"{int(minutes)}:{seconds:04.1f}", (right, 33), 18, INK, bold=True, anchor="right")
-    if scene.coverage is not None:
-        words = f"seen {100.0 * scene.coverage:.0f} %"
-        write(page, words, (right - 150, 33), 14, TEXT, anchor="right")
-        _bar(page, right - 142, 24, 60, scene.coverage)
+    write(page, f"seen {100.0 * scene.coverage:.0f} %", (right - 150, 33), 14, TEXT, anchor="right")
+    _bar(page, right - 142, 24, 60, scene.coverage)
     write(page, "paused" if scene.is_paused else f"{SPEED:g} x", (right - 270, 33), 14, FAINT, anchor="right")
     cv2.line(page, (0, 46), (WIDTH, 46), RULE, 1)
 
