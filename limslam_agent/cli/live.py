@@ -170,7 +170,11 @@ def _watched(options: LiveOptions, agent: "LimSlamAgent", wired: "Wired") -> "It
     with live_page(f"live, {wired.place}") as page:
         typer.echo(f"watch       {page.address}", err=True)
         follower = Follower(page, round(options.max_time / agent.robot.control_period) + 1)
-        yield lambda seconds: follower.note(agent.mapper, [agent.policy], seconds)
+
+        def follow(seconds: float) -> None:
+            follower.note(agent.mapper, [agent.policy], seconds)
+
+        yield follow
         follower.end()
 
 

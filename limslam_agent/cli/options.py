@@ -322,7 +322,7 @@ def _declared(kind: type[Bounded]) -> list[inspect.Parameter]:
             option.show_default = option.show_default if is_shown else False
         if plain is bool:  # nothing is said to switch it off
             option.param_decls = (f"--{field.name.replace('_', '-')}",)
-        annotation = Annotated[plain | None, option]
+        option.default = None
         kind_of_argument = inspect.Parameter.POSITIONAL_OR_KEYWORD
-        found.append(inspect.Parameter(field.name, kind_of_argument, default=None, annotation=annotation))
+        found.append(inspect.Parameter(field.name, kind_of_argument, default=option, annotation=plain | None))
     return found
