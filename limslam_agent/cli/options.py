@@ -286,7 +286,7 @@ class LiveOptions(Bounded):
 Options = TypeVar("Options", RunOptions, ReplayOptions, LiveOptions)
 
 
-def takes(kind: type[Bounded]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+def takes(kind: type[Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
     """Make a function a command that has the options of a dataclass, and then those of its own named arguments.
 
     The function gets the options of the dataclass as keyword arguments, None for those that were not given.
@@ -307,7 +307,7 @@ def takes(kind: type[Bounded]) -> Callable[[Callable[..., None]], Callable[..., 
     return decorated
 
 
-def _declared(kind: type[Bounded]) -> list[inspect.Parameter]:
+def _declared(kind: type[Any]) -> list[inspect.Parameter]:
     """The arguments of a function that typer makes the options of a dataclass of."""
     hints, found = get_type_hints(kind, include_extras=True), list[inspect.Parameter]()
     for field in fields(kind):

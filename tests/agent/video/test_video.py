@@ -278,6 +278,7 @@ def test_both_halves_show_the_same_place_at_the_same_scale(name):
     belief = replace(
         belief, segments=world.edges, lines=np.array([lines.through(edge[:2], edge[2:]) for edge in world.edges]),
         line_covariances=np.zeros((len(world.edges), 2, 2)), unsure=frozenset(range(1, len(world.edges) + 1)),
+        numbers=tuple(range(1, len(world.edges) + 1)),
     )  # fmt: skip
     drawn = draw_belief(belief, (width, height), window)
     walls = is_dark(cropped)
