@@ -23,7 +23,6 @@ from limslam_agent.cli.settings import (
     run_config,
     run_options,
 )
-from limslam_agent.config.ablations import ABLATIONS
 from limslam_agent.config.tables import SettingsError, table_of, write_toml
 from limslam_env.config import NoiseConfig
 from limslam_env.interface import NominalNoise, RobotSpec
@@ -99,11 +98,6 @@ def test_a_run_in_a_world_of_a_file_can_be_handed_on_and_repeated(tmp_path):
     moved = first.rename(tmp_path / "moved")
     assert limslam("run", "--config", moved / "run.toml", "--out", second).exit_code == 0
     assert_same(moved, second)
-
-
-def test_the_help_lists_all_ablations():
-    words = limslam("run", "--help").output
-    assert [name for name in ABLATIONS if name not in words] == []
 
 
 def test_the_file_of_a_replay_repeats_it(tmp_path):
@@ -216,24 +210,6 @@ def test_settings_of_an_earlier_version_are_left_out_of_a_table_of_all_settings(
     write_toml(tmp_path / "old.toml", {"agent": old}, "")
     with pytest.raises(SettingsError, match=r"agent\.(grid\.older|oldest): there is no such setting"):
         config_of(Given.read(tmp_path / "old.toml", {}))
-
-
-def test_odometry_options_win_over_the_files_table(tmp_path):
-    text = 'odometry_bias = "1,1"\n[agent.odometry]\ndistance_scale = 1.1\nturn_variance_per_metre = 0.5\n'
-    asked = given(tmp_path, text)
-    told = replay_agent(asked, asked.merged(ReplayOptions(), ("agent",))).odometry
-    assert (told.distance_scale, told.turn_bias) == (1.1, np.radians(1.0))
-    asked = given(tmp_path, text, odometry_bias="2,1.2")
-    told = replay_agent(asked, asked.merged(ReplayOptions(), ("agent",))).odometry
-    assert (told.distance_scale, told.turn_bias, told.turn_variance_per_metre) == (1.2, np.radians(2.0), 0.5)
-
-
-def test_self_calibration_can_be_switched_off_again(tmp_path):
-    text = 'preset = "consistent"\n[agent.estimator.self_calibration]\ncalibrate = "always"\n'
-    for options, calibrate in (({}, "always"), ({"self_calibrate": False}, "never")):
-        asked = given(tmp_path, text, **options)
-        agent = replay_agent(asked, asked.merged(ReplayOptions(), ("agent",)))
-        assert agent.estimator.self_calibration.calibrate == calibrate
 
 
 def test_paths_of_a_file_are_relative_to_it(tmp_path):
@@ -365,11 +341,3 @@ def test_a_file_of_another_command_is_recognised(tmp_path, text, defaults, other
         given(tmp_path, text).of_file(defaults, ("agent",))
     with pytest.raises(SettingsError, match="unheard: there is no such setting; there are"):
         given(tmp_path, "unheard = 1").of_file(defaults, ("agent",))
-
-
-def test_a_whole_number_that_is_no_float_is_refused_with_its_key(tmp_path):
-    path = tmp_path / "run.toml"
-    path.write_text(f"noise = {'9' * 400}\n")
-    with pytest.raises(ValueError, match=r"run\.toml: noise: is too large for a number") as caught:
-        Given.read(path, {}).merged(RunOptions(), ())
-    assert len(str(caught.value)) <= 500

@@ -2,22 +2,19 @@
 
 import json
 import shutil
-from dataclasses import replace
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image as Pictures
 from support.command_line import invoke
 
 from limslam_agent import Mapper, save_map
 from limslam_agent.cli.show import show, true_edges
-from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.output.export import write_json
 from limslam_agent.output.finished_run import FolderError, position_error, read_run
-from limslam_agent.output.run_picture import SIZE, draw_run
-from limslam_agent.output.summary import place_records, record_summary, replay_summary, run_summary
+from limslam_agent.output.run_picture import draw_run
+from limslam_agent.output.summary import replay_summary, run_summary
 from limslam_agent.output.tum import write_tum
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import write_episode
@@ -71,21 +68,6 @@ def real_run(tmp_path_factory):
     return folder
 
 
-def test_a_run_is_read_as_it_was_written(real_run):
-    run = read_run(real_run)
-    with np.load(real_run / "log.npz") as log:
-        true, wheels = log["true_pose"], log["wheels"]
-    assert len(run.time) == len(true) == 41
-    np.testing.assert_allclose(run.true[0], true, atol=2e-6)
-    assert run.segments.shape[1] == 4
-    assert not run.is_replay
-    assert run.title == f"env1, range noise 2 cm, {DEFAULT_PRESET}, seed 300"
-    # Odometry comes from the wheels: it begins where the robot does, and goes as far as they say.
-    np.testing.assert_allclose(run.odometry[0][0], true[0], atol=2e-6)
-    travelled = np.hypot(*np.diff(run.odometry[0][:, :2], axis=0).T).sum()
-    assert travelled == pytest.approx(np.abs(wheels.mean(axis=1)).sum(), rel=0.01)
-
-
 def test_the_error_by_odometry_is_that_of_the_result(real_run):
     run = read_run(real_run)
     for kind, name in ((run.odometry, "odometry_ate_m"), (run.estimated, "ate_m")):
@@ -117,17 +99,6 @@ def test_without_a_display_it_says_where_the_picture_is(tmp_path):
     assert sorted(path.name for path in folder.iterdir()) == before
 
 
-def test_with_a_display_a_window_opens(tmp_path, monkeypatch):
-    monkeypatch.setenv("DISPLAY", ":99")
-    plt.switch_backend("agg")
-    monkeypatch.setattr(FigureCanvasAgg, "required_interactive_framework", "something")
-    shown = []
-    monkeypatch.setattr(plt, "show", lambda: shown.append([len(plt.figure(n).axes) for n in plt.get_fignums()]))
-    assert "--out" not in invoke(show, write_folder(tmp_path / "run"))
-    assert shown == [[4]]
-    assert plt.get_fignums() == []
-
-
 @pytest.mark.parametrize(
     ("config", "robots", "truth", "log"),
     [
@@ -144,19 +115,6 @@ def test_replays_and_several_robots_are_drawn(tmp_path, config, robots, truth, l
     run = read_run(folder)
     assert len(run.estimated) == robots
     assert run.is_replay == ("log" in config)
-
-
-def test_several_robots_wheels_become_a_path_each(tmp_path):
-    folder = write_folder(tmp_path / "run", robots=2, config={"world": "hall", "robot": {"axle": 0.16}})
-    wheels = np.zeros((30, 2, 2))
-    wheels[1:, 0], wheels[1:, 1] = 0.01, 0.02
-    np.savez(folder / "log.npz", wheels=wheels)
-    run = read_run(folder)
-    for odometry, length in zip(run.odometry, (0.29, 0.58), strict=True):
-        assert np.hypot(*(odometry[-1] - odometry[0])[:2]) == pytest.approx(length, rel=1e-6)
-    np.savez(folder / "log.npz", wheels=wheels[:-1])
-    with pytest.raises(FolderError, match="does not fit the trajectories"):
-        read_run(folder)
 
 
 def test_a_summary_leaves_out_what_is_not_known():
@@ -331,28 +289,6 @@ def test_the_band_of_a_run_is_what_the_filter_said_of_its_error(tmp_path):
         plt.close(figure)
 
 
-@pytest.mark.parametrize("robots", [1, 8])
-def test_the_plots_stay_high_for_many_robots(tmp_path, robots):
-    run = read_run(write_folder(tmp_path / "run", robots=robots))
-    covariances = [np.full((30, 3, 3), 0.01) for _ in range(robots)]
-    run = replace(
-        run, odometry=run.true, smoothed=run.estimated, covariances=covariances, smoothed_covariances=covariances
-    )
-    figure = plt.figure(figsize=SIZE, layout="constrained")
-    try:
-        draw_run(figure, run, ["explored"] * 8)
-        figure.canvas.draw()
-        for axes in figure.axes[1:3]:
-            assert axes.get_window_extent().height > 0.2 * figure.bbox.height
-        told = [text.get_text() for text in figure.axes[1].get_legend().get_texts()]
-        of_all = ["estimated online", "smoothed", "odometry alone", "2 sigma, online", "2 sigma, smoothed"]
-        assert told == of_all if robots > 2 else len(told) == 3 * robots + 2
-        whole = [text.get_text() for text in figure.legends[0].get_texts()]
-        assert [f"robot {number + 1}" in whole for number in range(robots)] == [robots > 1] * robots
-    finally:
-        plt.close(figure)
-
-
 def test_a_folder_of_an_earlier_version_has_no_band_and_a_damaged_one_is_refused(real_run, tmp_path):
     folder = shutil.copytree(real_run, tmp_path / "old")
     (folder / "covariance_est.npz").unlink()
@@ -363,8 +299,3 @@ def test_a_folder_of_an_earlier_version_has_no_band_and_a_damaged_one_is_refused
     (folder / "covariance_est.npz").write_bytes(b"PK")
     with pytest.raises(FolderError, match="is damaged"):
         read_run(folder)
-
-
-def test_the_times_of_a_lost_robot_count_from_the_start_of_its_log():
-    records = place_records(7654.3 + 0.1 * np.arange(50), [{"event": "lost", "step": 30}])
-    assert record_summary({"record": {"places": records}})[-1] == "place       lost at 3.0 s"

@@ -65,23 +65,6 @@ def test_a_good_file_is_summed_up_in_a_line(limslam, good):
     assert float(out.split(", ")[-1].split(" m^2")[0]) == pytest.approx(2.95, abs=0.1)
 
 
-def test_an_open_outer_wall_is_a_warning_with_its_place(limslam, tmp_path):
-    path = tmp_path / "hall.toml"
-    path.write_text(
-        'name = "hall"\nsize = [6.0, 4.0]\n'
-        "walls = [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 4, 4], [3, 4, 0, 4], [0, 4, 0, 0], "
-        "[0, 1.4, 1.4, 1.4], [1.4, 1.4, 1.4, 0]]\n"
-    )
-    code, out, error = limslam("worlds", "check", path)
-    assert code == 0
-    assert out.startswith("hall: 6 x 4 m, 7 walls")
-    assert error.startswith(f"limslam: warning: {path}: the outer wall is open near (3.")
-    assert error.count("\n") == 1
-    assert limslam("run", "--world", path, "--max-time", 1, "--out", tmp_path / "run")[2] == error.replace(
-        f"{path}: ", ""
-    )
-
-
 def test_a_world_that_a_robot_could_leave_is_refused_with_the_file_and_the_place_of_the_gap(limslam, tmp_path):
     path = tmp_path / "hall.toml"
     walls = "[[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 4, 4], [3, 4, 0, 4], [0, 4, 0, 0]]"
@@ -147,12 +130,6 @@ def test_a_file_is_only_replaced_by_force(limslam, good):
     assert good.read_text() == before
     assert limslam("worlds", "convert", "env1", good, "--force")[0] == 0
     assert load_world(good).name == "env1"
-
-
-def test_the_picture_of_another_map_is_only_replaced_by_force(limslam, tmp_path):
-    (tmp_path / "map.pgm").write_text("a picture")
-    assert_refused(limslam("worlds", "convert", "env1", tmp_path / "map.yaml"), "map.pgm")
-    assert [path.name for path in tmp_path.iterdir()] == ["map.pgm"]
 
 
 @pytest.mark.parametrize("name", ["map.png", "map", "there/map.toml"])

@@ -107,23 +107,6 @@ def test_a_link_opens_its_moment(chromium, page):
     chromium.wait_for("document.getElementById('link').textContent === 'Copied'")
 
 
-def test_the_events_are_listed_and_followed(opened):
-    listed = "document.querySelectorAll('#events button').length"
-    count = opened.run(listed)
-    assert count == opened.run("player.list.items.length") > 5
-    opened.run("player.stopAt(0); document.querySelectorAll('#events button')[4].click()")
-    assert opened.run("player.recording.seconds[player.frame] - player.list.items[4].t") == pytest.approx(0.0, abs=1e-6)
-    assert opened.run("document.querySelectorAll('#events [aria-current]').length") == 1
-    opened.click("#filters input[data-kind='again']")
-    assert opened.run(listed) != count
-    opened.run("player.stopAt(0)")
-    opened.click("#next")
-    assert opened.run(FRAME) > 0
-    opened.run("player.stopAt(player.recording.frames - 1)")
-    opened.click("#previous")
-    assert opened.run("player.frame < player.recording.frames - 1")
-
-
 @pytest.mark.parametrize("layer", ["grid", "beams", "bands", "path", "smoothed"])
 def test_each_layer_changes_the_picture(opened, layer):
     opened.run("player.stopAt(200)")
@@ -146,25 +129,6 @@ def test_zoom_follow_and_fit(opened):
     assert opened.run("player.scene.centre") == pytest.approx(pose[:2])
     opened.click("#fit")
     assert opened.run("[player.scene.zoom, player.scene.follows]") == [1, False]
-
-
-def test_a_click_into_a_plot_goes_to_its_moment(opened):
-    opened.run("player.stopAt(0)")
-    opened.click("#plots .u-over")
-    middle = opened.run("player.plots.plots[0].posToVal(player.plots.plots[0].over.clientWidth / 2, 'x')")
-    assert opened.run("player.recording.seconds[player.frame]") == pytest.approx(middle, abs=0.2)
-
-
-def test_help_opens_and_closes(opened):
-    opened.press("?")
-    assert opened.run("document.getElementById('help-dialog').open")
-    frame = opened.run(FRAME)
-    opened.press("ArrowRight")
-    assert opened.run(FRAME) == frame
-    opened.click("#help-close")
-    assert not opened.run("document.getElementById('help-dialog').open")
-    opened.click("#help")
-    assert opened.run("document.getElementById('help-dialog').open")
 
 
 def test_the_panels_tell_the_moment(opened):

@@ -13,17 +13,15 @@ import typer
 from support.command_line import call
 
 from limslam_agent.cli.main import app, main
-from limslam_agent.grid.occupancy import GridView
 from limslam_agent.live.link import NoRobotError
 from limslam_agent.live.protocol import NOTHING_SEEN, Heartbeat, Hello, Speeds, Stop
 from limslam_agent.live.recording import Recording
 from limslam_agent.live.ros2.link import ODOMETRY, Event, RosLink
 from limslam_agent.live.ros2.node import PACKAGES
 from limslam_agent.live.ros2.odometer import Odometer, wheel_travel
-from limslam_agent.live.ros2.outputs import ros_grid
 from limslam_agent.live.ros2.parameters import Parameters
 from limslam_agent.live.ros2.sensors import RangeSensors, Reading, ScanSensors, in_mm
-from limslam_agent.live.ros2.synchroniser import MOST_WAITING, Synchroniser
+from limslam_agent.live.ros2.synchroniser import Synchroniser
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc
 from limslam_env.interface import RobotSpec, beams_on_rim
 
@@ -133,15 +131,6 @@ def test_the_beams_of_a_scan_are_picked_by_their_angles_and_begin_at_the_laser()
     assert [beam.side for beam in sensors.robot.beams] == [beam.side for beam in ROBOT.beams]
 
 
-def test_a_scan_without_a_wanted_beam_is_refused_with_the_beam():
-    with pytest.raises(ValueError, match="no beam within 1 deg of 90 deg"):
-        ScanSensors(ROBOT, np.zeros(3)).add(0, 0.0, scan([1.0] * 91, first=-45.0))
-    sensors = ScanSensors(ROBOT, np.zeros(3))
-    sensors.add(0, 0.0, scan([1.0] * 360))
-    with pytest.raises(ValueError, match="the scan's beams have changed"):
-        sensors.add(0, 0.1, scan([1.0] * 91, first=-45.0))
-
-
 def collected(sensors, *messages):
     """What sensors make of messages, each a number, a time and a range."""
     found = [each for number, time, reading in messages for each in sensors.add(number, time, distance(reading))]
@@ -172,15 +161,6 @@ def test_a_lost_message_is_no_reading_and_moments_are_not_mixed():
     assert collected(sensors, *messages) == [(1.0, (500, None, 700)), (1.1, (400, 600, 300))]
 
 
-def test_a_topic_that_has_ended_is_not_waited_for_any_more():
-    sensors = three_ranges()
-    messages = [(number, 1.0 + 0.1 * step, 0.5) for step in range(6) for number in range(2)]
-    found = collected(sensors, *messages)
-    assert [ranges for _, ranges in found] == [(500, 500, None)] * 6
-    # All come at the third one: the topic was waited for until then.
-    assert collected(sensors, (0, 1.6, 0.5), (1, 1.6, 0.5)) == [(1.6, (500, 500, None))]
-
-
 def test_ranges_that_are_late_or_doubled_are_left_out():
     sensors = three_ranges()
     messages = [(0, 1.1, 0.5), (0, 1.1, 0.5), (0, 1.0, 0.7), (1, 1.1, 0.4), (2, 1.12, 0.3)]
@@ -206,18 +186,6 @@ def test_readings_wait_for_odometry_and_leave_in_the_order_of_their_times():
     assert synchroniser.late == 2
     done = synchroniser.add_odometry(1.3, np.array([0.03, 0.0, 0.0]))
     assert [each.sample.time for each in done] == [1.25]
-
-
-def test_fast_sensors_are_thinned_out_and_no_more_than_some_readings_wait():
-    synchroniser = Synchroniser(ROBOT, 0.1)
-    synchroniser.add_odometry(0.0, np.zeros(3))
-    for number in range(1, 41):
-        synchroniser.add_reading(Reading(0.025 * number, (number,)))
-    done = synchroniser.add_odometry(1.0, np.zeros(3))
-    np.testing.assert_allclose(np.diff([each.sample.time for each in done]), 0.075)
-    for number in range(MOST_WAITING + 5):
-        synchroniser.add_reading(Reading(2.0 + number, (0,)))
-    assert synchroniser.late == 5
 
 
 # The connection.
@@ -252,16 +220,6 @@ def test_messages_become_the_telemetry_of_a_session():
     link.send(Heartbeat(link.next_seq()))
     link.send(Stop(link.next_seq()))
     assert (ports.driven[1:], ports.held) == ([(0.0, 0.0)], 1)
-
-
-def test_a_command_is_acknowledged_by_the_first_measurement_after_it():
-    link, ports = link_of(*(moment(5.0 + 0.1 * step, 0.0) for step in range(-1, 8)))
-    link.first_hello(10.0)
-    assert {packet.ack for packet in link.receive(0.02)} == {0}
-    ports.time = 5.65
-    link.send(Speeds(link.next_seq(), 0, 1, 1))
-    acks = {round(1e-3 * packet.time_ms, 1): packet.ack for packet in (*link.receive(0.0), *link.receive(0.0))}
-    assert acks == {5.6: 0, 5.7: 1}
 
 
 def test_a_clock_that_was_set_is_a_robot_that_was_switched_on_again():
@@ -321,13 +279,6 @@ def test_what_is_silent_is_named(moments, words):
 def test_parameters_of_another_name_or_type_are_refused(values, words):
     with pytest.raises(ValueError, match=words):
         Parameters.of(values)
-
-
-def test_the_grid_has_the_numbers_of_ros():
-    view = GridView(np.array([-1.0, 2.0]), 0.1, np.array([[3, 0], [-2, 1]], dtype=np.int16))
-    grid = ros_grid(view)
-    assert grid.cells.tolist() == [[0, -1], [100, 0]]
-    assert (grid.cells.dtype, grid.resolution, grid.origin.tolist()) == (np.int8, 0.1, [-1.0, 2.0])
 
 
 # The command line.

@@ -88,15 +88,6 @@ def test_the_ranges_of_a_late_line_belong_to_its_own_time():
     assert (np.abs(np.diff(late.wheels, axis=0)) < 0.02).all()
 
 
-def test_a_slow_connection_makes_the_robot_drive_slowly():
-    wire = Wire(emulated(Faults(delay=0.2)))
-    session, _ = driven(wire, 20.0)
-    assert session.delay == pytest.approx(0.5)
-    assert session.speed_share == pytest.approx(0.4)
-    assert session.figures["watchdog_stops"] == 0
-    assert errors_of(session, wire).max() < 0.15
-
-
 def test_speeds_reach_the_robot_in_its_own_units():
     wire = Wire(emulated())
     driven(wire, 2.0, policy=Drive(0.5, -3.0))
@@ -147,32 +138,6 @@ def test_a_cable_that_is_pulled_stops_the_wheels_and_ends_the_session():
     assert Heartbeat in kinds
     assert Greeting in kinds
     assert len(session.recording) >= 30
-
-
-def test_a_robot_that_is_heard_again_goes_on_and_has_lost_no_travel():
-    wire = Wire(emulated())
-
-    def watch(_):
-        if wire.emulator.time > 3.0 and not cuts:
-            wire.is_cut = True
-            cuts.append(wire.emulator.time)
-
-    cuts = []
-    plain = wire.receive
-
-    def receive(timeout):
-        lines = plain(timeout)
-        if cuts and wire.emulator.time > cuts[0] + 1.5:
-            wire.is_cut = False
-        return lines
-
-    wire.receive = receive
-    session = session_with(wire, policy=Drive(0.3, 0.3), watch=watch)
-    assert session.drive(8.0, 5.0) == OUT_OF_TIME
-    assert session.counts.reconnections == 1
-    assert session.counts.watchdog_stops == 1
-    assert session.recording.lost > 5
-    np.testing.assert_allclose(session.recording.log().wheels.sum(axis=0), wire.emulator._travel, atol=0.03)
 
 
 def test_a_robot_that_is_switched_on_again_continues_the_map():

@@ -6,12 +6,11 @@ import numpy as np
 import pytest
 
 from limslam_agent.belief import Belief
-from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import GridConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.oracle import Oracle
-from limslam_agent.runs.results import score, title_of
+from limslam_agent.runs.results import score
 from limslam_agent.runs.run_config import RunConfig
 from limslam_env.bounds.tours import top_speeds
 from limslam_env.interface import RobotSpec
@@ -45,10 +44,6 @@ def test_every_estimator_listens_to_the_same_drive(policy, settings, request):
     for name in ("time", "ranges", "wheels", "actions", "true", "wall_seen", "coverage"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     assert not np.array_equal(one.estimated, other.estimated)
-
-
-def test_noise_moves_no_oracle_off_its_path(tour):
-    np.testing.assert_array_equal(run("tour", noise=0.0, seed=4).true, tour.true)
 
 
 def test_the_oracle_sees_everything_sooner_than_an_explorer(oracle):
@@ -88,14 +83,6 @@ def test_policies_to_compare_with_drive_by_what_they_believe(policy):
     assert not np.array_equal(other.true, episode.true)
 
 
-def test_titles_name_the_policy():
-    assert title_of(RunConfig(ROOM, policy="wall_follower")).startswith(
-        f"room, range noise 0 cm, {DEFAULT_PRESET}, wall follower"
-    )
-    assert "frontier" not in title_of(RunConfig(ROOM))
-    assert "tour, 3 laps" in title_of(RunConfig(ROOM, policy="tour", laps=3))
-
-
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
@@ -121,24 +108,6 @@ class SeenCells:
     """The part of an environment that an oracle uses an environment."""
 
     seen: np.ndarray
-
-
-def test_an_oracle_plans_again_for_what_its_drive_did_not_show():
-    asked = []
-
-    def planner(pose, seen):
-        asked.append((pose.copy(), seen))
-        return np.array([[1.0, 0.0]]) if len(asked) < 3 else np.zeros((0, 2))
-
-    env, oracle = SeenCells(np.ones((2, 2), dtype=bool)), Oracle(ROBOT, top_speeds(ROBOT), planner, tours=4, goal=0.9)
-    oracle.observe_truth(env, np.zeros(3), 0.1)
-    np.testing.assert_allclose(oracle.act(BELIEF), [1.0, 1.0])
-    # It has arrived; the second plan leads to where it stands, the third nowhere.
-    oracle.observe_truth(env, np.array([1.0, 0.0, 0.0]), 0.5)
-    assert [given is env.seen for _, given in asked] == [False, True, True]
-    assert asked[0][1] is None
-    assert oracle.stop_reason == "the tour is driven"
-    np.testing.assert_array_equal(oracle.act(BELIEF), [0.0, 0.0])
 
 
 def test_an_oracle_stops_at_its_goal_and_turns_before_it_drives():
