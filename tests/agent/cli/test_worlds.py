@@ -107,7 +107,6 @@ def test_a_bad_file_is_refused_with_the_reason(limslam, good, damage, words):
         (("worlds", "convert", "env1"), "target"),
         (("worlds", "--thumbnails", "there", "check", "env1"), "--thumbnails"),
         (("play", "--world", "atlantis"), "atlantis"),
-        (("play", "--noise", "-1"), "-1"),
     ],
 )
 def test_bad_arguments_get_one_line(limslam, arguments, words, tmp_path, monkeypatch):
