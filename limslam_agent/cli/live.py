@@ -1,7 +1,7 @@
 """``limslam live``: a live robot explores, and its folder."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -144,8 +144,15 @@ def _agent(options: LiveOptions, config: "AgentConfig", robot: "RobotSpec", wire
 
 @contextmanager
 def _display(options: LiveOptions, agent: "LimSlamAgent", wired: "Wired", save_if_due: Any) -> "Iterator[Any]":
-    """The progress bar of a session, whose function is called after each decision."""
-    with progress_bar("driving", options.max_time) as advance, _watched(options, agent, wired) as follow:
+    """The progress bar of a session, and its page in a browser; yields what is called after each decision."""
+    from limslam_agent.inspect.live_page import Follower, live_page
+
+    with progress_bar("driving", options.max_time) as advance, ExitStack() as opened:
+        follower = None
+        if options.watch:
+            page = opened.enter_context(live_page(f"live, {wired.place}"))
+            typer.echo(f"watch       {page.address}", err=True)
+            follower = Follower(page, round(options.max_time / agent.robot.control_period) + 1)
 
         def watch(session: "Session") -> None:
             wired.watch(session)
@@ -154,28 +161,12 @@ def _display(options: LiveOptions, agent: "LimSlamAgent", wired: "Wired", save_i
             seconds = 0.0 if newest is None else newest.time
             walls = f"{len(agent.slam.segments)} walls"
             advance(seconds, f"{seconds:6.1f} s  {walls}  {agent.status}  {session.recording.lost} lines lost")
-            follow(seconds)
+            if follower is not None:
+                follower.note(agent.mapper, [agent.policy], seconds)
 
         yield watch
-
-
-@contextmanager
-def _watched(options: LiveOptions, agent: "LimSlamAgent", wired: "Wired") -> "Iterator[Callable[[float], None]]":
-    """What is called after each decision with the time, s, so that a browser can show the session."""
-    if not options.watch:
-        yield lambda _: None
-        return
-    from limslam_agent.inspect.live_page import Follower, live_page
-
-    with live_page(f"live, {wired.place}") as page:
-        typer.echo(f"watch       {page.address}", err=True)
-        follower = Follower(page, round(options.max_time / agent.robot.control_period) + 1)
-
-        def follow(seconds: float) -> None:
-            follower.note(agent.mapper, [agent.policy], seconds)
-
-        yield follow
-        follower.end()
+        if follower is not None:
+            follower.end()
 
 
 @contextmanager
