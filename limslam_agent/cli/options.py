@@ -32,7 +32,7 @@ _POLICIES = (
 )
 
 
-def told(panel: str, words: str, shown: str | bool = True) -> Any:
+def told(panel: str, words: str, shown: str | bool = True, *names: str) -> Any:
     """What the command line says about an option.
 
     Parameters
@@ -43,8 +43,10 @@ def told(panel: str, words: str, shown: str | bool = True) -> Any:
         The help.
     shown
         The default in words, where it is not that of the field; False shows none.
+    names
+        The option, where it does not have the name of the field.
     """
-    return typer.Option(help=words, rich_help_panel=panel, show_default=shown)
+    return typer.Option(*names, help=words, rich_help_panel=panel, show_default=shown)
 
 
 _Time = Annotated[float, Bounds(1e-3, 1e6)]
@@ -98,11 +100,11 @@ WheelMismatch = Annotated[
 ]
 Sharp = Annotated[
     bool,
-    typer.Option(
+    told(
+        _FAULTS,
+        "Range errors like those of Sharp's infrared sensors: growing noise, steps, dropouts, fold-back and a cone.",
+        True,
         "--sharp",
-        help="Range errors like those of Sharp's infrared sensors: growing noise, steps, dropouts, fold-back and a "
-        "cone.",
-        rich_help_panel=_FAULTS,
     ),
 ]
 Log = Annotated[

@@ -12,7 +12,7 @@ from limslam_agent.inspect.recorder import Recorder
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.status.status import worst
 from limslam_agent.team import LimSlamTeam
-from limslam_agent.video.belief_frame import BeliefFrame, BufferView, Event, HoughView, hough_view
+from limslam_agent.video.belief_frame import BeliefFrame, Event, HoughView, hough_view
 from limslam_agent.video.film import FPS, Film
 from limslam_agent.video.video import video_file
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
@@ -74,11 +74,7 @@ class FilmedRun:
             goals=[getattr(policy, "goal", None) for policy in team.policies],
             new_goals=sorted({event["robot"] for event in events if event["kind"] == "goal"}),
             paths=list(recorder.poses()[..., :2].swapaxes(0, 1)),
-            buffers=[
-                BufferView(each.robot, each.side, each.points, each.enough, each.new)
-                for each in slam.pending_points
-                if each.side != "none"
-            ],
+            buffers=[each for each in slam.pending_points if each.side != "none"],
             hough=self._hough,
             events=[
                 Event(event["kind"], event["wall"], event.get("other"), event.get("robot", 0))

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from limslam_agent.slam.core.diagnostics import PendingPoints
 from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.geometry.line import direction, normal
 from limslam_env.geometry.se2 import transform_points
@@ -48,40 +49,6 @@ class Event:
     def walls(self) -> tuple[int, ...]:
         """Numbers of the walls that the event is about."""
         return (self.wall,) if self.other is None else (self.wall, self.other)
-
-
-@dataclass(frozen=True, eq=False)
-class BufferView:
-    """A scan buffer.
-
-    Attributes
-    ----------
-    robot, side
-        Robot and side that the buffer belongs to.
-    points
-        (p, 2), m, in the world frame.
-    size
-        Number of new points that fill the buffer.
-    new
-        Number of new points. The other points have waited since an earlier extraction. None if all are new.
-    """
-
-    robot: int
-    side: Literal["left", "right"]
-    points: FloatArray
-    size: int
-    new: int | None = None
-
-    @property
-    def filled(self) -> int:
-        """Number of points that count towards the size."""
-        return len(self.points) if self.new is None else self.new
-
-    @property
-    def words(self) -> str:
-        """How full the buffer is, in words."""
-        kept = len(self.points) - self.filled
-        return f"{self.side} {self.filled}/{self.size}" + (f" + {kept} kept" if kept > 0 else "")
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +117,7 @@ class BeliefFrame:
     paths
         Positions (q, 2) of each robot so far, as it estimated them.
     buffers
-        Scan buffers, two for each robot.
+        The points that wait for an extraction, two entries for each robot: the scan buffers.
     hough
         The latest extraction of lines. None before the first.
     events
@@ -175,7 +142,7 @@ class BeliefFrame:
     goals: Sequence[FloatArray | None] = ()
     new_goals: Sequence[int] = ()
     paths: Sequence[FloatArray] = ()
-    buffers: Sequence[BufferView] = ()
+    buffers: Sequence[PendingPoints] = ()
     hough: HoughView | None = None
     events: Sequence[Event] = ()
     warning: str = ""

@@ -178,7 +178,7 @@ def _happenings(frame: BeliefFrame, last: BeliefFrame | None) -> list[str]:
     if last is None:
         return ["start"]
     is_extracted = frame.hough is not None and len(frame.hough.peaks) and frame.hough is not last.hough
-    is_collected = any(2 * len(buffer.points) >= buffer.size for buffer in frame.buffers)
+    is_collected = any(2 * len(buffer.points) >= buffer.enough for buffer in frame.buffers)
     kinds = {event.kind for event in frame.events}
     found = {
         "goal": bool(frame.new_goals) and last.time > 0.0,

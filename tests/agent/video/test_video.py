@@ -9,9 +9,10 @@ import pytest
 from PIL import Image as Pictures
 
 from limslam_agent.output import style as video_style
+from limslam_agent.slam.core.diagnostics import PendingPoints
 from limslam_agent.video import belief_panels, video
 from limslam_agent.video import film as film_module
-from limslam_agent.video.belief_frame import BeliefFrame, BufferView, Event, hough_image, hough_view, wall_bands
+from limslam_agent.video.belief_frame import BeliefFrame, Event, hough_image, hough_view, wall_bands
 from limslam_agent.video.belief_picture import draw_belief
 from limslam_agent.video.film import FPS, HEIGHT, WIDTH, Film, Scene, compose, cropped_truth, layout_for
 from limslam_agent.video.narration import LESSONS, SPEED, Caption, Narrator
@@ -146,7 +147,7 @@ def test_a_belief_past_all_bounds_can_be_drawn():
         std=1e5,
         plans=[np.array([(0.0, 0.0), (1e12, 1e12)])],
         goals=[np.array([1e12, 1e12])],
-        buffers=[BufferView(0, "left", np.array([(1e9, 0.0)]), 30)],
+        buffers=[PendingPoints(0, "left", np.array([(1e9, 0.0)]), 30)],
     )
     frame = replace(frame, covariances=np.array([np.diag([1e10, -1e-20, 1e3])]))
     assert draw_belief(frame, (SIDE, SIDE), WINDOW).shape == (SIDE, SIDE, 3)
@@ -169,7 +170,7 @@ def test_peaks_are_ringed_in_the_heat_map():
 def test_bars_are_as_long_as_the_buffers_are_full():
     def length(count, robots=1):
         points = np.zeros((count, 2))
-        buffers = [BufferView(robot, side, points, 30) for robot in range(robots) for side in ("left", "right")]
+        buffers = [PendingPoints(robot, side, points, 30) for robot in range(robots) for side in ("left", "right")]
         panel = belief_panels.draw_buffers(buffers, 268, belief_panels.buffers_height(robots))
         return int((panel == np.array(video_style.LEFT)).all(axis=2).sum())
 
@@ -365,7 +366,7 @@ def test_the_votes_stay_those_that_the_caption_speaks_of(monkeypatch):
 def test_several_robots_and_a_wide_world_fit_in_a_frame():
     truth = np.full((300, 700, 3), 230, dtype=np.uint8)
     poses = [(0.3 * number, 0.0, 0.0) for number in range(8)]
-    buffers = [BufferView(robot, side, np.zeros((9, 2)), 30) for robot in range(8) for side in ("left", "right")]
+    buffers = [PendingPoints(robot, side, np.zeros((9, 2)), 30) for robot in range(8) for side in ("left", "right")]
     frame = frame_with(poses=poses, buffers=buffers, time=3599.94, plans=[np.zeros((0, 2))] * 8, goals=[None] * 8)
     scene = Scene(
         Caption((0,), "Headline", "Explanation"),
