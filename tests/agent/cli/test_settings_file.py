@@ -168,21 +168,6 @@ def test_noise_on_the_command_line_is_true_and_assumed(tmp_path):
     assert by_option.agent.noise.wheel_variance == 1e-4
 
 
-def test_tables_of_another_preset_than_that_of_the_command_line_are_named_in_a_warning(tmp_path):
-    text = 'preset = "paper"\n[agent.estimator.buffer]\nsize = 50\n[agent.policy]\nspeed = 0.1\n'
-    assert given(tmp_path, text).warnings("paper") == []
-    (warning,) = given(tmp_path, text.replace("[", "[agent]\nsmooths_runs = false\n[", 1)).warnings("graph")
-    assert warning.endswith("not used, since the preset is graph and not paper: agent.estimator, agent.smooths_runs")
-    assert given(tmp_path, "[agent.estimator.buffer]\nsize = 50\n").warnings("consistent") == []
-    path = tmp_path / "mine.toml"
-    path.write_text(text)
-    result = limslam("run", "--config", path, "--preset", "consistent", "--max-time", "1", "--out", tmp_path / "out")
-    assert result.exit_code == 0
-    assert result.stderr.splitlines()[0] == (
-        f"limslam: warning: {path}: not used, since the preset is consistent and not paper: agent.estimator"
-    )
-
-
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -12,7 +12,7 @@ from support.command_line import invoke
 from limslam_agent import Mapper, save_map
 from limslam_agent.cli.show import show, true_edges
 from limslam_agent.output.export import write_json
-from limslam_agent.output.finished_run import FolderError, position_error, read_run
+from limslam_agent.output.finished_run import FolderError, read_run
 from limslam_agent.output.run_picture import draw_run
 from limslam_agent.output.summary import replay_summary, run_summary
 from limslam_agent.output.tum import write_tum
@@ -66,13 +66,6 @@ def real_run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     write_episode(folder, run_episode(RunConfig("env1", 0.02, max_time=4.0, seed=300)))
     return folder
-
-
-def test_the_error_by_odometry_is_that_of_the_result(real_run):
-    run = read_run(real_run)
-    for kind, name in ((run.odometry, "odometry_ate_m"), (run.estimated, "ate_m")):
-        rms = np.sqrt(np.mean(position_error(kind[0], run.true[0]) ** 2))
-        assert rms == pytest.approx(run.result["metrics"][name], abs=1e-5)
 
 
 def test_the_true_walls_are_those_of_the_world_that_was_run_in(real_run):
@@ -287,15 +280,3 @@ def test_the_band_of_a_run_is_what_the_filter_said_of_its_error(tmp_path):
         assert top == pytest.approx(2.0 * np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1]).max(), rel=1e-5)
     finally:
         plt.close(figure)
-
-
-def test_a_folder_of_an_earlier_version_has_no_band_and_a_damaged_one_is_refused(real_run, tmp_path):
-    folder = shutil.copytree(real_run, tmp_path / "old")
-    (folder / "covariance_est.npz").unlink()
-    assert read_run(folder).covariances == []
-    np.savez(folder / "covariance_est.npz", estimated=np.zeros((3, 1, 3, 3)))
-    with pytest.raises(FolderError, match="its covariances do not fit the trajectories"):
-        read_run(folder)
-    (folder / "covariance_est.npz").write_bytes(b"PK")
-    with pytest.raises(FolderError, match="is damaged"):
-        read_run(folder)

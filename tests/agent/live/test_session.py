@@ -221,17 +221,6 @@ def silent_from(seconds, order):
     return session_with(wire, policy=Drive(0.3, 0.3), obey=obey), wire
 
 
-def test_a_robot_that_falls_silent_is_stopped_after_its_speeds_were_held_for_a_short_time():
-    last = []
-    session, wire = silent_from(3.0, lambda _: last.append(type(decode(wire.sent[-1]))))
-    assert "nothing new" in session.drive(60.0, 2.0)
-    # Later the host looks for the robot, too.
-    assert set(last[last.index(Stop) :]) <= {Stop, Greeting}
-    assert last.count(Stop) > 5
-    kinds = [type(decode(line)) for line in wire.sent]
-    assert Heartbeat in kinds[: kinds.index(Stop)]
-
-
 def test_a_session_ends_when_it_is_asked_to_while_the_robot_is_silent():
     session, wire = silent_from(3.0, lambda session: setattr(session, "asked_to_end", "somebody said so"))
     assert session.drive(60.0, 30.0) == "somebody said so"

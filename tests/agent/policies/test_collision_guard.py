@@ -11,9 +11,6 @@ from support.beliefs import CLEAR, ROBOT, drive
 from limslam_agent.policies.collision_guard import CollisionGuard
 from limslam_env.geometry import FloatArray
 
-NONSENSE = pytest.mark.parametrize("reading", [math.nan, math.inf, -math.inf])
-
-
 # A post seen by the beam at 45 degrees before the robot came nearer: 0.21 m from the centre, ahead and to the left.
 POST = np.array([0.15, 0.15])
 AHEAD = np.array([0.6, 0.6])

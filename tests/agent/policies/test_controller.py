@@ -111,9 +111,6 @@ def test_free_ahead_is_the_way_to_the_nearest_point_in_the_bodys_strip() -> None
     assert free_ahead(readings, ROBOT) == math.inf
 
 
-NONSENSE = pytest.mark.parametrize("reading", [math.nan, math.inf, -math.inf])
-
-
 @settings(deadline=None, max_examples=200)
 @given(st.floats(-2.0, 2.0), st.floats(-20.0, 20.0))
 def test_wheels_stay_within_their_speed_and_the_turn_is_kept(speed: float, turn_rate: float) -> None:

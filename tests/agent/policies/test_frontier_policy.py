@@ -11,7 +11,6 @@ from support.beliefs import (
     CONFIG,
     CORRIDOR,
     CUT_OFF,
-    HALL,
     ROBOT,
     actions_until_stopped,
     belief_of,
@@ -20,14 +19,12 @@ from support.beliefs import (
     place,
 )
 
-from limslam_agent.belief import Belief
 from limslam_agent.policies.controller import BACK_STEPS, PATIENCE, REPLAN_PERIOD, TURN_RATE
 from limslam_agent.policies.frontier_policy import FrontierPolicy, least_reach
 from limslam_agent.policies.wall_policy import WallPolicy
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import score
 from limslam_agent.runs.run_config import RunConfig
-from limslam_env.geometry import FloatArray
 from limslam_env.robots import e_puck
 from limslam_env.worlds.world import World
 
@@ -70,23 +67,6 @@ def test_in_a_map_that_was_moved_it_knows_what_it_has_given_up(kind) -> None:
     assert len(actions_until_stopped(policy, other)) > first / 2, "in another map, nothing is known of it"
 
 
-def test_what_no_way_leads_to_is_looked_at_from_the_nearest_place_and_then_left() -> None:
-    policy = FrontierPolicy(ROBOT, CONFIG)
-    belief = belief_of(place(4, 4), CUT_OFF)
-    actions = [policy.act(belief)]
-    # Column 10 lies beside the wall, column 9 has room for the robot.
-    assert policy.plan[-1, 0] == pytest.approx(place(4, 9)[0])
-    assert actions[0].sum() > 0.5
-    # It does not get on, and gives up; then there is nothing left to try.
-    actions = actions_until_stopped(policy, belief)
-    assert policy.stop_reason is not None
-    assert policy.stop_reason.startswith("explored: 1 frontier is left that cannot be reached, near (1.8, 0.")
-    assert len(actions) < 200
-    np.testing.assert_array_equal(policy.act(belief), [0.0, 0.0])
-    assert policy.goal is None
-    assert len(policy.plan) == 0
-
-
 def test_a_robot_that_seems_walled_in_looks_round_before_it_believes_it() -> None:
     cut_off = grid_of("#" * 30, *["#...#" + "." * 25] * 5, "#" * 30)
     policy = FrontierPolicy(ROBOT, CONFIG)
@@ -103,18 +83,6 @@ def test_a_robot_that_seems_walled_in_looks_round_before_it_believes_it() -> Non
         policy.act(belief_of(place(3, 2), CORRIDOR))
     assert policy.goal is not None
     assert policy.goal[0] > 2.5
-
-
-def test_specks_of_free_ground_behind_walls_are_no_frontier() -> None:
-    specks = grid_of("#" * 18, *["#" + "." * 10 + "#" + "..????"] * 4, *["#" + "." * 10 + "#" * 7] * 4, "#" * 18)
-    policy = FrontierPolicy(ROBOT, CONFIG)
-    policy.act(belief_of(place(4, 4), specks))
-    assert policy.stop_reason == "explored: no frontier is left"
-
-
-def pointing_at_the_frontier(ranges: FloatArray) -> Belief:
-    """Near the right end of a hall; beam 2, 15 degrees to the left, points at the frontier cell straight ahead."""
-    return belief_of(place(4, 38, -ROBOT.beam_angles[2]), HALL, ranges)
 
 
 def test_a_frontier_in_whose_way_something_stands_is_tried_three_times_and_then_left() -> None:

@@ -81,15 +81,6 @@ def test_a_missing_part_of_a_wall_is_looked_at_from_a_place_that_sees_it(side, s
     assert abs(away @ along) <= 0.9 * np.hypot(*away)
 
 
-def test_a_stretch_behind_a_wall_is_not_looked_at() -> None:
-    # The right half of the room is open ground, but the robot cannot get there.
-    values = ROOM.values.copy()
-    values[:, 15] = -4
-    walls = np.vstack((with_gap(1, 0.9, 0.5), [1.4, 0.0, 1.4, 2.4]))
-    belief = replace(belief_at([0.5, 1.2, 0.0], walls), grid=GridView(ROOM.low, CELL, values))
-    assert next_view(belief, LookMemory(), ROBOT, CONFIG) is None
-
-
 def view_of(middle: FloatArray, count: int, stand: FloatArray) -> View:
     """A view of a stretch that lies along x, of ``count`` faces."""
     offset = CELL * (np.arange(count) - 0.5 * (count - 1))
@@ -150,15 +141,6 @@ def test_a_robot_that_cannot_move_gives_every_look_up_and_ends() -> None:
     np.testing.assert_array_equal(policy.act(belief), [0.0, 0.0])
     assert policy.goal is None
     assert len(policy.plan) == 0
-
-
-@pytest.mark.parametrize(("exploring", "longest"), [(1000, 1600), (50_000, 9600)])
-def test_looking_at_walls_takes_at_most_as_long_as_exploring_and_at_most_a_quarter_of_an_hour(exploring, longest):
-    policy = WallPolicy(ROBOT, CONFIG)
-    policy._exploring, policy._looking = exploring, longest
-    assert not policy._is_late
-    policy._looking += 1
-    assert policy._is_late
 
 
 def room_world() -> World:

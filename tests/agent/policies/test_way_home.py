@@ -75,16 +75,6 @@ def test_a_robot_that_is_walled_off_says_that_there_is_no_way():
     assert policy.stop_reason == "asked to drive home; the map shows no way back to the start"
 
 
-def test_a_robot_that_does_not_move_gives_up():
-    policy = WayHome(Stands(100), ROBOT, PolicyConfig())
-    policy.go_home()
-    for _ in range(1000):
-        policy.act(belief_at(1.5, 0.0))
-        if policy.stop_reason is not None:
-            break
-    assert policy.stop_reason == "asked to drive home; something is in the way back to the start"
-
-
 def test_while_the_robot_is_lost_its_policy_drives_and_the_way_is_planned_anew_after_that():
     inner = Turns()
     policy = WayHome(inner, ROBOT, PolicyConfig(), home=np.array([1.5, 0.0]))

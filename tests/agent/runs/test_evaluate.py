@@ -47,14 +47,6 @@ class Model:
         return np.array([0.5, 0.4], dtype=np.float32), ((state or 0) + 1 if self.remembers else None)
 
 
-class Forgetful:
-    """A model that takes nothing but what a policy without memory needs."""
-
-    def predict(self, _observation, deterministic):
-        assert deterministic
-        return np.array([0.3, 0.3]), None
-
-
 class Trained:
     """A model that was trained on the observations of a space. Without a space, on beliefs that it does not declare."""
 

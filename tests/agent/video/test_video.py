@@ -11,11 +11,10 @@ from PIL import Image as Pictures
 from limslam_agent.output import style as video_style
 from limslam_agent.slam.core.diagnostics import PendingPoints
 from limslam_agent.video import belief_panels, video
-from limslam_agent.video import film as film_module
 from limslam_agent.video.belief_frame import BeliefFrame, Event, hough_image, hough_view, wall_bands
 from limslam_agent.video.belief_picture import draw_belief
 from limslam_agent.video.film import FPS, HEIGHT, WIDTH, Film, Scene, compose, cropped_truth, layout_for
-from limslam_agent.video.narration import LESSONS, SPEED, Caption, Narrator
+from limslam_agent.video.narration import SPEED, Caption, Narrator
 from limslam_agent.video.video import VideoError, video_file
 from limslam_env.geometry import line as lines
 from limslam_env.geometry.se2 import transform_points
@@ -167,44 +166,7 @@ def test_peaks_are_ringed_in_the_heat_map():
     assert belief_panels.draw_hough(None, 260, 250).shape == (250, 260, 3)
 
 
-def test_bars_are_as_long_as_the_buffers_are_full():
-    def length(count, robots=1):
-        points = np.zeros((count, 2))
-        buffers = [PendingPoints(robot, side, points, 30) for robot in range(robots) for side in ("left", "right")]
-        panel = belief_panels.draw_buffers(buffers, 268, belief_panels.buffers_height(robots))
-        return int((panel == np.array(video_style.LEFT)).all(axis=2).sum())
-
-    assert length(0) == 0
-    assert length(15) == pytest.approx(0.5 * length(30), rel=0.02)
-    assert length(60) == length(30)
-    assert length(30, robots=8) == pytest.approx(8 * 41 * 10, rel=0.1)  # eight bars, in half of the width
-
-
 # What is said.
-
-
-def test_what_happens_for_the_first_time_is_explained_once():
-    narrator = Narrator()
-    start = narrator.hear(frame_with())
-    assert start[0].caption.headline == LESSONS["start"].headline
-    assert start[0].pause > 2.0
-    assert start[-1].pause == 0.0
-    view = hough_view(np.zeros((3, 2)), np.ones((1, 2)), np.zeros((1, 2, 2)), np.zeros(3), time=1.0, side="left")
-    explained = []
-    # One event of each kind at each moment: the explanations come one at a time, with some of the run in between.
-    for step in range(400):
-        time = 0.2 * (step + 1)
-        frame = frame_with(
-            time=time, poses=[(time, 0.0, 0.0)], hough=replace(view, time=time), events=[Event("new", 1)]
-        )
-        told = narrator.hear(frame)
-        assert len(told) <= 2
-        explained += [(time, moment.caption) for moment in told[:-1]]
-    assert [caption.headline for _, caption in explained] == [
-        LESSONS[kind].headline for kind in ("drive", "hough", "new")
-    ]
-    assert explained[2][1].event == Event("new", 1)
-    assert (np.diff([0.0, *(time for time, _ in explained)]) > 5.0 * 3.9).all()
 
 
 def test_a_status_that_is_not_ok_is_told():
@@ -340,29 +302,6 @@ def test_a_film_has_a_frame_every_fifth_of_a_second_and_pauses_to_explain():
         assert not (image == np.array([255, 0, 0])).all(axis=2).any()
 
 
-def extraction(time, count):
-    line = np.array([0.8, 0.3])
-    points = on_line(*line, np.linspace(0.2, 1.2, count))
-    return hough_view(points, line[None], points[None, [0, -1]], np.zeros(3), time=time, side="left", threshold=8)
-
-
-def test_the_votes_stay_those_that_the_caption_speaks_of(monkeypatch):
-    shown = []
-    page = np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8)
-    monkeypatch.setattr(film_module, "compose", lambda _truth, frame, scene: shown.append((frame, scene)) or page)
-    film = Film(Collector(), np.zeros(2), np.array([4.0, 4.0]), "a hall")
-    votes = [extraction(time=1.0 + 2.0 * number, count=20 + number) for number in range(3)]
-    for step in range(60):
-        seen = [each for each in votes if each.time <= 0.2 * step]
-        film.add(truth_picture(), replace(frame_with(time=0.2 * step), hough=seen[-1] if seen else None), 0.5)
-    spoken = [(frame, scene) for frame, scene in shown if "buffer was full" in scene.caption.headline]
-    assert len(spoken) > 10
-    for frame, scene in spoken:
-        assert f"Its {len(frame.hough.points)} points voted" in scene.caption.explanation
-    # Newer votes do not replace the votes of a caption that still stands.
-    assert any(frame.hough is votes[1] and frame.time > votes[2].time for frame, _ in spoken)
-
-
 def test_several_robots_and_a_wide_world_fit_in_a_frame():
     truth = np.full((300, 700, 3), 230, dtype=np.uint8)
     poses = [(0.3 * number, 0.0, 0.0) for number in range(8)]
@@ -435,21 +374,6 @@ def test_a_gif_plays_at_the_speed_of_the_frames(tmp_path):
     assert sum(durations) == pytest.approx(2000 + 3000, abs=150)
     assert len(durations) <= 2 * 8.5 + 1
     assert tuple(last[60, 210]) == (205, 48, 66)
-
-
-def test_a_long_gif_keeps_its_time_and_loses_frames(tmp_path, monkeypatch):
-    monkeypatch.setattr(video, "_GIF_FRAMES", 12)
-    path = tmp_path / "film.gif"
-    with video_file(path, 10) as writer:
-        for number in range(60):
-            writer.write(moving(number), hold=1.0 if number == 30 else 0.0)
-    with Pictures.open(path) as gif:
-        count, total = gif.n_frames, 0
-        for number in range(count):
-            gif.seek(number)
-            total += gif.info["duration"]
-    assert count <= 13
-    assert total == pytest.approx(59 * 100 + 1000, rel=0.1)
 
 
 def test_a_file_that_is_there_is_only_replaced_by_force(tmp_path):

@@ -135,21 +135,6 @@ def test_the_way_to_a_frontier_goes_round_walls_and_is_dear_beside_them():
     assert np.isinf(away[0]).all()
 
 
-def test_a_large_unknown_region_is_nearer_than_a_small_remnant():
-    walls = ["#" * 42, *["#" + "." * 40 + "#"] * 16, "#" * 42]
-    # In the middle, a pocket of 3 x 4 cells at one end and a region of 12 x 12 cells at the other end are unknown.
-    for row, columns in [(8, (2, 6)), (9, (2, 6)), (10, (2, 6))] + [(row, (29, 41)) for row in range(3, 15)]:
-        walls[row] = walls[row][: columns[0]] + " " * (columns[1] - columns[0]) + walls[row][columns[1] :]
-    away = frontier_distance(grid_of("\n".join(walls)))[8]
-    # The frontier of the large region costs nothing more: its neighbours are one cell away.
-    assert away[28] == 0.0
-    assert away[24] == pytest.approx(0.4)
-    # The cell beside the pocket is 0.1 m away from it, and the detour is larger than half of the way to the region.
-    assert away[7] > 1.0
-    assert np.isfinite(away[7])
-    assert away[7] <= away[24] + 0.1 * (24 - 7) + 1e-9
-
-
 def test_the_view_turns_with_the_robot():
     pose = np.array([1.03, 0.35, 0.0])
     size = VIEW.rings * VIEW.directions
@@ -189,20 +174,6 @@ def test_the_exploration_is_over_when_the_map_does_not_grow_and_only_remnants_ar
         if step == 8:
             assert policy.stop_reason is None, "the map may still have grown in the last second"
     assert (policy.stop_reason == ONLY_REMNANTS) is is_over
-
-
-def test_the_network_drives_while_the_map_grows():
-    policy = LearnedPolicy(ROBOT, PolicyConfig(), network(ViewConfig()), finish=FinishConfig(window=1.0, farthest=5.0))
-    drivers = []
-    for step in range(30):
-        grown = replace(HALL, values=HALL.values.copy())
-        # 10 cells a step become known again, up to half of the time.
-        grown.values.flat[10 * min(step + 1, 14) :] *= 0
-        grown.values[3, 10:12] = 5
-        policy.act(belief([1.05, 0.35, 0.0], grown))
-        drivers.append(len(policy.plan) > 0 or policy.goal is not None)
-    assert not any(drivers[:15])
-    assert drivers[-1]
 
 
 def test_what_is_nearer_to_a_teammate_is_left_to_it():
