@@ -72,7 +72,8 @@ def carry_out(options: LiveOptions, config: "AgentConfig", wired: "Wired") -> No
         recording = Recording(wired.robot(hello), hello)
         _warn_about(hello)
         copy = folder.target.with_name(f"{folder.target.name}-log.npz")
-        with _named(copy), kept(recording, copy) as save_if_due:
+        left = [f"what the robot has sent is in {copy}: limslam replay draws the map"]
+        with kept(recording, copy, lambda: warn(left)) as save_if_due:
             agent = _agent(options, config, recording.robot, wired)
             with _display(options, agent, wired, save_if_due) as watch:
                 session = Session(wired.link, hello, agent, recording, watch, wired.obey)
@@ -167,17 +168,6 @@ def _display(options: LiveOptions, agent: "LimSlamAgent", wired: "Wired", save_i
         yield watch
         if follower is not None:
             follower.end()
-
-
-@contextmanager
-def _named(copy: Path) -> "Iterator[None]":
-    """Say where the copy of the log is, if an error has left one."""
-    try:
-        yield
-    except BaseException:
-        if copy.is_file():
-            warn([f"what the robot has sent is in {copy}: limslam replay draws the map"])
-        raise
 
 
 def _warn_about(hello: "Hello") -> None:

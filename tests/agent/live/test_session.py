@@ -180,10 +180,10 @@ def test_counters_may_overflow():
 def test_a_copy_of_the_log_stays_after_an_error_only(tmp_path):
     session, _ = driven(Wire(emulated()), 1.0)
     path = tmp_path / "copy.npz"
-    with pytest.raises(KeyboardInterrupt), kept(session.recording, path):
+    with pytest.raises(KeyboardInterrupt), kept(session.recording, path, lambda: None):
         raise KeyboardInterrupt
     assert len(read_log(path)) == len(session.recording)
-    with kept(session.recording, path):
+    with kept(session.recording, path, lambda: None):
         pass
     assert list(tmp_path.iterdir()) == []
 
