@@ -232,9 +232,7 @@ def _drive(
     What is believed are estimated poses (n, 3), odometry (n, 3) and covariances (n, 3, 3) of n robots.
     """
     observations, infos = robots.reset(seed)
-    driver.reset({name: np.array(info["pose"], dtype=float) for name, info in infos.items()}, seed)
-    if driver.done:
-        raise ValueError(f"the actor was done before seed {seed} began: a policy serves for one run only")
+    _begin(driver, infos, seed)
     truth, beliefs, is_over, is_late = list[_Infos](), list[tuple[FloatArray, FloatArray, FloatArray]](), False, False
     while True:
         # The last observation only updates the estimate; its action is not executed.
@@ -252,3 +250,9 @@ def _drive(
     if driver.done:
         return truth, beliefs, driver.stop_reason or "the actor says that it is done"
     return truth, beliefs, "the coverage goal is reached" if is_over else None
+
+
+def _begin(driver: Driver, infos: _Infos, seed: int) -> None:
+    driver.reset({name: np.array(info["pose"], dtype=float) for name, info in infos.items()}, seed)
+    if driver.done:
+        raise ValueError(f"the actor was done before seed {seed} began: a policy serves for one run only")
