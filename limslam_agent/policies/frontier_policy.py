@@ -11,6 +11,8 @@ from limslam_agent.grid.frontier import group_places, sight_begins
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.grid.planner import wall_distance
 from limslam_agent.policies.controller import (
+    AHEAD,
+    ARRIVED,
     BACK_STEPS,
     PATIENCE,
     REPLAN_PERIOD,
@@ -39,7 +41,6 @@ from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.messages import counted
 
-_ARRIVED = 0.08
 # A frontier counts as reached from the first distance (m), and from the second one if it has at most so many cells and
 # nothing stands between the robot and the frontier.
 _VIEW, _FAR_VIEW, _SMALL = 0.35, 1.0, 6
@@ -47,8 +48,8 @@ _ASIDE_STEPS = 300  # for which a goal that could not be reached is ignored
 _POINTED = math.radians(4.0)
 # The robot counts as standing when its wheel speeds sum to less than this.
 _CREEP = 0.05
-# Progress means that the path is shorter by this distance, m, or that the map has this many more cells.
-_AHEAD, _NEW_CELLS = 0.05, 2
+# Progress means a shorter path, or that the map has this many more cells.
+_NEW_CELLS = 2
 _MOST_NAMED = 3
 # Number of full turns that a robot makes before it accepts that it is walled in.
 _MOST_ROUNDS = 3
@@ -216,7 +217,7 @@ class FrontierPolicy(MapExplorer):
     def _follow(self, belief: Belief, pursuit: _Pursuit) -> FloatArray:
         off = self.plan - belief.pose[:2]
         away = np.sqrt(off[:, 0] ** 2 + off[:, 1] ** 2)
-        if away[-1] < _ARRIVED or len(self.plan) == 1:
+        if away[-1] < ARRIVED or len(self.plan) == 1:
             return self._look(belief, pursuit)
         action, left = follow(self.plan, away, belief, self.robot, self._config.speed)
         if self._is_stuck(belief.grid, pursuit, left, action):
@@ -228,7 +229,7 @@ class FrontierPolicy(MapExplorer):
     def _is_stuck(self, grid: GridView, pursuit: _Pursuit, left: float, action: FloatArray) -> bool:
         """Whether the robot has stood still for too long, or has come no nearer and seen nothing new for too long."""
         known = int(np.count_nonzero(grid.values))
-        is_nearer = left < pursuit.left - _AHEAD and math.isfinite(pursuit.left)
+        is_nearer = left < pursuit.left - AHEAD and math.isfinite(pursuit.left)
         self._idle = 0 if is_nearer or known > self._known + _NEW_CELLS else self._idle + 1
         if self._idle == 0:
             self._known = max(known, self._known)

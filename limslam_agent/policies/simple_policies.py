@@ -9,13 +9,20 @@ import numpy as np
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.policies.controller import STOP_DISTANCE, TURN_RATE, free_ahead, steer, turn_by, wheel_speeds
+from limslam_agent.policies.controller import (
+    ARRIVED,
+    STOP_DISTANCE,
+    TURN_RATE,
+    free_ahead,
+    steer,
+    turn_by,
+    wheel_speeds,
+)
 from limslam_agent.policies.policy import MapExplorer
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
 
-_ARRIVED = 0.08
 LAP_SPEED = 0.25
 """Cruising speed on laps, m/s."""
 # The robot counts as standing when its wheel speeds sum to less than this. It stops after this many such steps.
@@ -60,7 +67,7 @@ class Laps:
         if self._next is None:
             nearest = int(np.argmin(np.linalg.norm(self._corners - belief.pose[:2], axis=1)))
             self._next = (nearest + 1) % len(self._corners)
-        if np.linalg.norm(self._corners[self._next] - belief.pose[:2]) < _ARRIVED:
+        if np.linalg.norm(self._corners[self._next] - belief.pose[:2]) < ARRIVED:
             self._next = (self._next + 1) % len(self._corners)
             self._remaining -= 1
         if self._remaining <= 0:
