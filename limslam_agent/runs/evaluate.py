@@ -45,15 +45,15 @@ def evaluate(
     Parameters
     ----------
     actor
-        A policy or an actor. A **policy** has ``act(belief)``, ``stop_reason`` and ``plan`` (`Policy`). It becomes the
-        policy of a `LimSlamAgent` of the default preset, which is told ``robot`` and a plain ``sensor_noise``.
-        Each episode begins with a new copy of the policy. An **actor** is anything with ``act(observation)``, a model
-        of Stable-Baselines3 or another object with ``predict(observation, deterministic=True) -> (action, state)``, or
-        a callable. If the actor has a ``reset(start_pose, seed)``, it is called before each episode. In a parallel
-        environment an actor answers a dict of all robots' observations with a dict of their actions. In a dict of
-        actors by robot names, each actor answers for its own robot. A model with ``predict`` answers for each robot in
-        turn. A **name** that ``limslam run --policy`` knows (``"frontier"``, ``"learned"`` and so on) stands for the
-        agent of that command, and for its team in a parallel environment.
+        A policy or an actor. A **policy** has ``act(belief)``, ``stop_reason`` and ``plan`` (`Policy`). A new copy of
+        it is the policy of a `LimSlamAgent` in each episode, which is told ``robot`` and a plain ``sensor_noise``. An
+        **actor** is anything with ``act(observation)``, a model of Stable-Baselines3 or another object with
+        ``predict(observation, deterministic=True) -> (action, state)``, or a callable. If the actor has a
+        ``reset(start_pose, seed)``, it is called before each episode. In a parallel environment an actor answers a dict
+        of all robots' observations with a dict of their actions. In a dict of actors by robot names, each actor answers
+        for its own robot. A model with ``predict`` answers for each robot in turn. A **name** that ``limslam run
+        --policy`` knows (``"frontier"``, ``"learned"`` and so on) stands for the agent of that command, and for its
+        team in a parallel environment.
     env_id
         A Gymnasium id (``LimSlam-Env1-v0``), or a PettingZoo id (``limslam/Env1-v0``) for several robots.
     seeds
@@ -67,8 +67,8 @@ def evaluate(
         Wraps the bare environment into the one that the actor sees.
     **arguments
         Arguments of the environment, such as ``sensor_noise=0.02`` or ``num_robots=3``. A number as ``noise`` is the
-        ``sensor_noise``. ``coverage_goal`` is None by
-        default for an actor that says itself when it is ``done``, and 0.99 for other actors, which have to be stopped.
+        ``sensor_noise``. ``coverage_goal`` is by default None for an actor that says itself when it is ``done``, else
+        0.99.
 
     Returns
     -------
@@ -83,18 +83,10 @@ def evaluate(
         If the environment does not exist, or the actor cannot act in it (because it was made for another robot or
         trained on other observations, for example), or an answer of the actor is not an action.
     """
-    if not max_time > 0.0:
-        raise ValueError(f"the longest time must be above 0 s, not {max_time:g}")
-    if not isinstance(env_id, str):
-        raise ValueError(  # noqa: TRY004 (all refused arguments are ValueErrors)
-            f"env_id is a name such as 'LimSlam-Env1-v0', not {described(env_id)}: "
-            "evaluate makes the environment itself, from further arguments (sensor_noise=0.02 and so on) and wrap="
-        )
+    _check(actor, env_id, max_time, preset)
     seeds, arguments = _seeds(seeds), _with_plain_noise(arguments)
     is_team = env_id.startswith(_TEAMS)
     robot = robot_of(arguments.get("robot"))
-    if preset is not None and not _has_agent(actor):
-        raise ValueError(f"preset={preset!r} is for a policy: an actor brings its own settings")
     driver = driver_of(actor, is_team=is_team, robot=robot, noise=_nominal_noise(arguments), preset_name=preset)
     goal = {"coverage_goal": None} if driver.can_stop else {}
     bare = _make(env_id, round(max_time / robot.control_period), {**goal, **arguments})
@@ -181,9 +173,18 @@ class _Robots:
         return {_ALONE: observation}, {_ALONE: info}, bool(is_over), bool(is_late)
 
 
-def _has_agent(actor: Any) -> bool:
-    """Whether `evaluate` makes the agent itself, for a policy or for the name of one."""
-    return isinstance(actor, str) or (not isinstance(actor, Mapping | type) and is_policy(actor))
+def _check(actor: Any, env_id: Any, max_time: float, preset: str | None) -> None:
+    """Refuse arguments that cannot be used, before anything is made."""
+    if not max_time > 0.0:
+        raise ValueError(f"the longest time must be above 0 s, not {max_time:g}")
+    if not isinstance(env_id, str):
+        raise ValueError(  # noqa: TRY004 (all refused arguments are ValueErrors)
+            f"env_id is a name such as 'LimSlam-Env1-v0', not {described(env_id)}: "
+            "evaluate makes the environment itself, from further arguments (sensor_noise=0.02 and so on) and wrap="
+        )
+    has_agent = isinstance(actor, str) or (not isinstance(actor, Mapping | type) and is_policy(actor))
+    if preset is not None and not has_agent:
+        raise ValueError(f"preset={preset!r} is for a policy: an actor brings its own settings")
 
 
 def _make(env_id: str, max_steps: int, arguments: dict[str, Any]) -> Any:
