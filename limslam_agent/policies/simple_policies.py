@@ -34,6 +34,7 @@ _NEW_CELLS = 5
 # count.
 _SIDE = math.radians(30.0), math.radians(120.0)
 _LOST = 0.8
+_DISTANCE = 0.25  # m, between a wall that is followed and the rim of the robot
 # Rate of turn per metre of sideways error, rad/s per m, and its largest value, rad/s.
 _GAIN, _SHARPEST = 4.0, 1.0
 _LITTLE_ROOM = 0.1
@@ -136,10 +137,6 @@ class WallFollower(ReactivePolicy):
         Body and settings. Those of the paper's robot and the default settings if left out.
     side
         Side of the robot on which the wall is kept, ``"left"`` or ``"right"``.
-    distance
-        Distance between the wall and the rim of the robot, m.
-    patience
-        Time without new cells after which the policy stops, s.
 
     Raises
     ------
@@ -152,13 +149,11 @@ class WallFollower(ReactivePolicy):
         robot: RobotSpec | None = None,
         config: PolicyConfig | None = None,
         side: Literal["left", "right"] = "right",
-        distance: float = 0.25,
-        patience: float = 90.0,
     ) -> None:
         if side not in {"left", "right"}:
             raise ValueError(f"a wall is followed on the left or the right side, not {side!r}")
-        super().__init__(robot, config, patience, "along the wall")
-        self._distance, self._toward = distance, 1.0 if side == "left" else -1.0
+        super().__init__(robot, config, 90.0, "along the wall")
+        self._toward = 1.0 if side == "left" else -1.0
         # Angle (rad) turned since the wall was lost. A full turn means that no wall is followed yet.
         self._turned = 2.0 * math.pi
 
@@ -168,18 +163,18 @@ class WallFollower(ReactivePolicy):
         robot, config = self.robot, self._config
         room = free_ahead(ranges, robot) - STOP_DISTANCE
         away = self._clearance(ranges)
-        if room < 0.5 * self._distance:
+        if room < 0.5 * _DISTANCE:
             self._turned = 0.0
             return wheel_speeds(0.0, -self._toward * TURN_RATE, robot)
         speed = config.speed * min(room / 0.2, 1.0)
         if math.isfinite(away):
             self._turned = 0.0
-            turn = float(np.clip(_GAIN * (away - self._distance), -_SHARPEST, _SHARPEST))
+            turn = float(np.clip(_GAIN * (away - _DISTANCE), -_SHARPEST, _SHARPEST))
             return wheel_speeds(speed, self._toward * turn, robot)
         if self._turned > 1.5 * math.pi:
             return wheel_speeds(speed, 0.0, robot)
         # The wall has ended: drive around its end until another wall must appear.
-        turn = speed / (self._distance + robot.radius)
+        turn = speed / (_DISTANCE + robot.radius)
         self._turned += turn * robot.control_period
         return wheel_speeds(speed, self._toward * turn, robot)
 
@@ -204,8 +199,6 @@ class RandomPolicy(ReactivePolicy):
         Body and settings. Those of the paper's robot and the default settings if left out.
     seed
         Seed of the random numbers, or a generator.
-    patience
-        Time without new cells after which the policy stops, s.
     """
 
     def __init__(
@@ -213,9 +206,8 @@ class RandomPolicy(ReactivePolicy):
         robot: RobotSpec | None = None,
         config: PolicyConfig | None = None,
         seed: int | np.random.Generator = 0,
-        patience: float = 180.0,
     ) -> None:
-        super().__init__(robot, config, patience, "by chance")
+        super().__init__(robot, config, 180.0, "by chance")
         self._generator = np.random.default_rng(seed)
         self._heading: float | None = None
         self._until_turn = 0

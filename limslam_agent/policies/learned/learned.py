@@ -94,12 +94,10 @@ class LearnedPolicy(MapExplorer):
         Body, and the settings that all policies share. Those of the paper's robot and the default settings if left out.
     network
         Network that scores directions. The shipped one by default.
-    drive, finish
-        Settings for driving in a chosen direction, and for handing over to the frontier explorer.
+    finish
+        When the frontier explorer drives.
     seed
         Seed of the random numbers, or a generator.
-    temperature
-        Temperature of the softmax from which directions are drawn. 0 takes the best direction.
     index
         The robot's place in its team. Of two robots that meet, the one with the higher index waits.
 
@@ -114,16 +112,17 @@ class LearnedPolicy(MapExplorer):
         robot: RobotSpec | None = None,
         config: PolicyConfig | None = None,
         network: DirectionNetwork | None = None,
-        drive: DriveConfig | None = None,
         seed: int | np.random.Generator = 0,
-        temperature: float = TEMPERATURE,
         finish: FinishConfig | None = None,
         index: int = 0,
     ) -> None:
         robot, config = robot or RobotSpec(), config or PolicyConfig()
         self._network = network or load_network(WEIGHTS / SHIPPED)
-        self._drive, self._finish = drive or DriveConfig(), finish or FinishConfig()
-        self._generator, self._temperature = np.random.default_rng(seed), temperature
+        self._drive, self._finish, self._generator = (
+            DriveConfig(),
+            finish or FinishConfig(),
+            np.random.default_rng(seed),
+        )
         large = max(config.min_frontier, self._finish.large_frontier)
         fast = replace(config, speed=robot.max_wheel_speed, min_frontier=large)
         self._right_of_way = RightOfWay(index, robot)
@@ -186,7 +185,7 @@ class LearnedPolicy(MapExplorer):
         if not self._is_finishing:
             scores = self._network.scores(observation).astype(float)
             # The index of the largest score plus Gumbel noise has the distribution of the softmax.
-            drawn = int(np.argmax(scores + self._temperature * self._generator.gumbel(size=len(scores))))
+            drawn = int(np.argmax(scores + TEMPERATURE * self._generator.gumbel(size=len(scores))))
             self._heading = float(belief.pose[2]) + view.angle(drawn)
 
     def _is_growing(self, grid: GridView, area: float) -> bool:

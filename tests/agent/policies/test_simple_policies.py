@@ -31,10 +31,10 @@ def test_a_wall_follower_goes_round() -> None:
 
 
 def test_a_wall_follower_stops_when_there_is_nothing_new() -> None:
-    policy = WallFollower(ROBOT, CONFIG, patience=20.0)
+    policy = WallFollower(ROBOT, CONFIG)
     actions = actions_until_stopped(policy, belief_of(place(4, 4), CLOSED))
-    assert policy.stop_reason == "stopped: nothing new was seen along the wall for 20 s"
-    assert len(actions) == 202
+    assert policy.stop_reason == "stopped: nothing new was seen along the wall for 90 s"
+    assert len(actions) == 902
     np.testing.assert_array_equal(policy.act(belief_of(place(4, 4), CLOSED)), [0.0, 0.0])
 
 
@@ -51,7 +51,7 @@ def test_a_wall_follower_keeps_its_distance(side: str) -> None:
     beside, sign = ("a", 1.0) if side == "left" else ("f", -1.0)
 
     def turn(**distances: float) -> float:
-        left, right = WallFollower(ROBOT, CONFIG, side, distance=0.25).act(seeing(**distances))
+        left, right = WallFollower(ROBOT, CONFIG, side).act(seeing(**distances))
         return sign * float(right - left)
 
     assert turn(**{beside: 0.25}) == pytest.approx(0.0, abs=1e-9)
