@@ -4,17 +4,20 @@ import math
 from array import array
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
+from limslam_agent.config.bounds import Bounded, Bounds, NonNegative
 from limslam_agent.config.tables import updated
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec, SensorSpec
 
+_Time = Annotated[float, Bounds(0.0, 60.0)]
+
 
 @dataclass(frozen=True)
-class Parameters:
+class Parameters(Bounded):
     """Parameters of the node.
 
     Attributes
@@ -51,26 +54,21 @@ class Parameters:
     range_topics: tuple[str, ...] = ()
     scan_mount: tuple[float, ...] = (0.0, 0.0, 0.0)
     beams_deg: tuple[float, ...] = ()
-    max_range: float = 0.0
-    period: float = 0.1
-    watchdog: float = 0.5
-    map_period: float = 1.0
+    max_range: NonNegative = 0.0
+    period: _Time = 0.1
+    watchdog: Annotated[float, Bounds(0.05, 60.0)] = 0.5
+    map_period: _Time = 1.0
     map_frame: str = "map"
     odom_frame: str = ""
     base_frame: str = ""
-    transform_tolerance: float = 0.5
+    transform_tolerance: _Time = 0.5
     publish_tf: bool = True
     explore: bool = True
     return_to_init: bool = False
     enable_stamped_cmd_vel: bool = False
 
     def __post_init__(self) -> None:
-        for name, least in (("period", 0.0), ("watchdog", 0.05), ("map_period", 0.0), ("transform_tolerance", 0.0)):
-            value = getattr(self, name)
-            if not least <= value <= 60.0:
-                raise ValueError(f"the parameter {name} must be from {least:g} to 60 s, not {value:g}")
-        if not (math.isfinite(self.max_range) and self.max_range >= 0.0):
-            raise ValueError(f"the parameter max_range must be a length, m, not {self.max_range:g}")
+        super().__post_init__()
         if len(self.scan_mount) != 3 or not all(map(math.isfinite, self.scan_mount)):
             raise ValueError("the parameter scan_mount must be three numbers: x (m), y (m), heading (deg)")
 

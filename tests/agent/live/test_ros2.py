@@ -272,7 +272,7 @@ def test_what_is_silent_is_named(moments, words):
         ({"period": "fast"}, "the parameters of the node: period: must be a number, not 'fast'"),
         ({"explore": 1}, "explore: must be true or false, not 1"),
         ({"range_topics": "a"}, "range_topics: must be a list, not 'a'"),
-        ({"watchdog": 0.0}, "watchdog must be from 0.05 to 60 s, not 0"),
+        ({"watchdog": 0.0}, "watchdog must be a number from 0.05 to 60, not 0"),
         ({"beams_deg": ["left"]}, "must be a number, not 'left'"),
     ],
 )

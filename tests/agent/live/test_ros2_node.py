@@ -198,7 +198,7 @@ def test_a_bag_that_is_played_gives_the_map_of_its_run(processes, listener, tmp_
         (("--robot", "paper", "--", "-r", "scan:=laser"), "what follows -- is for ROS 2 and begins with --ros-args"),
         (("--robot", "paper", "--", "--ros-args", "-p", "nonsense"), "ROS 2 cannot be started: "),
         (("--robot", "paper", "--", "--ros-args", "-p", "perod:=0.2"), "perod: there is no such setting"),
-        (("--robot", "paper", "--", "--ros-args", "-p", "watchdog:=0.0"), "watchdog must be from 0.05 to 60 s"),
+        (("--robot", "paper", "--", "--ros-args", "-p", "watchdog:=0.0"), "watchdog must be a number from 0.05 to 60"),
         (("--robot", "paper", "--", "--ros-args", "-p", "range_topics:=[a]"), "range_topics has 1 topics"),
         (("--robot", "paper", "--patience", 0.5), "there was no message on scan, odom"),
     ],
