@@ -48,12 +48,9 @@ class RunConfig:
     ablation
         Part of the method that is switched off. None switches off nothing.
     policy
-        Name of the policy. ``frontier`` explores, and ``frontier_fast`` explores at top speed. ``learned`` is a trained
-        network. ``learned_true_pose`` is a network whose map is drawn from the true pose. ``wall_follower`` and
-        ``random`` are simple baselines. ``FILE.py:NAME`` is a class or a function of that file, which makes a policy.
-        ``tour`` and ``oracle`` know the true map and the true pose, while the
-        estimators listen: ``tour`` drives around the world's loop, or without a loop past everything that can be seen
-        and back, and ``oracle`` drives past everything as fast as possible.
+        Name of the policy, as ``limslam run --policy`` takes it. ``tour`` drives around the world's loop, or without a
+        loop past everything that can be seen and back, and ``oracle`` past everything as fast as possible: both know
+        the truth, while the estimators listen.
     limit
         Whether to also compare the run with the offline optimum of its log, which needs gtsam.
     settings
