@@ -7,7 +7,7 @@ import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, Protocol
+from typing import IO
 
 import cv2
 import numpy as np
@@ -28,22 +28,12 @@ class VideoError(ValueError):
     """A video cannot be written. The message says which and why."""
 
 
-class _Encoder(Protocol):
-    """Makes a file of frames. ``abandon`` comes last, finished or not, and frees all resources."""
-
-    def add(self, image: Image, hold: float) -> None: ...
-
-    def finish(self) -> None: ...
-
-    def abandon(self) -> None: ...
-
-
 class VideoWriter:
     """Takes the frames of a video file, which :func:`video_file` makes."""
 
-    def __init__(self, path: Path, start: Callable[[Image], _Encoder]) -> None:
+    def __init__(self, path: Path, start: "Callable[[Image], _Mp4 | _Gif]") -> None:
         self._path, self._start = path, start
-        self._encoder: _Encoder | None = None
+        self._encoder: _Mp4 | _Gif | None = None
         self._shape: tuple[int, ...] = ()
 
     def write(self, image: Image, hold: float = 0.0) -> None:
