@@ -126,11 +126,13 @@ AGENT = {
         *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "logs", "mapper", "output", "places"),
         *agent("slam.merging", "slam.online_graph", "status"),
     },
-    "limslam_agent.live": {*WHAT_AN_AGENT_MAY_KNOW, *agent("agent", "logs", "output", "replay")},
+    "limslam_agent.live": {
+        *WHAT_AN_AGENT_MAY_KNOW, *agent("agent", "config", "logs", "output", "policies", "replay"),
+    },
     "limslam_agent.live.ros2": {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid", "live", "logs", "output.formats", "policies"),
     },
-    "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output")},
+    "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output", "slam.core")},
     "limslam_agent.inspect": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("config", "grid", "joining", "mapper", "output", "policies", "slam", "slam.core", "status", "video"),

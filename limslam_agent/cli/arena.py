@@ -136,7 +136,8 @@ def write_kept_run(folder: Path, episode: "Episode") -> dict[str, Any]:
 
     The policies of models and commands have no name that ``limslam run`` knows, so their folders have no ``run.toml``.
     """
-    from limslam_agent.cli.settings import RunOptions, write_run_settings
+    from limslam_agent.cli.options import RunOptions
+    from limslam_agent.cli.settings import write_run_settings
     from limslam_agent.output.run_folder import new_folder
     from limslam_agent.runs.results import write_episode
 

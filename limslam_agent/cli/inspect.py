@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from limslam_agent.cli.options import ReplayOptions
 from limslam_agent.cli.replay import job_of
-from limslam_agent.cli.settings import FILE, Given, ReplayOptions, replay_agent, run_config, run_options
+from limslam_agent.cli.settings import FILE, Given, replay_agent, run_config, run_options
 from limslam_agent.cli.terminal import progress_bar
 
 if TYPE_CHECKING:

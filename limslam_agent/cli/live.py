@@ -1,49 +1,36 @@
 """``limslam live``: a live robot explores, and its folder."""
 
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from limslam_agent.cli import options as take
-from limslam_agent.cli.settings import Given, LiveOptions, robot_named, write_live_settings
+from limslam_agent.cli.options import LiveOptions, takes
+from limslam_agent.cli.settings import Given, robot_named, write_live_settings
 from limslam_agent.cli.terminal import progress_bar, warn
 
 if TYPE_CHECKING:
     from limslam_agent.agent import LimSlamAgent
     from limslam_agent.config.presets import AgentConfig
     from limslam_agent.live.protocol import Hello
-    from limslam_agent.live.session import Connection, Session
-    from limslam_agent.policies.policy import Policy
+    from limslam_agent.live.session import Session, Wired
     from limslam_env.interface import RobotSpec
 
 
+@takes(LiveOptions)
 def live(
-    serial: take.Serial = None,
-    baud: take.Baud = None,
-    udp: take.Udp = None,
-    ros2: take.Ros2 = None,
     robot: take.LiveRobot = None,
-    patience: take.Patience = None,
-    max_time: take.LiveTime = None,
-    noise: take.AssumedNoise = None,
-    preset: take.RunPreset = None,
-    policy: take.LivePolicy = None,
-    until: take.Until = None,
-    watch: take.Watch = None,
-    out: take.Out = None,
-    force: take.Force = None,
     config: take.Config = None,
     ros_arguments: take.RosArguments = None,
+    **told: Any,
 ) -> None:
     """Explore with a live robot, and draw its map. Ctrl-C stops the robot and draws the map of what it has seen."""
-    arguments = locals()
     from limslam_agent.runs.oracle import check_belief_policy
 
-    ros_arguments = arguments.pop("ros_arguments") or []
-    given = Given.read(arguments.pop("config"), arguments)
+    given = Given.read(config, {**told, "robot": robot})
     options = given.merged(LiveOptions(), ("agent", "robot"))
     ways = {"--serial": options.serial is not None, "--udp": options.udp is not None, "--ros2": options.ros2}
     places = [name for name, is_given in ways.items() if is_given]
@@ -57,92 +44,11 @@ def live(
     agent = _agent_config(given, options)
     check_belief_policy(options.policy)
     warn(given.warnings(options.preset))
-    with _wired(options, given.replay_robot(), ros_arguments) as wired:
+    with _wired(options, given.replay_robot(), ros_arguments or []) as wired:
         carry_out(options, agent, wired)
 
 
-class Wired(Protocol):
-    """A robot that is connected.
-
-    Attributes
-    ----------
-    place
-        Where the robot is, in words.
-    """
-
-    place: str
-
-    @property
-    def link(self) -> "Connection":
-        """The connection."""
-        ...
-
-    def robot(self, hello: "Hello") -> "RobotSpec":
-        """The description of the robot that has said hello. Raises a ValueError if it cannot be driven."""
-        ...
-
-    def policy(self, policy: "Policy | None", config: "AgentConfig", robot: "RobotSpec") -> "Policy | None":
-        """The policy that drives, from the one that was asked for; None is that of the agent itself."""
-        ...
-
-    def watch(self, session: "Session") -> None:
-        """Called after each decision."""
-        ...
-
-    def obey(self, session: "Session") -> None:
-        """Called before each decision, and again and again while the robot is silent."""
-        ...
-
-
-class WiredByLines:
-    """A robot that speaks the line protocol.
-
-    Parameters
-    ----------
-    link
-        The connection.
-    place
-        Where the robot is, in words.
-    described
-        Description of the robot. None if a shipped robot has the robot's name.
-    """
-
-    def __init__(self, link: "Connection", place: str, described: "RobotSpec | None") -> None:
-        self.link, self.place, self._described = link, place, described
-
-    def robot(self, hello: "Hello") -> "RobotSpec":
-        """The robot of ``--robot``, else the shipped robot that it says it is.
-
-        Raises
-        ------
-        ValueError
-            If there is no such robot, or it has another number of beams.
-        """
-        from limslam_env.robots import ROBOTS
-
-        described = self._described
-        if described is None and hello.name not in ROBOTS:
-            raise ValueError(f"no shipped robot is called {hello.name!r}: describe the robot in a file for --robot")
-        robot = described or robot_named(hello.name)
-        if len(robot.beams) != hello.beams:
-            raise ValueError(
-                f"the robot {hello.name} has {hello.beams} beams, but its description has {len(robot.beams)}"
-            )
-        return robot
-
-    def policy(self, policy: "Policy | None", config: "AgentConfig", robot: "RobotSpec") -> "Policy | None":
-        """The policy that was asked for."""
-        del config, robot
-        return policy
-
-    def watch(self, session: "Session") -> None:
-        """Do nothing."""
-
-    def obey(self, session: "Session") -> None:
-        """Do nothing: a robot gives no orders."""
-
-
-def carry_out(options: LiveOptions, config: "AgentConfig", wired: Wired) -> None:
+def carry_out(options: LiveOptions, config: "AgentConfig", wired: "Wired") -> None:
     """Drive a robot, write the folder of the session, and print its summary.
 
     Raises
@@ -151,9 +57,11 @@ def carry_out(options: LiveOptions, config: "AgentConfig", wired: Wired) -> None
         If no robot answers, the robot cannot be driven, or the folder cannot be written.
     """
     from limslam_agent.live.folder import session_lines, write_session
+    from limslam_agent.live.link import NoRobotError
     from limslam_agent.live.recording import Recording, kept
-    from limslam_agent.live.session import NoRobotError, Session
+    from limslam_agent.live.session import Session
     from limslam_agent.output.run_folder import new_folder
+    from limslam_agent.runs.policy_file import naming_lines_of
     from limslam_agent.runs.results import versions
     from limslam_env.messages import printable
 
@@ -164,11 +72,13 @@ def carry_out(options: LiveOptions, config: "AgentConfig", wired: Wired) -> None
         recording = Recording(wired.robot(hello), hello)
         _warn_about(hello)
         copy = folder.target.with_name(f"{folder.target.name}-log.npz")
-        with _named(copy), kept(recording, copy) as save_if_due:
+        left = [f"what the robot has sent is in {copy}: limslam replay draws the map"]
+        with kept(recording, copy, lambda: warn(left)) as save_if_due:
             agent = _agent(options, config, recording.robot, wired)
             with _display(options, agent, wired, save_if_due) as watch:
                 session = Session(wired.link, hello, agent, recording, watch, wired.obey)
-                reason = _driven(session, options)
+                with naming_lines_of(options.policy):
+                    reason = session.drive(options.max_time, options.patience)
             if not len(recording):
                 raise NoRobotError(f"the robot {hello.name} has said hello, but has sent no telemetry that fits it")
             typer.echo("smoothing   and writing the map", err=True)
@@ -185,7 +95,7 @@ def _agent_config(given: Given, options: LiveOptions) -> "AgentConfig":
     from limslam_env.interface import NominalNoise
 
     base = with_until(preset(options.preset, NominalNoise(options.noise)), options.until)
-    return given.agent(base, given.table.get("preset", options.preset))
+    return given.agent(base)
 
 
 @contextmanager
@@ -197,15 +107,35 @@ def _wired(options: LiveOptions, described: "RobotSpec | None", ros_arguments: S
         with wired_by_ros(described, ros_arguments) as robot:
             yield robot
         return
-    from limslam_agent.live.session import Link
+    from limslam_agent.live.link import Link
+    from limslam_agent.live.session import Wired
     from limslam_agent.live.transports import SerialTransport, UdpTransport
 
     port = options.serial
     with closing(UdpTransport(options.udp or 0) if port is None else SerialTransport(port, options.baud)) as transport:
-        yield WiredByLines(Link(transport), f"at {port or f'UDP port {options.udp}'}", described)
+        place = f"at {port or f'UDP port {options.udp}'}"
+        yield Wired(Link(transport), place, lambda hello: _robot_of(hello, described))
 
 
-def _agent(options: LiveOptions, config: "AgentConfig", robot: "RobotSpec", wired: Wired) -> "LimSlamAgent":
+def _robot_of(hello: "Hello", described: "RobotSpec | None") -> "RobotSpec":
+    """The robot of ``--robot``, else the shipped robot that it says it is.
+
+    Raises
+    ------
+    ValueError
+        If there is no such robot, or it has another number of beams.
+    """
+    from limslam_env.robots import ROBOTS
+
+    if described is None and hello.name not in ROBOTS:
+        raise ValueError(f"no shipped robot is called {hello.name!r}: describe the robot in a file for --robot")
+    robot = described or robot_named(hello.name)
+    if len(robot.beams) != hello.beams:
+        raise ValueError(f"the robot {hello.name} has {hello.beams} beams, but its description has {len(robot.beams)}")
+    return robot
+
+
+def _agent(options: LiveOptions, config: "AgentConfig", robot: "RobotSpec", wired: "Wired") -> "LimSlamAgent":
     from limslam_agent.agent import LimSlamAgent
     from limslam_agent.runs.oracle import policies_by_belief
 
@@ -213,17 +143,17 @@ def _agent(options: LiveOptions, config: "AgentConfig", robot: "RobotSpec", wire
     return LimSlamAgent(robot, config, wired.policy(policies[0] if policies else None, config, robot))
 
 
-def _driven(session: "Session", options: LiveOptions) -> str:
-    from limslam_agent.runs.policy_file import naming_lines_of
-
-    with naming_lines_of(options.policy):
-        return session.drive(options.max_time, options.patience)
-
-
 @contextmanager
-def _display(options: LiveOptions, agent: "LimSlamAgent", wired: Wired, save_if_due: Any) -> "Iterator[Any]":
-    """The progress bar of a session, whose function is called after each decision."""
-    with progress_bar("driving", options.max_time) as advance, _watched(options, agent, wired) as follow:
+def _display(options: LiveOptions, agent: "LimSlamAgent", wired: "Wired", save_if_due: Any) -> "Iterator[Any]":
+    """The progress bar of a session, and its page in a browser; yields what is called after each decision."""
+    from limslam_agent.inspect.live_page import Follower, live_page
+
+    with progress_bar("driving", options.max_time) as advance, ExitStack() as opened:
+        follower = None
+        if options.watch:
+            page = opened.enter_context(live_page(f"live, {wired.place}"))
+            typer.echo(f"watch       {page.address}", err=True)
+            follower = Follower(page, round(options.max_time / agent.robot.control_period) + 1)
 
         def watch(session: "Session") -> None:
             wired.watch(session)
@@ -232,35 +162,12 @@ def _display(options: LiveOptions, agent: "LimSlamAgent", wired: Wired, save_if_
             seconds = 0.0 if newest is None else newest.time
             walls = f"{len(agent.slam.segments)} walls"
             advance(seconds, f"{seconds:6.1f} s  {walls}  {agent.status}  {session.recording.lost} lines lost")
-            follow(seconds)
+            if follower is not None:
+                follower.note(agent.mapper, [agent.policy], seconds)
 
         yield watch
-
-
-@contextmanager
-def _watched(options: LiveOptions, agent: "LimSlamAgent", wired: Wired) -> "Iterator[Callable[[float], None]]":
-    """What is called after each decision with the time, s, so that a browser can show the session."""
-    if not options.watch:
-        yield lambda _: None
-        return
-    from limslam_agent.inspect.live_page import Follower, live_page
-
-    with live_page(f"live, {wired.place}") as page:
-        typer.echo(f"watch       {page.address}", err=True)
-        follower = Follower(page, round(options.max_time / agent.robot.control_period) + 1)
-        yield lambda seconds: follower.note(agent.mapper, [agent.policy], seconds)
-        follower.end()
-
-
-@contextmanager
-def _named(copy: Path) -> "Iterator[None]":
-    """Say where the copy of the log is, if an error has left one."""
-    try:
-        yield
-    except BaseException:
-        if copy.is_file():
-            warn([f"what the robot has sent is in {copy}: limslam replay draws the map"])
-        raise
+        if follower is not None:
+            follower.end()
 
 
 def _warn_about(hello: "Hello") -> None:

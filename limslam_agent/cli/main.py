@@ -60,19 +60,15 @@ def _limslam(
 
 
 @app.command()
-def play(
-    world: Annotated[str, typer.Option(help="Name of a shipped world, or a world file.")] = "env1",
-    noise: Annotated[float, typer.Option(help="Standard deviation of the ranges, m.")] = 0.0,
-    seed: Annotated[int, typer.Option(help="Random seed.")] = 0,
-) -> None:
+def play(world: Annotated[str, typer.Option(help="Name of a shipped world, or a world file.")] = "env1") -> None:
     """Drive a robot with the keyboard, in a window."""
     from gymnasium.error import Error
 
     from limslam_env.envs.play import play as drive_by_keyboard
 
     try:
-        drive = drive_by_keyboard(world, sensor_noise=noise, seed=seed)
-    except Error as error:  # no pygame, no display, or an impossible seed
+        drive = drive_by_keyboard(world)
+    except Error as error:  # no pygame, or no display
         raise ValueError(str(error)) from error
     typer.echo(f"drove for   {drive.time:.1f} s and covered {drive.coverage:.1%} of what can be seen")
 

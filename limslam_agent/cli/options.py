@@ -1,171 +1,112 @@
-"""The options of the commands: their names, types and help texts.
+"""The options of ``limslam run``, ``replay`` and ``live``: each is a field of a dataclass, which says all about it.
 
-An option that is not given is None, so that the file of ``--config`` can set it. Help shows the default of
-`RunOptions` or `ReplayOptions`.
+A field with `told` is an option of the command line and a setting of the file of ``--config``. A field without it is a
+setting of the file alone, or follows from an argument. An option that is not given is None, so that the file can set
+it. Help shows the default of the field.
 """
 
+import functools
+import inspect
+from collections.abc import Callable
+from copy import copy
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeVar, get_args, get_type_hints
 
 import typer
+from typer.models import OptionInfo
 
-from limslam_agent.cli.settings import LiveOptions, ReplayOptions, RunOptions
+from limslam_agent.config import DEFAULT_PRESET
+from limslam_agent.config.bounds import Bounded, Bounds, CountOrNone
+from limslam_agent.logs.limits import DEFAULT_LIMITS
 
-_RUN, _REPLAY, _LIVE = RunOptions(), ReplayOptions(), LiveOptions()
 _WORLD, _AGENT, _RESULTS = "World and robots", "Agent", "Settings and results"
 _FAULTS = "Errors that the simulated robot has"
 _LOG, _TABLE, _ODOMETRY, _SCORE = "Log", "Tables (.csv)", "Odometry", "Score"
 _CONNECTION = "Connection and robot"
-_PRESETS = (
-    "Settings of the agent: consistent, paper (the published method), odometry (no corrections), "
-    "or graph (consistent, and a recorded log is smoothed at its end)."
+
+_ROBOTS = "paper, e-puck, four-beam-drone, ring, or a TOML file with the robot's settings."
+_POLICIES = (
+    "Policy that drives: frontier, frontier_fast, learned, wall_follower, random, "
+    "or FILE.py:CLASS for your own (a class or a function that makes a policy)."
 )
 
 
-def _option(panel: str, words: str, default: Any = None, *names: str) -> Any:
-    shown = False if default is None else str(default)
-    return typer.Option(*names, help=words, show_default=shown, rich_help_panel=panel)
+def told(panel: str, words: str, shown: str | bool = True, *names: str) -> Any:
+    """What the command line says about an option.
+
+    Parameters
+    ----------
+    panel
+        The group of options in the help.
+    words
+        The help.
+    shown
+        The default in words, where it is not that of the field; False shows none.
+    names
+        The option, where it does not have the name of the field.
+    """
+    return typer.Option(*names, help=words, rich_help_panel=panel, show_default=shown)
 
 
-# Of several commands.
-Config = Annotated[
-    Path | None, _option(_RESULTS, "TOML file of settings, like the run.toml of a result. Options win over the file.")
-]
-Out = Annotated[Path | None, _option(_RESULTS, "Folder for the results.", "runs/...")]
-Force = Annotated[
-    bool | None, _option(_RESULTS, "Replace the results of an earlier run in that folder.", None, "--force")
-]
-
-# Of limslam run.
-World = Annotated[
-    str | None,
-    _option(
-        _WORLD,
-        "Name of a shipped world, random:SEED or random:SEED:40x30 (m) for a random floor plan, or a world file.",
-        _RUN.world,
+_Time = Annotated[float, Bounds(1e-3, 1e6)]
+_Std = Annotated[float, Bounds(0.0, 1e3)]
+_AssumedStd = Annotated[_Std, told(_AGENT, "Assumed standard deviation of the ranges, m.")]
+_Preset = Annotated[
+    str,
+    told(
+        _AGENT,
+        "Settings of the agent: consistent, paper (the published method), odometry (no corrections), "
+        "or graph (consistent, and a recorded log is smoothed at its end).",
     ),
 ]
-Noise = Annotated[
-    float | None,
-    _option(_WORLD, "Standard deviation of the ranges, m. The agent assumes the same noise.", _RUN.noise),
+_Until = Annotated[
+    str,
+    told(
+        _AGENT,
+        "When the policies frontier and frontier_fast are done: seen (no frontier is left) or walls (the robot has "
+        "also looked at every place where free ground ends and the map has no wall).",
+    ),
 ]
-Robot = Annotated[
-    str | None,
-    _option(_WORLD, "Robot: paper, e-puck, four-beam-drone, ring, or a TOML file with the robot's settings.", "paper"),
+_Map = Annotated[
+    Path | None,
+    told(_AGENT, "Folder of an earlier run or replay: begin in its map, at a place that is not known."),
+]
+_Watch = Annotated[
+    bool,
+    told(_RESULTS, "Show what the robot believes in a browser while it drives, as limslam inspect does afterwards."),
+]
+_Out = Annotated[Path | None, told(_RESULTS, "Folder for the results.", "runs/...")]
+_Force = Annotated[bool, told(_RESULTS, "Replace the results of an earlier run in that folder.")]
+
+Config = Annotated[
+    Path | None, told(_RESULTS, "TOML file of settings, like the run.toml of a result. Options win over the file.")
+]
+"""Given beside the fields of the dataclasses, as all options below: they name a file, or a table of it."""
+Robot = Annotated[str | None, told(_WORLD, f"Robot: {_ROBOTS}", "paper")]
+RecordingRobot = Annotated[str | None, told(_TABLE, f"Robot that recorded a table: {_ROBOTS}")]
+LiveRobot = Annotated[
+    str | None, told(_CONNECTION, f"Robot: {_ROBOTS} --ros2 needs it.", "what the robot calls itself")
 ]
 TrueOdometryNoise = Annotated[
     float | None,
-    _option(
+    told(
         _FAULTS, "Standard deviation of each wheel's travel after 1 m, m. The agent assumes the same noise.", "0.0045"
     ),
 ]
 WheelMismatch = Annotated[
     float | None,
-    _option(_FAULTS, "Share by which the left encoder reports too much, and the right one too little.", "0"),
+    told(_FAULTS, "Share by which the left encoder reports too much, and the right one too little.", "0"),
 ]
-AxleMismatch = Annotated[
-    float | None, _option(_FAULTS, "Share by which the wheels are farther apart than the agent is told.", "0")
-]
-SlipRate = Annotated[float | None, _option(_FAULTS, "How often a wheel slips in 1 m of travel.", "0")]
-SlipShare = Annotated[float | None, _option(_FAULTS, "Share of a step's travel that a slip loses.", "0.5")]
-Dropout = Annotated[float | None, _option(_FAULTS, "Probability that a beam misses what it should have seen.", "0")]
 Sharp = Annotated[
-    bool | None,
-    _option(
+    bool,
+    told(
         _FAULTS,
         "Range errors like those of Sharp's infrared sensors: growing noise, steps, dropouts, fold-back and a cone.",
-        None,
+        True,
         "--sharp",
     ),
 ]
-PriorMap = Annotated[
-    Path | None,
-    _option(_AGENT, "Folder of an earlier run or replay: begin in its map, at a place that is not known."),
-]
-KidnapAt = Annotated[
-    float | None,
-    _option(_FAULTS, "Time at which the robot is carried to another place, s. The seed chooses the place."),
-]
-Calibration = Annotated[
-    bool | None,
-    _option(
-        _AGENT,
-        "Whether the filter estimates the sizes of wheels and axle where they differ from the robot's settings.",
-        "calibration",
-    ),
-]
-Robots = Annotated[int | None, _option(_WORLD, "Number of robots that explore together, 1 to 8.", _RUN.robots)]
-UnknownStarts = Annotated[
-    bool | None,
-    _option(
-        _AGENT,
-        "Whether the second of two robots starts at a place that the agent does not know.",
-        "no",
-        "--unknown-starts",
-    ),
-]
-Seed = Annotated[int | None, _option(_WORLD, "Random seed.", _RUN.seed)]
-MaxTime = Annotated[
-    float | None,
-    _option(
-        _WORLD,
-        "Longest simulated time, s. Without it, a world has 10 s for each square metre, and at least the default.",
-        f"{_RUN.max_time:g}",
-    ),
-]
-RunPreset = Annotated[str | None, _option(_AGENT, _PRESETS, _RUN.preset)]
-Policy = Annotated[
-    str | None,
-    _option(
-        _AGENT,
-        "Policy that drives: frontier, frontier_fast, learned, wall_follower, random, "
-        "or FILE.py:CLASS for your own (a class or a function that makes a policy). "
-        "These policies use the true pose or the true map: learned_true_pose, tour, oracle.",
-        _RUN.policy,
-    ),
-]
-Until = Annotated[
-    str | None,
-    _option(
-        _AGENT,
-        "When the policies frontier and frontier_fast are done: seen (no frontier is left) or walls (the robot has "
-        "also looked at every place where free ground ends and the map has no wall).",
-        _RUN.until,
-    ),
-]
-Laps = Annotated[
-    int | None, _option(_AGENT, "Drive this many laps of the world's loop instead of exploring.", _RUN.laps)
-]
-Ablation = Annotated[
-    str | None,
-    _option(
-        _AGENT,
-        "Part of the method to switch off: no-ekf, no-loop-closing, no-end-gate, only-best-line or none. "
-        "All go with the preset paper, and no-loop-closing with every preset.",
-        "none",
-    ),
-]
-Limit = Annotated[bool | None, _option(_RESULTS, "Also compute the offline optimum.")]
-FilmSpeed = Annotated[
-    float | None,
-    _option(
-        _RESULTS,
-        "How much faster the video is than the run, 1 to 100. Pauses for explanations make the video longer.",
-        f"{_RUN.film_speed:g}",
-    ),
-]
-Watch = Annotated[
-    bool | None,
-    _option(
-        _RESULTS,
-        "Show what the robot believes in a browser while it drives, as limslam inspect does afterwards.",
-        None,
-        "--watch",
-    ),
-]
-Video = Annotated[Path | None, _option(_RESULTS, "Write a video of the run: FILE.mp4 or FILE.gif.")]
-
-# Of limslam replay.
 Log = Annotated[
     list[Path] | None,
     typer.Argument(
@@ -173,108 +114,217 @@ Log = Annotated[
         show_default=False,
     ),
 ]
-Beams = Annotated[str | None, _option(_LOG, "Directions of the beams that are used, deg: A,B,...", "all of a few")]
-MaxRange = Annotated[float | None, _option(_LOG, "Longest range that is used, m.", "3.0, or that of --robot")]
-RecordingRobot = Annotated[
-    str | None,
-    _option(
-        _TABLE,
-        "Robot that recorded a table: paper, e-puck, four-beam-drone, ring, or a TOML file with the robot's settings.",
-    ),
-]
-MetresPerTick = Annotated[
-    float | None, _option(_TABLE, "Wheel travel for each 1 in left and right, m.", f"{_REPLAY.metres_per_tick:g}")
-]
-Accumulated = Annotated[
-    bool | None,
-    _option(_TABLE, "The columns left and right count from the start, not from the row before."),
-]
-RangeUnit = Annotated[str | None, _option(_TABLE, "Unit of the ranges: m, cm or mm.", _REPLAY.range_unit)]
-TimeUnit = Annotated[str | None, _option(_TABLE, "Unit of the times: s, ms or us.", _REPLAY.time_unit)]
-ZoneAxes = Annotated[
-    str | None,
-    _option(_TABLE, "Axes of multi-zone sensors, deg: A,B,...; their ranges are perpendicular distances."),
-]
-Columns = Annotated[
-    str | None,
-    _option(_TABLE, "What the columns hold, in place of the header: t,left,right,r_90,..., and - for one not used."),
-]
-ZeroIsNothing = Annotated[
-    bool | None,
-    _option(_TABLE, "A range of 0 or less says that nothing was seen. Else 0 is too near, and less is no reading."),
-]
-ScanTopic = Annotated[str | None, _option(_LOG, "Topics of LaserScan messages in a ROS bag: A,B,...")]
-RangeTopics = Annotated[str | None, _option(_LOG, "Topics of Range messages in a ROS bag: TOPIC:DEG,...")]
-OdometryTopic = Annotated[str | None, _option(_LOG, "Topic of Odometry or pose messages in a ROS bag.")]
-MaxSize = Annotated[float | None, _option(_LOG, "Largest log that is read, unpacked, MB.", f"{_REPLAY.max_size:g}")]
-MaxEvents = Annotated[int | None, _option(_LOG, "Most lines, steps or messages that are read.", _REPLAY.max_events)]
-MaxBeams = Annotated[int | None, _option(_LOG, "Most beams of a scan.", _REPLAY.max_beams)]
-AssumedNoise = Annotated[float | None, _option(_AGENT, "Assumed standard deviation of the ranges, m.", _REPLAY.noise)]
-ReplayPreset = Annotated[str | None, _option(_AGENT, _PRESETS, _REPLAY.preset)]
-OdometryNoise = Annotated[
-    str | None,
-    _option(
-        _ODOMETRY,
-        "Three standard deviations: of the distance after 1 m (m), of the heading after 1 m (deg), "
-        "and of the heading after a turn of 1 rad (deg).",
-        "0.05,0.8,4",
-    ),
-]
-OdometryBias = Annotated[
-    str | None,
-    _option(_ODOMETRY, "True minus reported heading after 1 m (deg), and true distance over reported distance.", "0,1"),
-]
-SelfCalibrate = Annotated[
-    bool | None,
-    _option(
-        _ODOMETRY,
-        "Let the filter always, or never, estimate the constant errors of the odometry (presets graph and consistent).",
-        "where needed",
-    ),
-]
-Calibrate = Annotated[Path | None, _option(_ODOMETRY, "File of known relative poses to estimate the bias from.")]
 RelationsFile = Annotated[
     list[Path] | None,
-    _option(
+    told(
         _SCORE,
         "File of known relative poses to score the trajectory with. Of two logs: once for both, or once for each.",
     ),
-]
-
-# Of limslam live.
-Serial = Annotated[str | None, _option(_CONNECTION, "Serial port of the robot, like /dev/ttyUSB0 or COM3.")]
-Baud = Annotated[int | None, _option(_CONNECTION, "Bits per second of the serial port.", _LIVE.baud)]
-Udp = Annotated[int | None, _option(_CONNECTION, "UDP port on which to wait for the robot.")]
-Ros2 = Annotated[
-    bool | None,
-    _option(_CONNECTION, "The robot is one of ROS 2, with scan or ranges, odom and cmd_vel.", None, "--ros2"),
 ]
 RosArguments = Annotated[
     list[str] | None,
     typer.Argument(help="Arguments for ROS 2, after --: -- --ros-args -p NAME:=VALUE -r FROM:=TO.", show_default=False),
 ]
-LiveRobot = Annotated[
-    str | None,
-    _option(
-        _CONNECTION,
-        "Robot: paper, e-puck, four-beam-drone, ring, or a TOML file with the robot's settings. --ros2 needs it.",
-        "what the robot calls itself",
-    ),
-]
-Patience = Annotated[
-    float | None,
-    _option(_CONNECTION, "How long to wait for a robot that is silent, s.", f"{_LIVE.patience:g}"),
-]
-LivePolicy = Annotated[
-    str | None,
-    _option(
-        _AGENT,
-        "Policy that drives: frontier, frontier_fast, learned, wall_follower, random, "
-        "or FILE.py:CLASS for your own (a class or a function that makes a policy).",
-        _LIVE.policy,
-    ),
-]
-LiveTime = Annotated[
-    float | None,
-    _option(_CONNECTION, "Longest time of the session by the robot's clock, s.", f"{_LIVE.max_time:g}"),
-]
+
+
+@dataclass(frozen=True)
+class RunOptions(Bounded):
+    """The options of ``limslam run``."""
+
+    world: Annotated[
+        str,
+        told(
+            _WORLD,
+            "Name of a shipped world, random:SEED or random:SEED:40x30 (m) for a random floor plan, or a world file.",
+        ),
+    ] = "env1"
+    noise: Annotated[_Std, told(_WORLD, "Standard deviation of the ranges, m. The agent assumes the same noise.")] = (
+        0.02
+    )
+    preset: _Preset = DEFAULT_PRESET
+    seed: Annotated[CountOrNone, told(_WORLD, "Random seed.")] = 0
+    max_time: Annotated[
+        _Time,
+        told(
+            _WORLD,
+            "Longest simulated time, s. Without it, a world has 10 s for each square metre, and at least the default.",
+        ),
+    ] = 1800.0
+    policy: Annotated[
+        str,
+        told(
+            _AGENT,
+            f"{_POLICIES} These policies use the true pose or the true map: learned_true_pose, tour, oracle.",
+        ),
+    ] = "frontier"
+    until: _Until = "walls"
+    laps: Annotated[CountOrNone, told(_AGENT, "Drive this many laps of the world's loop instead of exploring.")] = 0
+    robots: Annotated[int, Bounds(1, 8), told(_WORLD, "Number of robots that explore together, 1 to 8.")] = 1
+    ablation: Annotated[
+        str | None,
+        told(
+            _AGENT,
+            "Part of the method to switch off: no-ekf, no-loop-closing, no-end-gate, only-best-line or none. "
+            "All go with the preset paper, and no-loop-closing with every preset.",
+            "none",
+        ),
+    ] = None
+    kidnap_at: Annotated[
+        float | None,
+        told(_FAULTS, "Time at which the robot is carried to another place, s. The seed chooses the place."),
+    ] = None
+    unknown_starts: Annotated[
+        bool,
+        told(_AGENT, "Whether the second of two robots starts at a place that the agent does not know.", "no"),
+    ] = False
+    map: _Map = None
+    limit: Annotated[bool, told(_RESULTS, "Also compute the offline optimum.")] = False
+    video: Annotated[Path | None, told(_RESULTS, "Write a video of the run: FILE.mp4 or FILE.gif.")] = None
+    watch: _Watch = False
+    out: _Out = None
+    force: _Force = False
+
+
+@dataclass(frozen=True)
+class ReplayOptions(Bounded):
+    """The options of ``limslam replay``."""
+
+    log: Path | None = None
+    other_log: Path | None = None
+    beams: Annotated[str | None, told(_LOG, "Directions of the beams that are used, deg: A,B,...", "all of a few")] = (
+        None
+    )
+    max_range: Annotated[float | None, told(_LOG, "Longest range that is used, m.", "3.0, or that of --robot")] = None
+    metres_per_tick: Annotated[float, told(_TABLE, "Wheel travel for each 1 in left and right, m.")] = 1.0
+    accumulated: Annotated[
+        bool, told(_TABLE, "The columns left and right count from the start, not from the row before.")
+    ] = False
+    range_unit: Annotated[str, told(_TABLE, "Unit of the ranges: m, cm or mm.")] = "m"
+    time_unit: Annotated[str, told(_TABLE, "Unit of the times: s, ms or us.")] = "s"
+    zone_axes: Annotated[
+        str | None,
+        told(_TABLE, "Axes of multi-zone sensors, deg: A,B,...; their ranges are perpendicular distances."),
+    ] = None
+    zero_is_nothing: Annotated[
+        bool,
+        told(_TABLE, "A range of 0 or less says that nothing was seen. Else 0 is too near, and less is no reading."),
+    ] = False
+    columns: Annotated[
+        str | None,
+        told(
+            _TABLE,
+            "What the columns hold, in place of the header: t,left,right,r_90,..., and - for one not used.",
+        ),
+    ] = None
+    noise: _AssumedStd = 0.02
+    preset: _Preset = DEFAULT_PRESET
+    map: _Map = None
+    odometry_noise: Annotated[
+        str | None,
+        told(
+            _ODOMETRY,
+            "Three standard deviations: of the distance after 1 m (m), of the heading after 1 m (deg), "
+            "and of the heading after a turn of 1 rad (deg).",
+            "0.05,0.8,4",
+        ),
+    ] = None
+    odometry_bias: Annotated[
+        str | None,
+        told(
+            _ODOMETRY,
+            "True minus reported heading after 1 m (deg), and true distance over reported distance.",
+            "0,1",
+        ),
+    ] = None
+    self_calibrate: Annotated[
+        bool | None,
+        told(
+            _ODOMETRY,
+            "Let the filter always, or never, estimate the constant errors of the odometry (presets graph and "
+            "consistent).",
+            "where needed",
+        ),
+    ] = None
+    calibrate: Annotated[Path | None, told(_ODOMETRY, "File of known relative poses to estimate the bias from.")] = None
+    scan_topic: Annotated[str | None, told(_LOG, "Topics of LaserScan messages in a ROS bag: A,B,...")] = None
+    range_topics: Annotated[str | None, told(_LOG, "Topics of Range messages in a ROS bag: TOPIC:DEG,...")] = None
+    odometry_topic: Annotated[str | None, told(_LOG, "Topic of Odometry or pose messages in a ROS bag.")] = None
+    max_size: Annotated[float, Bounds(1e-3, 1e6), told(_LOG, "Largest log that is read, unpacked, MB.")] = (
+        DEFAULT_LIMITS.max_bytes / 1e6
+    )
+    max_events: Annotated[int, Bounds(1, 10**9), told(_LOG, "Most lines, steps or messages that are read.")] = (
+        DEFAULT_LIMITS.max_events
+    )
+    max_beams: Annotated[int, Bounds(1, 10**6), told(_LOG, "Most beams of a scan.")] = DEFAULT_LIMITS.max_beams
+    relations: Path | None = None
+    other_relations: Path | None = None
+    out: _Out = None
+    force: _Force = False
+
+
+@dataclass(frozen=True)
+class LiveOptions(Bounded):
+    """The options of ``limslam live``, and ``baud``, bits per second of the serial port, which a file may set."""
+
+    serial: Annotated[str | None, told(_CONNECTION, "Serial port of the robot, like /dev/ttyUSB0 or COM3.")] = None
+    baud: Annotated[int, Bounds(300, 10**7)] = 115200
+    udp: Annotated[int | None, told(_CONNECTION, "UDP port on which to wait for the robot.")] = None
+    ros2: Annotated[bool, told(_CONNECTION, "The robot is one of ROS 2, with scan or ranges, odom and cmd_vel.")] = (
+        False
+    )
+    patience: Annotated[
+        float, Bounds(0.1, 3600.0), told(_CONNECTION, "How long to wait for a robot that is silent, s.")
+    ] = 10.0
+    max_time: Annotated[_Time, told(_CONNECTION, "Longest time of the session by the robot's clock, s.")] = 1800.0
+    noise: _AssumedStd = 0.02
+    preset: _Preset = DEFAULT_PRESET
+    policy: Annotated[str, told(_AGENT, _POLICIES)] = "frontier"
+    until: _Until = "walls"
+    watch: _Watch = False
+    out: _Out = None
+    force: _Force = False
+
+
+Options = TypeVar("Options", RunOptions, ReplayOptions, LiveOptions)
+
+
+def takes(kind: type[Any]) -> Callable[[Callable[..., None]], Callable[..., None]]:
+    """Make a function a command that has the options of a dataclass, and then those of its own named arguments.
+
+    The function gets the options of the dataclass as keyword arguments, None for those that were not given.
+    """
+
+    def decorated(function: Callable[..., None]) -> Callable[..., None]:
+        own = [each for each in inspect.signature(function).parameters.values() if each.kind is not each.VAR_KEYWORD]
+
+        @functools.wraps(function)
+        def command(**arguments: Any) -> None:
+            function(**arguments)
+
+        parameters = [*_declared(kind), *own]
+        command.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined] # what typer looks at
+        command.__annotations__ = {each.name: each.annotation for each in parameters}
+        return command
+
+    return decorated
+
+
+def _declared(kind: type[Any]) -> list[inspect.Parameter]:
+    """The arguments of a function that typer makes the options of a dataclass of."""
+    hints, found = get_type_hints(kind, include_extras=True), list[inspect.Parameter]()
+    for field in fields(kind):
+        plain, *extras = get_args(hints[field.name]) if hasattr(hints[field.name], "__metadata__") else (None,)
+        said = next((each for each in extras if isinstance(each, OptionInfo)), None)
+        if said is None:
+            continue
+        option = copy(said)
+        if option.show_default is True:
+            is_shown = field.default is not None and field.default is not False
+            option.show_default = f"{field.default:g}" if isinstance(field.default, float) else str(field.default)
+            option.show_default = option.show_default if is_shown else False
+        if plain is bool:  # nothing is said to switch it off
+            option.param_decls = (f"--{field.name.replace('_', '-')}",)
+        option.default = None
+        kind_of_argument = inspect.Parameter.POSITIONAL_OR_KEYWORD
+        found.append(inspect.Parameter(field.name, kind_of_argument, default=option, annotation=plain | None))
+    return found

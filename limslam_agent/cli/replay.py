@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from limslam_agent.cli import options as take
-from limslam_agent.cli.settings import Given, ReplayOptions, replay_agent, write_replay_settings
+from limslam_agent.cli.options import ReplayOptions, takes
+from limslam_agent.cli.settings import Given, replay_agent, write_replay_settings
 from limslam_agent.cli.terminal import progress_bar, warn
 
 if TYPE_CHECKING:
@@ -20,39 +21,17 @@ if TYPE_CHECKING:
     from limslam_env.interface import RobotSpec
 
 
+@takes(ReplayOptions)
 def replay(
     log: take.Log = None,
-    beams: take.Beams = None,
-    max_range: take.MaxRange = None,
     robot: take.RecordingRobot = None,
-    metres_per_tick: take.MetresPerTick = None,
-    accumulated: take.Accumulated = None,
-    range_unit: take.RangeUnit = None,
-    time_unit: take.TimeUnit = None,
-    zone_axes: take.ZoneAxes = None,
-    zero_is_nothing: take.ZeroIsNothing = None,
-    columns: take.Columns = None,
-    noise: take.AssumedNoise = None,
-    preset: take.ReplayPreset = None,
-    map: take.PriorMap = None,  # noqa: A002 (the option's name)
-    odometry_noise: take.OdometryNoise = None,
-    odometry_bias: take.OdometryBias = None,
-    self_calibrate: take.SelfCalibrate = None,
-    calibrate: take.Calibrate = None,
-    scan_topic: take.ScanTopic = None,
-    range_topics: take.RangeTopics = None,
-    odometry_topic: take.OdometryTopic = None,
-    max_size: take.MaxSize = None,
-    max_events: take.MaxEvents = None,
-    max_beams: take.MaxBeams = None,
     relations: take.RelationsFile = None,
-    out: take.Out = None,
-    force: take.Force = None,
     config: take.Config = None,
+    **told: Any,
 ) -> None:
     """Draw a map from a recorded log, or from two logs of one building."""
-    arguments = {**locals(), **_pair("log", log, "LOG"), **_pair("relations", relations, "--relations")}
-    given = Given.read(arguments.pop("config"), arguments)
+    paths = {**_pair("log", log, "LOG"), **_pair("relations", relations, "--relations")}
+    given = Given.read(config, {**told, **paths, "robot": robot})
     options = given.merged(ReplayOptions(), ("agent", "robot"))
     agent = replay_agent(given, options)
     warn(given.warnings(options.preset))

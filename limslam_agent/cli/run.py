@@ -1,59 +1,37 @@
 """``limslam run``: a simulated run, and its folder."""
 
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import typer
 
 from limslam_agent.cli import options as take
-from limslam_agent.cli.settings import Given, RunOptions, run_config, run_options, write_run_settings
+from limslam_agent.cli.options import RunOptions, takes
+from limslam_agent.cli.settings import Given, run_config, run_options, write_run_settings
 from limslam_agent.cli.terminal import Advance, progress_bar, warn
 
 if TYPE_CHECKING:
-    from limslam_agent.runs.episode import Episode, Watcher
+    from limslam_agent.runs.episode import Episode
     from limslam_agent.runs.run_config import RunConfig
     from limslam_agent.team import LimSlamTeam
     from limslam_env.envs.parallel_env import LimSlamParallelEnv
 
 
+@takes(RunOptions)
 def run(
-    world: take.World = None,
-    noise: take.Noise = None,
-    preset: take.RunPreset = None,
-    seed: take.Seed = None,
-    max_time: take.MaxTime = None,
-    policy: take.Policy = None,
-    until: take.Until = None,
-    laps: take.Laps = None,
-    robots: take.Robots = None,
     robot: take.Robot = None,
-    calibration: take.Calibration = None,
     odometry_noise: take.TrueOdometryNoise = None,
     wheel_mismatch: take.WheelMismatch = None,
-    axle_mismatch: take.AxleMismatch = None,
-    slip_rate: take.SlipRate = None,
-    slip_share: take.SlipShare = None,
-    dropout: take.Dropout = None,
-    sharp: take.Sharp = None,
-    kidnap_at: take.KidnapAt = None,
-    unknown_starts: take.UnknownStarts = None,
-    map: take.PriorMap = None,  # noqa: A002 (the option's name)
-    ablation: take.Ablation = None,
-    limit: take.Limit = None,
-    video: take.Video = None,
-    film_speed: take.FilmSpeed = None,
-    watch: take.Watch = None,
-    out: take.Out = None,
-    force: take.Force = None,
+    sharp: take.Sharp = False,
     config: take.Config = None,
+    **options: Any,
 ) -> None:
     """Explore an unknown building and draw its map."""
-    arguments = locals()
-    given = Given.read(arguments.pop("config"), arguments)
+    faults = {"odometry_noise": odometry_noise, "wheel_mismatch": wheel_mismatch, "sharp": sharp}
+    given = Given.read(config, {**options, **faults, "robot": robot})
     carry_out(given, run_options(given))
 
 
@@ -79,7 +57,7 @@ def carry_out(given: Given, options: RunOptions) -> None:
         new_folder(target, force=options.force, numbered=options.out is None) as folder,
         progress_bar(task, total) as advance,
     ):
-        episode = _filmed_run(config, advance, options)
+        episode = _shown_run(config, advance, options)
         if config.agent.run_smoothing is not None:
             advance(options.max_time if options.laps else 1.0, "smoothing, and writing the map")
         result = write_episode(folder.beside, episode)
@@ -104,44 +82,34 @@ def _folder_name(config: "RunConfig") -> str:
     )
 
 
-def _filmed_run(config: "RunConfig", advance: Advance, options: RunOptions) -> "Episode":
+def _shown_run(config: "RunConfig", advance: Advance, options: RunOptions) -> "Episode":
+    """Run, and show the run in a film and in a browser where that was asked for. Both show the same recording."""
+    from limslam_agent.inspect.live_page import Follower, live_page
     from limslam_agent.runs.episode import run_episode
+    from limslam_agent.runs.recording import filming
+    from limslam_agent.runs.results import title_of
+    from limslam_env.worlds.formats.loading import load_world
 
-    with _watched(config, options) as follow:
+    title, steps = title_of(config), round(config.max_time / config.robot.control_period) + 1
+    with ExitStack() as opened:
+        film = page = follower = None
+        if options.video is not None:
+            film = opened.enter_context(filming(options.video, config, title, force=options.force))
+        if options.watch:
+            page = opened.enter_context(live_page(title, load_world(config.world).edges))
+            typer.echo(f"watch       {page.address}", err=True)
+        if film is not None or page is not None:
+            follower = Follower(page, steps)
 
         def show(team: "LimSlamTeam", env: "LimSlamParallelEnv", time: float, coverage: float) -> None:
             # An exploration is over when all is seen, and laps have no such end.
             advance(time if config.laps else coverage, f"{time:6.1f} s  {coverage:6.1%} covered  {team.status}")
-            follow(team, env, time, coverage)
+            if follower is not None:
+                recorder = follower.note(team.mapper, team.policies, time, env.true_poses)
+                if film is not None:
+                    film.watch(recorder, team, env, time, coverage)
 
-        if options.video is None:
-            return run_episode(config, show)
-        from limslam_agent.runs.recording import filming
-        from limslam_agent.runs.results import title_of
-
-        title, speed = title_of(config), options.film_speed
-        with filming(options.video, config, title, force=options.force, speed=speed) as recorder:
-
-            def watch(team: "LimSlamTeam", env: "LimSlamParallelEnv", time: float, coverage: float) -> None:
-                recorder.watch(team, env, time, coverage)
-                show(team, env, time, coverage)
-
-            return run_episode(config, watch, render_mode="rgb_array")
-
-
-@contextmanager
-def _watched(config: "RunConfig", options: RunOptions) -> "Iterator[Watcher]":
-    """What is called after each step, so that a browser can show the run while it goes on."""
-    if not options.watch:
-        yield lambda *_: None
-        return
-    from limslam_agent.inspect.live_page import Follower, live_page
-    from limslam_agent.runs.results import title_of
-    from limslam_env.worlds.formats.loading import load_world
-
-    steps = round(config.max_time / config.robot.control_period) + 1
-    with live_page(title_of(config), load_world(config.world).edges) as page:
-        typer.echo(f"watch       {page.address}", err=True)
-        follower = Follower(page, steps)
-        yield lambda team, env, time, _: follower.note(team.mapper, team.policies, time, env.true_poses)
-        follower.end()
+        episode = run_episode(config, show, render_mode=None if film is None else "rgb_array")
+        if follower is not None:
+            follower.end()
+        return episode

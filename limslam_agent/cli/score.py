@@ -5,47 +5,34 @@ from typing import Annotated
 
 import typer
 
+from limslam_agent.cli.options import told
+
 _TRUTH, _ESTIMATE, _MAP = "Truth", "Estimate", "Map"
 
 
 def score(
     estimated: Annotated[
-        Path | None,
-        typer.Option("--est", help="Estimated trajectory (TUM: t x y z qx qy qz qw).", rich_help_panel=_ESTIMATE),
+        Path | None, told(_ESTIMATE, "Estimated trajectory (TUM: t x y z qx qy qz qw).", True, "--est")
     ] = None,
-    true: Annotated[
-        Path | None, typer.Option("--true", help="True trajectory (TUM), of other times too.", rich_help_panel=_TRUTH)
-    ] = None,
-    relations: Annotated[
-        Path | None,
-        typer.Option(help="Known relative poses instead of a true trajectory.", rich_help_panel=_TRUTH),
-    ] = None,
+    true: Annotated[Path | None, told(_TRUTH, "True trajectory (TUM), of other times too.")] = None,
+    relations: Annotated[Path | None, told(_TRUTH, "Known relative poses instead of a true trajectory.")] = None,
     covariances: Annotated[
         Path | None,
-        typer.Option(
-            help="Covariances of the estimated poses: lines t xx xy xh yy yh hh, or covariance_est.npz of a run.",
-            rich_help_panel=_ESTIMATE,
+        told(
+            _ESTIMATE, "Covariances of the estimated poses: lines t xx xy xh yy yh hh, or covariance_est.npz of a run."
         ),
     ] = None,
     align: Annotated[
         str,
-        typer.Option(
-            help="How the frame of the estimate is moved first: none, start (equal first poses) or path (all poses).",
-            rich_help_panel=_ESTIMATE,
+        told(
+            _ESTIMATE,
+            "How the frame of the estimate is moved first: none, start (equal first poses) or path (all poses).",
         ),
     ] = "none",
-    max_difference: Annotated[
-        float, typer.Option(help="Most that the times of two poses may differ, s.", rich_help_panel=_ESTIMATE)
-    ] = 0.01,
-    walls: Annotated[
-        Path | None, typer.Option("--map", help="Estimated walls: a map.json.", rich_help_panel=_MAP)
-    ] = None,
-    world: Annotated[
-        str | None, typer.Option(help="The true walls: a world file or a world's name.", rich_help_panel=_MAP)
-    ] = None,
-    robot: Annotated[
-        str, typer.Option(help="Robot that drove, which decides what can be seen.", rich_help_panel=_MAP)
-    ] = "paper",
+    max_difference: Annotated[float, told(_ESTIMATE, "Most that the times of two poses may differ, s.")] = 0.01,
+    walls: Annotated[Path | None, told(_MAP, "Estimated walls: a map.json.", True, "--map")] = None,
+    world: Annotated[str | None, told(_MAP, "The true walls: a world file or a world's name.")] = None,
+    robot: Annotated[str, told(_MAP, "Robot that drove, which decides what can be seen.")] = "paper",
     out: Annotated[Path | None, typer.Option(help="Also write the metrics into this file (.json).")] = None,
     *,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,

@@ -5,12 +5,10 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from shutil import copyfile
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
-from limslam_agent.config import DEFAULT_PRESET
-from limslam_agent.config.bounds import Bounded, Bounds, CountOrNone
+from limslam_agent.cli.options import LiveOptions, Options, ReplayOptions, RunOptions
 from limslam_agent.config.tables import SettingsError, Table, known_settings, read_toml, table_of, updated, write_toml
-from limslam_agent.logs.limits import DEFAULT_LIMITS
 
 if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig
@@ -21,101 +19,18 @@ if TYPE_CHECKING:
 FILE = "run.toml"
 """The file in a result's folder that repeats the command."""
 
-_Std = Annotated[float, Bounds(0.0, 1e3)]
 _MAX_WHEEL_STD = 1.0  # m, after 1 m
-_Time = Annotated[float, Bounds(1e-3, 1e6)]
 
 _MOST_NAMED = 5  # settings in a warning
 _TIME_PER_GROUND = 10.0  # s for each m^2 of a world: twice what an exploration needs
 
 # These say where results go, not how they are made.
-_OUTPUT = {"out", "force", "video", "film_speed", "watch"}
+_OUTPUT = {"out", "force", "video", "watch"}
 
 # The true noise of wheels, which the kind of range sensors does not change.
 _WHEELS = {"wheel_variance", "encoder_resolution", "wheel_mismatch", "axle_mismatch", "slip_rate", "slip_share"}
 # The settings of an agent that belong to its preset.
 _OF_PRESET = ("estimator", "smoothing", "smooths_runs", "renewal")
-
-
-@dataclass(frozen=True)
-class RunOptions(Bounded):
-    """The options of ``limslam run``; they are described there."""
-
-    world: str = "env1"
-    noise: _Std = 0.02
-    preset: str = DEFAULT_PRESET
-    seed: CountOrNone = 0
-    max_time: _Time = 1800.0
-    policy: str = "frontier"
-    until: str = "walls"
-    laps: CountOrNone = 0
-    robots: Annotated[int, Bounds(1, 8)] = 1
-    ablation: str | None = None
-    kidnap_at: float | None = None
-    unknown_starts: bool = False
-    map: Path | None = None
-    limit: bool = False
-    video: Path | None = None
-    film_speed: Annotated[float, Bounds(1.0, 100.0)] = 5.0
-    watch: bool = False
-    out: Path | None = None
-    force: bool = False
-
-
-@dataclass(frozen=True)
-class ReplayOptions(Bounded):
-    """The options of ``limslam replay``; they are described there."""
-
-    log: Path | None = None
-    other_log: Path | None = None
-    beams: str | None = None
-    max_range: float | None = None
-    metres_per_tick: float = 1.0
-    accumulated: bool = False
-    range_unit: str = "m"
-    time_unit: str = "s"
-    zone_axes: str | None = None
-    zero_is_nothing: bool = False
-    columns: str | None = None
-    noise: _Std = 0.02
-    preset: str = DEFAULT_PRESET
-    map: Path | None = None
-    odometry_noise: str | None = None
-    odometry_bias: str | None = None
-    self_calibrate: bool | None = None
-    calibrate: Path | None = None
-    scan_topic: str | None = None
-    range_topics: str | None = None
-    odometry_topic: str | None = None
-    max_size: Annotated[float, Bounds(1e-3, 1e6)] = DEFAULT_LIMITS.max_bytes / 1e6
-    max_events: Annotated[int, Bounds(1, 10**9)] = DEFAULT_LIMITS.max_events
-    max_beams: Annotated[int, Bounds(1, 10**6)] = DEFAULT_LIMITS.max_beams
-    relations: Path | None = None
-    other_relations: Path | None = None
-    out: Path | None = None
-    force: bool = False
-
-
-@dataclass(frozen=True)
-class LiveOptions(Bounded):
-    """The options of ``limslam live``; they are described there."""
-
-    serial: str | None = None
-    baud: Annotated[int, Bounds(300, 10**7)] = 115200
-    udp: int | None = None
-    ros2: bool = False
-    noise: _Std = 0.02
-    preset: str = DEFAULT_PRESET
-    policy: str = "frontier"
-    until: str = "walls"
-    max_time: _Time = 1800.0
-    patience: Annotated[float, Bounds(0.1, 3600.0)] = 10.0
-    watch: bool = False
-    out: Path | None = None
-    force: bool = False
-
-
-Options = TypeVar("Options", RunOptions, ReplayOptions, LiveOptions)
 
 
 @dataclass(frozen=True)
@@ -190,13 +105,17 @@ class Given:
         """A path of the file, which is relative to the file's folder."""
         return path if self.path is None else self.path.absolute().parent / path
 
-    def agent(self, base: "AgentConfig", preset_in_file: str) -> "AgentConfig":
+    def agent(self, base: "AgentConfig") -> "AgentConfig":
         """The agent's settings: those of the preset with the changes in the file's table ``agent``.
 
         Options win over the table: a preset on the command line that is not the file's brings its own estimator, and
         ``--noise`` sets the noise that the agent assumes.
         """
-        table = self._table_without("agent", {"noise": "range_std"} if "noise" in self.options else {})
+        table, preset_in_file = self.table.get("agent", {}), self.table.get("preset", base.preset)
+        if not isinstance(table, Mapping):
+            raise SettingsError(f"{self.path}: agent: must be a table, not {table!r}")
+        if "noise" in self.options and isinstance(noise := table.get("noise"), Mapping):
+            table = {**table, "noise": {name: value for name, value in noise.items() if name != "range_std"}}
         if isinstance(policy := table.get("policy"), Mapping) and "until" in policy:
             raise SettingsError(f"{self.path}: agent.policy.until: is set as until, outside of all tables")
         in_file = base if base.preset == preset_in_file else self._preset_in_file(preset_in_file, base)
@@ -206,14 +125,6 @@ class Given:
             updated(in_file, table, f"{self.path}: agent", fixed={"preset"})
             table = {name: value for name, value in table.items() if name not in _OF_PRESET}
         return updated(base, table, f"{self.path}: agent", fixed={"preset"})
-
-    def run_agent(self, base: "AgentConfig", preset_in_file: str) -> "AgentConfig":
-        """The same for a run: ``--odometry-noise`` and ``--calibration`` win, too."""
-        agent, told = self.agent(base, preset_in_file), self.options
-        if "odometry_noise" in told:
-            variance = _wheel_variance(told["odometry_noise"])
-            agent = replace(agent, noise=replace(agent.noise, wheel_variance=variance))
-        return _with_calibration(agent, enabled=told["calibration"]) if "calibration" in told else agent
 
     def warnings(self, preset: str) -> list[str]:
         """A line for settings that this version lacks, and one for tables of the file that are for another preset."""
@@ -239,17 +150,15 @@ class Given:
     def true_noise(self, base: "NoiseConfig") -> "NoiseConfig":
         """The true noise of the simulator besides that of the option ``noise``."""
         noise = updated(base, self.table.get("true_noise", {}), f"{self.path}: true_noise", fixed={"sensor_noise"})
-        told = {name: value for name, value in self.options.items() if name in vars(base)}
         if self.options.get("sharp"):
             noise = type(base).sharp(**{name: value for name, value in vars(noise).items() if name in _WHEELS})
         if "odometry_noise" in self.options:
             noise = replace(noise, wheel_variance=_wheel_variance(self.options["odometry_noise"]))
-        for name, value in told.items():
-            try:
-                noise = replace(noise, **{name: value})
-            except ValueError as error:
-                raise SettingsError(f"--{name.replace('_', '-')}: {error}") from error
-        return noise
+        try:
+            mismatch = self.options.get("wheel_mismatch", noise.wheel_mismatch)
+            return replace(noise, wheel_mismatch=mismatch)
+        except ValueError as error:
+            raise SettingsError(f"--wheel-mismatch: {error}") from error
 
     def robot(self) -> "RobotSpec":
         """The robot of ``--robot``, else the paper's robot with the changes in the file's table ``robot``."""
@@ -269,20 +178,6 @@ class Given:
         told = {name: value for name, value in self.table.items() if name not in self.options}
         key = next((name for name, value in told.items() if isinstance(value, str) and repr(value) in str(error)), None)
         return SettingsError(f"{self.path}: {key}: {error}") if key else error
-
-    def _table_without(self, name: str, dropped: Mapping[str, str]) -> dict[str, Any]:
-        """A table of the file without one key in each of some tables inside of it."""
-        table = self.table.get(name, {})
-        if not isinstance(table, Mapping):
-            raise SettingsError(f"{self.path}: {name}: must be a table, not {table!r}")
-        inner = {part: each for part in dropped if isinstance(each := table.get(part), Mapping)}
-        return {
-            **table,
-            **{
-                part: {key: value for key, value in each.items() if key != dropped[part]}
-                for part, each in inner.items()
-            },
-        }
 
 
 @dataclass(frozen=True)
@@ -361,17 +256,6 @@ def _wheel_variance(std: float) -> float:
     return std**2
 
 
-def _with_calibration(agent: "AgentConfig", *, enabled: bool) -> "AgentConfig":
-    """An agent that calibrates its odometry where that is needed, or never."""
-    from limslam_agent.config.presets import ConsistentConfig, self_calibrating
-
-    if isinstance(agent.estimator, ConsistentConfig):
-        return self_calibrating(agent, "if_needed" if enabled else "never")
-    if enabled:
-        raise SettingsError(f"--calibration: the preset {agent.preset} cannot calibrate odometry; graph does")
-    return agent
-
-
 def run_options(given: Given) -> RunOptions:
     """The options of a run; paths of a world and a policy in the file are relative to the file.
 
@@ -405,12 +289,11 @@ def run_config(given: Given, options: RunOptions) -> "RunConfig":
     from limslam_env.worlds.formats.loading import load_world
 
     try:
-        in_file, world, max_time = (
-            given.table.get("preset", options.preset),
-            load_world(options.world),
-            options.max_time,
-        )
-        agent = given.run_agent(with_until(preset(options.preset, NominalNoise(options.noise)), options.until), in_file)
+        world, max_time = load_world(options.world), options.max_time
+        agent = given.agent(with_until(preset(options.preset, NominalNoise(options.noise)), options.until))
+        if "odometry_noise" in given.options:
+            variance = _wheel_variance(given.options["odometry_noise"])
+            agent = replace(agent, noise=replace(agent.noise, wheel_variance=variance))
         if "max_time" not in given.options and "max_time" not in given.table:
             max_time = min(max(max_time, _TIME_PER_GROUND * world.size[0] * world.size[1]), LONGEST_TIME)
         return RunConfig(
@@ -460,10 +343,9 @@ def replay_agent(given: Given, options: ReplayOptions) -> "AgentConfig":
     """
     from limslam_agent.replay.options import odometry_config, replay_config, with_self_calibration
 
-    in_file = given.table.get("preset", options.preset)
     told, wanted = given.options, options.self_calibrate
     base = replay_config(options.preset, options.noise, options.odometry_noise, options.odometry_bias)
-    agent = given.agent(base, in_file)
+    agent = given.agent(base)
     # An option wins over the file's table of the same settings.
     odometry = odometry_config(told.get("odometry_noise"), told.get("odometry_bias"), agent.odometry)
     agent = replace(agent, odometry=odometry)

@@ -18,15 +18,17 @@ if TYPE_CHECKING:
 
 SUFFIXES = (".png", ".pdf", ".svg")
 
+_Out = Annotated[
+    Path | None, typer.Option(help="Draw into this file (.png, .pdf, .svg) and open no window.", show_default="none")
+]
+_Force = Annotated[bool, typer.Option("--force", help="Replace an existing file.")]
+
 
 def show(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a finished run or replay.")],
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Draw into this file (.png, .pdf, .svg) and open no window.", show_default="none"),
-    ] = None,
+    out: _Out = None,
     *,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+    force: _Force = False,
 ) -> None:
     """Show a finished run: its metrics, its map, and its errors over time."""
     from limslam_agent.output.atomic_write import check_target
@@ -43,13 +45,22 @@ def show(
     for line in (f"run         {run.title}", *lines):
         typer.echo(printable(line))
     edges = true_edges(run)
+    title, picture = f"LimSLAM: {run.folder.name}", folder / PICTURE
+    if not _drawn(out, title, SIZE, lambda figure: draw_run(figure, run, lines, edges)) and picture.is_file():
+        typer.echo(printable(f"picture     {picture}"))
+
+
+def _drawn(out: Path | None, title: str, size: tuple[float, float], draw: "Draw") -> bool:
+    """Draw a figure into a file, or in a window; False if there is no window to draw in, which is said."""
+    from limslam_env.messages import printable
+
     if out is not None:
-        write_picture(out, SIZE, lambda figure: draw_run(figure, run, lines, edges))
+        write_picture(out, size, draw)
         typer.echo(printable(f"picture     {out}"))
-    elif not open_window(f"LimSLAM: {run.folder.name}", SIZE, lambda figure: draw_run(figure, run, lines, edges)):
-        if (folder / PICTURE).is_file():
-            typer.echo(printable(f"picture     {folder / PICTURE}"))
-        typer.echo("            there is no display: --out FILE.png draws the map and the errors over time")
+    elif not open_window(title, size, draw):
+        typer.echo("there is no display: --out FILE.png draws the map and the errors over time")
+        return False
+    return True
 
 
 def true_edges(run: "FinishedRun") -> "FloatArray | None":
@@ -120,19 +131,15 @@ def _numbers(run: "FinishedRun", part: str) -> dict[str, object]:
 
 def compare(
     folders: Annotated[list[Path], typer.Argument(metavar="DIR DIR...", help="The folders of finished runs.")],
-    out: Annotated[
-        Path | None,
-        typer.Option(help="Draw into this file (.png, .pdf, .svg) and open no window.", show_default="none"),
-    ] = None,
+    out: _Out = None,
     *,
-    force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
+    force: _Force = False,
 ) -> None:
     """Compare finished runs or replays: their metrics, their maps, and their errors over time."""
     from limslam_agent.cli.terminal import print_table
     from limslam_agent.output.atomic_write import check_target
     from limslam_agent.output.comparison_picture import MOST_RUNS, draw_comparison, sheet_size, table_of
     from limslam_agent.output.finished_run import read_run
-    from limslam_env.messages import printable
 
     if not 2 <= len(folders) <= MOST_RUNS:
         raise ValueError(f"2 to {MOST_RUNS} folders can be compared, not {len(folders)}")
@@ -142,8 +149,4 @@ def compare(
     print_table(table_of(runs))
     edges = [true_edges(run) for run in runs]
     size = sheet_size(len(runs))
-    if out is not None:
-        write_picture(out, size, lambda figure: draw_comparison(figure, runs, edges))
-        typer.echo(printable(f"picture     {out}"))
-    elif not open_window("LimSLAM: comparison", size, lambda figure: draw_comparison(figure, runs, edges)):
-        typer.echo("there is no display: --out FILE.png draws the maps and the errors over time")
+    _drawn(out, "LimSLAM: comparison", size, lambda figure: draw_comparison(figure, runs, edges))

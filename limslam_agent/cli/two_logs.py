@@ -6,8 +6,9 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
+from limslam_agent.cli.options import ReplayOptions
 from limslam_agent.cli.replay import Job, job_of, scores_of
-from limslam_agent.cli.settings import ReplayOptions, write_replay_settings
+from limslam_agent.cli.settings import write_replay_settings
 from limslam_agent.cli.terminal import progress_bar, warn
 
 if TYPE_CHECKING:

@@ -1,6 +1,8 @@
 """``limslam warmup``: compile all kernels now, so that no later run waits for them."""
 
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 
@@ -9,21 +11,28 @@ import typer
 
 def warmup() -> None:
     """Compile everything that is compiled at its first use, and keep it on disk."""
-    from limslam_agent.runs.precompilation import beside, processors
     from limslam_env.messages import QUIET
 
     # Each step has its own line, which the kernels need not repeat.
     os.environ[QUIET] = "1"
-    # The last step takes half of all the time. Where there are two processors, it is done beside the others.
-    with beside(f"from {__name__} import STEPS; STEPS[{LAST!r}][1]()" if processors() > 1 else None) as wait:
+    # The last step takes half of all the time, so it is done beside the others, and is found on disk then. If that
+    # process fails, the step compiles its kernels here.
+    beside = subprocess.Popen(  # noqa: S603 (this interpreter, and this module)
+        [sys.executable, "-P", "-c", f"from {__name__} import STEPS; STEPS[{LAST!r}][1]()"],
+        stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    try:
         for name, (seconds, step) in STEPS.items():
             typer.echo(f"{name:12}", nl=False)
             begin = time.perf_counter()
             typer.echo(f"{f'up to about {seconds} s ...':24}", nl=False)
             if name == LAST:
-                wait()
+                beside.wait()
             step()
             typer.echo(f"done after {time.perf_counter() - begin:.1f} s")
+    finally:
+        beside.kill()
+        beside.wait()
 
 
 def _single() -> None:

@@ -37,8 +37,6 @@ NonNegative = Annotated[float, Bounds(0.0, 1e6)]
 """A length (m), a speed (m/s), a gate or a number of standard deviations: 0 or more."""
 Positive = Annotated[float, Bounds(1e-6, 1e6)]
 """The same, but above 0: a bin or a cell of no size cannot be computed with."""
-Share = Annotated[float, Bounds(0.0, 1.0)]
-"""A part of a whole."""
 Angle = Annotated[float, Bounds(0.0, 2.0 * math.pi)]
 """An angle without a sign, rad."""
 Count = Annotated[int, Bounds(1, 10**6)]

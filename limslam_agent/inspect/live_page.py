@@ -88,35 +88,46 @@ class LivePage:
 
 
 class Follower:
-    """Records a mapper for a page from its first step that is noted.
+    """Records a mapper while it runs, from its first step that is noted.
 
     Parameters
     ----------
     page
-        Gets the states of the recording.
+        Gets the states of the recording; None where no page shows it.
     steps
         Largest number of steps that will come.
     """
 
-    def __init__(self, page: LivePage, steps: int) -> None:
+    def __init__(self, page: LivePage | None, steps: int) -> None:
         self._page, self._steps = page, steps
         self._recorder: Recorder | None = None
 
-    def note(self, mapper: Mapper, policies: Sequence[Policy], seconds: float, true: FloatArray | None = None) -> None:
-        """Note a step, after the policies have decided, with the true poses (n, 3) where they are known."""
+    def note(
+        self, mapper: Mapper, policies: Sequence[Policy], seconds: float, true: FloatArray | None = None
+    ) -> Recorder:
+        """Note a step, after the policies have decided, with the true poses (n, 3) where they are known.
+
+        Returns
+        -------
+        Recorder
+            The recording so far.
+        """
         if self._recorder is None:
             self._recorder = Recorder(mapper, self._steps)
         ranges = np.full((len(mapper.poses), len(mapper.robot.beams)), np.nan)
         for row, front in zip(ranges, mapper.slam.robots, strict=False):  # of robots apart, the SLAM has the first one
             row[:] = np.where(front.measured | front.dropped, front.ranges, np.nan)
         self._recorder.note(seconds, ranges, policies, true)
-        self._page.update(self._recorder)
+        if self._page is not None:
+            self._page.update(self._recorder)
+        return self._recorder
 
     def end(self) -> None:
         """Show the last state, after the mapper has used its pending readings."""
         if self._recorder is not None:
             self._recorder.finish()
-        self._page.end(self._recorder)
+        if self._page is not None:
+            self._page.end(self._recorder)
 
 
 @contextmanager

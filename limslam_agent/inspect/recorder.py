@@ -1,7 +1,6 @@
 """Watches a mapper step by step and keeps what the page shows."""
 
 from collections.abc import Sequence
-from itertools import takewhile
 from typing import Any
 
 import numpy as np
@@ -9,22 +8,13 @@ from numpy.typing import NDArray
 
 from limslam_agent.config.presets import ConsistentConfig
 from limslam_agent.inspect.columns import Ragged, quantised, quantum_for
-from limslam_agent.inspect.events import (
-    Event,
-    comparison_event,
-    correct,
-    explain_waiting,
-    extraction_event,
-    loop_event,
-    rounded,
-)
+from limslam_agent.inspect.event_log import EventLog
+from limslam_agent.inspect.events import Event, rounded
 from limslam_agent.inspect.frontiers import frontiers_of
 from limslam_agent.inspect.grid_changes import GridChanges
 from limslam_agent.joining import JoiningMapper
 from limslam_agent.mapper import Mapper
 from limslam_agent.policies.policy import Policy, checked_plan
-from limslam_agent.slam.core.diagnostics import AssociationRecord, Comparison, Extraction
-from limslam_agent.slam.core.hough import bin_size
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.status import LEVELS, Status
 from limslam_env.geometry import FloatArray
@@ -43,9 +33,6 @@ SIDES: tuple[Side, ...] = ("left", "right", "none")
 _FRONTIERS_EVERY = 20
 """Frontiers are computed at least once in so many steps, and whenever a robot has a new goal."""
 
-_MOVED_GOAL = 1.0
-"""A goal is an event if it has moved by more than this, m, as in the films."""
-
 _MM = 1e3
 
 
@@ -60,16 +47,20 @@ class Recorder:
         The mapper. Of steps that it has made before, nothing is known.
     steps
         Number of steps that will come, or at least their largest number.
+
+    Attributes
+    ----------
+    log
+        What has happened so far.
     """
 
     def __init__(self, mapper: Mapper, steps: int) -> None:
-        self._mapper, self._steps = mapper, steps
+        self._mapper, self._steps, self.log = mapper, steps, EventLog(mapper)
         self._time, self._true, self._slam_steps = list[float](), list[FloatArray](), list[int]()
         self._stride = -(-steps // MOST_FRAMES)
         beams = len(mapper.robot.beams)
         self._beams = np.unique(np.linspace(0, beams - 1, min(beams, MOST_BEAMS)).round().astype(int))
         self._row, self._frame_rows = 0, list[int]()
-        self._events: list[Event] = []
         self._columns: dict[str, list[Any]] = {
             name: [] for name in ("pose", "cov", "odometry", "level", "reason", "ranges", "landmarks", "buffers")
         } | {name: [] for name in ("map_index", "plan_index", "frontier_index", "goal")}
@@ -78,16 +69,8 @@ class Recorder:
         self._walls, self._marks, self._grid = Ragged(5), Ragged(11), Ragged(4)
         self._frontiers: list[list[dict[str, Any]]] = []
         self._changes = GridChanges()
-        self._associations: list[tuple[int, AssociationRecord]] = []
-        self._open: tuple[Event, Comparison, int] | None = None
-        self._extraction: Extraction | None = None
-        self._closures, self._frame, self._places = 0, mapper.frame, 0
         self._last_map, self._last_plans = b"", b""
-        self._last_goals, self._goals_noted = np.full((2, len(mapper.poses), 2), np.nan)
-        self._last_levels = [0] * len(mapper.poses)
-        self._frontiers_at = -_FRONTIERS_EVERY
-        self._slam: LineSlam | None = None
-        self._listen()
+        self._last_goals, self._frontiers_at = np.full((len(mapper.poses), 2), np.nan), -_FRONTIERS_EVERY
 
     def note(
         self,
@@ -111,12 +94,8 @@ class Recorder:
         """
         self._time.append(float(time))
         self._slam_steps.append(self._mapper.slam.robots[0].step)
-        self._close()
-        self._look_at(self._mapper.slam)
-        self._note_changes()
-        self._listen()
         goals = _goals_of(policies, len(self._last_goals))
-        self._note_goals(goals)
+        self.log.note(goals)
         if self._row % self._stride == 0 or self._row == self._steps - 1:
             self._keep(ranges, policies, goals)
             self._true += [] if true is None else [true]
@@ -124,15 +103,11 @@ class Recorder:
 
     def finish(self) -> None:
         """Note what the mapper has done with the pending readings at the end of the run."""
-        self._row = max(self._row - 1, 0)
-        self._close()
-        self._listen()
-        if self._mapper.frame != self._frame and self._frame_rows and self._frame_rows[-1] == self._row:
+        if self.log.is_in_another_frame and self._frame_rows and self._frame_rows[-1] == self._row - 1:
             # The last row of a run is in the frame in which the run has ended.
             for name, column in self._estimates().items():
                 self._columns[name][-1] = column
-        self._look_at(self._mapper.slam)
-        self._note_changes()
+        self.log.finish()
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """All columns by their names in ``page/data.js``."""
@@ -182,7 +157,7 @@ class Recorder:
             "limits": self._mapper.slam.association_limits, "reasons": list(self._reasons),
             "frontiers": self._frontiers,
             "merges": isinstance(mapper.config.estimator, ConsistentConfig),
-            "events": [self._dated(event) for event in self._events],
+            "events": [self._dated(event) for event in self.log.events],
         }  # fmt: skip
 
     def _dated(self, event: Event) -> Event:
@@ -198,97 +173,6 @@ class Recorder:
     def frame_rows(self) -> list[int]:
         """The step of each frame."""
         return self._frame_rows
-
-    def mark(self, row: int, kind: str, words: str) -> None:
-        """Add an event of a step that the mapper does not know, such as that the robot was carried away."""
-        self._events.append({"row": row, "kind": kind, "words": words})
-        self._events.sort(key=lambda event: int(event["row"]))
-
-    def _listen(self) -> None:
-        """Keep the associations of the present map, and listen to its SLAM: another frame has another one.
-
-        The local map of a lost robot is left alone, since most of it is forgotten.
-        """
-        slam, is_lost = self._mapper.slam, self._mapper.statuses[0].level == "lost"
-        if slam is not self._slam:
-            if self._slam is not None and not self._mapper.frame:
-                self._add({"kind": "restart", "words": "all observations are processed again, with what is known now"})
-            if not is_lost:
-                slam.on_association, slam.on_comparison = self._on_association, self._on_comparison
-                kept = zip(self._associations, slam.associations, strict=False)
-                del self._associations[sum(1 for _ in takewhile(lambda pair: pair[0][1] is pair[1], kept)) :]
-            self._slam, self._closures, self._extraction = slam, len(slam.closures), slam.last_extraction
-        if slam.on_association is not None:
-            self._associations += [(self._row, record) for record in slam.associations[len(self._associations) :]]
-
-    def _on_comparison(self, comparison: Comparison) -> None:
-        slam = self._slam
-        assert slam is not None  # noqa: S101 (it calls this)
-        self._close()
-        self._look_at(slam)
-        event = self._add(comparison_event(comparison, slam))
-        self._open = event, comparison, len(slam.closures)
-
-    def _on_association(self, record: AssociationRecord) -> None:
-        if self._open is None or self._slam is None or self._open[1].robot != record.robot:
-            return
-        event, _, _ = self._open
-        correct(event, record, self._slam)
-        self._open = None
-
-    def _close(self) -> None:
-        """Finish the event of a line that was compared but not associated."""
-        if self._open is None or self._slam is None:
-            return
-        (event, _, closures), self._open = self._open, None
-        if len(self._slam.closures) > closures and not self._mapper_merges:
-            event["why"] = "it shows that two walls are one: it closes the loop and is not used further"
-            return
-        explain_waiting(event, self._mapper.slam.association_limits)
-
-    @property
-    def _mapper_merges(self) -> bool:
-        return isinstance(self._mapper.config.estimator, ConsistentConfig)
-
-    def _add(self, event: Event) -> Event:
-        event["row"] = self._row
-        self._events.append(event)
-        return event
-
-    def _look_at(self, slam: LineSlam) -> None:
-        """Note a new extraction, and the loops that were closed."""
-        last, hough = slam.last_extraction, slam.config.estimator.hough
-        if last is not None and last is not self._extraction and slam is self._slam:
-            self._extraction = last
-            if len(last.points):
-                self._add(extraction_event(last, hough.min_votes, bin_size(hough, slam.config.range_std)))
-        if slam is self._slam:
-            for closure in slam.closures[self._closures :]:
-                self._add(loop_event(closure))
-            self._closures = len(slam.closures)
-
-    def _note_changes(self) -> None:
-        """Note a new frame of the map, what happened to a lost robot, and changes of the status."""
-        mapper = self._mapper
-        records = mapper.places.records
-        for record in records[self._places :]:
-            words = f"{record['event']}: {record['reason']}" if record.get("reason") else str(record["event"])
-            self._add({"kind": "place", "words": words})
-        if mapper.frame != self._frame and len(records) == self._places:
-            self._add({"kind": "place", "words": "the map goes on in another frame"})
-        self._places, self._frame = len(records), mapper.frame
-        for number, status in enumerate(mapper.statuses):
-            level = LEVELS.index(status.level)
-            if level != self._last_levels[number]:
-                self._add({"kind": "status", "robot": number, "level": level, "words": status.words})
-                self._last_levels[number] = level
-
-    def _note_goals(self, goals: FloatArray) -> None:
-        for number, goal in enumerate(goals):
-            is_near = np.hypot(*(goal - self._goals_noted[number])) <= _MOVED_GOAL
-            if not (np.isnan(goal).any() or is_near):
-                self._goals_noted[number] = goal
-                self._add({"kind": "goal", "robot": number, "goal": rounded(goal, 2)})
 
     def _keep(self, ranges: FloatArray, policies: Sequence[Policy] | None, goals: FloatArray) -> None:
         mapper, columns = self._mapper, self._columns
@@ -394,7 +278,7 @@ class Recorder:
         # A live robot may have made several steps since the last one that was noted.
         noted = np.full(max(self._slam_steps, default=-1) + 2, -1)
         noted[self._slam_steps] = np.arange(len(self._slam_steps))
-        for row, record in self._associations:
+        for row, record in self.log.associations:
             steps, beams = record.readings.T
             steps = noted[np.minimum(steps, len(noted) - 1)]
             steps, beams = steps[steps >= 0], beams[steps >= 0]

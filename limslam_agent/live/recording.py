@@ -215,10 +215,10 @@ class Recording:
 
 
 @contextmanager
-def kept(recording: Recording, path: Path) -> Iterator[Callable[[], None]]:
+def kept(recording: Recording, path: Path, report: Callable[[], None]) -> Iterator[Callable[[], None]]:
     """Keep a copy of the log on disk, so that no error and no loss of power costs more than half a minute.
 
-    The copy is removed when the context ends without an error. Otherwise it has all rows.
+    The copy is removed when the context ends without an error. Otherwise it has all rows, and ``report`` is called.
 
     Yields
     ------
@@ -238,6 +238,7 @@ def kept(recording: Recording, path: Path) -> Iterator[Callable[[], None]]:
     except BaseException:
         if len(recording):
             recording.save(path)
+            report()
         raise
     path.unlink(missing_ok=True)
 

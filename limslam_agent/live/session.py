@@ -1,38 +1,23 @@
 """A session with a live robot: telemetry in, wheel speeds out, until the agent is done or the robot is gone."""
 
 import math
-import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
 from limslam_agent.agent import LimSlamAgent
-from limslam_agent.live.protocol import (
-    VERSION,
-    BadLineError,
-    Command,
-    Greeting,
-    Heartbeat,
-    Hello,
-    Message,
-    Speeds,
-    Stop,
-    Telemetry,
-    decode,
-    difference,
-    encode,
-)
+from limslam_agent.config.presets import AgentConfig
+from limslam_agent.live.link import POLL, Connection
+from limslam_agent.live.protocol import VERSION, Command, Heartbeat, Hello, Message, Speeds, Stop, Telemetry, difference
 from limslam_agent.live.recording import MM, Recording, Row
-from limslam_agent.live.transports import SILENT_AFTER, Transport
+from limslam_agent.live.transports import SILENT_AFTER
+from limslam_agent.policies.policy import Policy
+from limslam_env.interface import RobotSpec
 
 OUT_OF_TIME = "time: the longest time of the session is over"
 BY_HAND = "stopped by hand"
-
-ASK_AGAIN = 0.5
-"""Time between two greetings to a robot that is not heard, s."""
 
 HEARTBEAT_AFTER, HOLD = 1.5, 3.0
 """Periods without telemetry after which the host sends heartbeats, and after which it stops the wheels."""
@@ -40,134 +25,37 @@ HEARTBEAT_AFTER, HOLD = 1.5, 3.0
 LINK_DELAY = 2.0
 """Delay of the loop, in periods, up to which the robot drives at the speed that the agent wants."""
 
-_POLL = 0.02  # s
 _DELAYS = 15  # number of delays whose median counts
 _STOP_ATTEMPTS = 20
 _STOP_WAIT = 0.05  # s, between two attempts to stop the wheels
 
 
-class NoRobotError(ValueError):
-    """No robot that can be driven has answered."""
-
-
-class Connection(Protocol):
-    """A connection to a robot, for a session.
+@dataclass(frozen=True)
+class Wired:
+    """A robot that is connected.
 
     Attributes
     ----------
-    clock
-        The host's clock, s.
-    bad_lines
-        Number of lines, or messages, that could not be read.
-    late, doubled
-        Numbers of measurements that the connection itself has left out, because they came after a later one, or twice.
+    link
+        The connection.
+    place
+        Where the robot is, in words.
+    robot
+        The description of the robot that has said hello. Raises a ValueError if it cannot be driven.
+    policy
+        The policy that drives, from the one that was asked for; None is that of the agent itself.
+    watch
+        Called with the session after each decision.
+    obey
+        Called with the session before each decision, and again and again while the robot is silent.
     """
 
-    clock: Callable[[], float]
-
-    @property
-    def bad_lines(self) -> int: ...  # noqa: D102 (the class describes it)
-
-    @property
-    def late(self) -> int: ...  # noqa: D102
-
-    @property
-    def doubled(self) -> int: ...  # noqa: D102
-
-    def first_hello(self, patience: float) -> Hello:
-        """Wait for the robot. Raises a :class:`NoRobotError` if there is none after ``patience`` s."""
-        ...
-
-    def receive(self, timeout: float) -> list[Message]:
-        """The messages that have arrived. Waits for the first one, at most ``timeout`` s."""
-        ...
-
-    def next_seq(self) -> int:
-        """A sequence number for the next command."""
-        ...
-
-    def send(self, command: Command) -> None:
-        """Send a command. It is lost if there is no connection."""
-        ...
-
-    def greet(self) -> None:
-        """Ask the robot to say hello."""
-        ...
-
-
-class Link:
-    """Messages instead of lines, over a transport.
-
-    Parameters
-    ----------
-    transport
-        Where lines come from and go to.
-    clock
-        The host's clock, s.
-
-    Attributes
-    ----------
-    bad_lines
-        Number of lines that were no messages.
-    late, doubled
-        Always 0. Such lines are found by their sequence numbers, in the recording.
-    """
-
-    late = doubled = 0
-
-    def __init__(self, transport: Transport, clock: Callable[[], float] = time.monotonic) -> None:
-        self.transport, self.clock, self.bad_lines = transport, clock, 0
-        self._seq, self._greeted = 0, -math.inf
-
-    def receive(self, timeout: float) -> list[Message]:
-        """The messages that have arrived. Lines that are no messages are counted."""
-        messages = []
-        for line in self.transport.receive(timeout):
-            try:
-                messages.append(decode(line))
-            except BadLineError:
-                self.bad_lines += 1
-        return messages
-
-    def next_seq(self) -> int:
-        """A sequence number for the next command."""
-        self._seq = (self._seq + 1) % (1 << 32)
-        return self._seq
-
-    def send(self, command: Command) -> None:
-        """Send a command."""
-        self.transport.send(encode(command))
-
-    def greet(self) -> None:
-        """Ask the robot to say hello and to send telemetry, at most twice a second."""
-        if self.clock() - self._greeted >= ASK_AGAIN:
-            self._greeted = self.clock()
-            self.send(Greeting(VERSION, self._seq))
-
-    def first_hello(self, patience: float) -> Hello:
-        """Wait for the robot.
-
-        Raises
-        ------
-        NoRobotError
-            If none has said hello after ``patience`` s, or if it speaks another version of the protocol.
-        """
-        begin = self.clock()
-        while self.clock() - begin <= patience:
-            self.greet()
-            for message in self.receive(_POLL):
-                if isinstance(message, Hello):
-                    return _checked(message)
-        lines = f"; {self.bad_lines} lines were not readable" if self.bad_lines else ""
-        raise NoRobotError(f"no robot has answered within {patience:g} s{lines}")
-
-
-def _checked(hello: Hello) -> Hello:
-    if hello.version != VERSION:
-        raise NoRobotError(
-            f"the robot {hello.name} speaks version {hello.version} of the protocol, and this program version {VERSION}"
-        )
-    return hello
+    link: Connection
+    place: str
+    robot: Callable[[Hello], RobotSpec]
+    policy: Callable[[Policy | None, AgentConfig, RobotSpec], Policy | None] = lambda policy, _config, _robot: policy
+    watch: Callable[["Session"], None] = lambda _: None
+    obey: Callable[["Session"], None] = lambda _: None
 
 
 @dataclass
@@ -284,7 +172,7 @@ class Session:
 
     def _turn(self, max_time: float, patience: float) -> str | None:
         """Take what has arrived, and answer. The reason to end the session, if there is one."""
-        fresh = self._take(self.link.receive(_POLL))
+        fresh = self._take(self.link.receive(POLL))
         self._obey(self)
         if not fresh:
             if self.asked_to_end is not None:

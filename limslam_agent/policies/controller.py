@@ -24,6 +24,10 @@ PATIENCE = 30
 Three times as many steps without progress end the approach of a goal.
 """
 _LOOKAHEAD = 0.25  # m
+ARRIVED = 0.08
+"""Distance at which a place is reached, m."""
+AHEAD = 0.05
+"""Progress on a path means that what is left of it is shorter by this distance, m."""
 REPLAN_PERIOD = 5
 """Number of steps between two plans."""
 BACK_STEPS = 8

@@ -10,8 +10,9 @@ from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.frontier import group_places, sight_begins
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.grid.planner import wall_distance
-from limslam_agent.policies.collision_guard import CollisionGuard
 from limslam_agent.policies.controller import (
+    AHEAD,
+    ARRIVED,
     BACK_STEPS,
     PATIENCE,
     REPLAN_PERIOD,
@@ -40,7 +41,6 @@ from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.messages import counted
 
-_ARRIVED = 0.08
 # A frontier counts as reached from the first distance (m), and from the second one if it has at most so many cells and
 # nothing stands between the robot and the frontier.
 _VIEW, _FAR_VIEW, _SMALL = 0.35, 1.0, 6
@@ -48,8 +48,8 @@ _ASIDE_STEPS = 300  # for which a goal that could not be reached is ignored
 _POINTED = math.radians(4.0)
 # The robot counts as standing when its wheel speeds sum to less than this.
 _CREEP = 0.05
-# Progress means that the path is shorter by this distance, m, or that the map has this many more cells.
-_AHEAD, _NEW_CELLS = 0.05, 2
+# Progress means a shorter path, or that the map has this many more cells.
+_NEW_CELLS = 2
 _MOST_NAMED = 3
 # Number of full turns that a robot makes before it accepts that it is walled in.
 _MOST_ROUNDS = 3
@@ -94,37 +94,22 @@ class FrontierPolicy(MapExplorer):
         Body and settings. Those of the paper's robot and the default settings if left out.
     index
         The robot's place in its team. Of two robots that meet, the one with the higher index waits.
-
-    Attributes
-    ----------
-    robot
-        The robot that the policy drives.
-    stop_reason
-        Why there is nothing left to explore, in words. None while the policy is active.
-    plan
-        Path to the present goal (k, 2), m.
     """
 
     def __init__(self, robot: RobotSpec | None = None, config: PolicyConfig | None = None, index: int = 0) -> None:
-        robot = robot or RobotSpec()
-        config = config or PolicyConfig()
-        self.robot, self._config = robot, config
+        robot, self._config = robot or RobotSpec(), config or PolicyConfig()
         self._right_of_way = RightOfWay(index, robot)
         self._step = 0
         self._wall_follower: WallFollower | None = None
-        super().__init__()
+        super().__init__(robot)
 
     def _forget_map(self) -> None:
         self._memory = GoalMemory(_ASIDE_STEPS)
         self._rounds = 0  # number of rounds on the spot
 
     def _plan_anew(self) -> None:
-        robot, config = self.robot, self._config
-        self.stop_reason: str | None = None
-        self.plan: FloatArray = NO_PLAN
         self._pursuit: _Pursuit | None = None
-        self._excursion = Excursion(robot, config)
-        self._collision_guard = CollisionGuard(robot)
+        self._excursion = Excursion(self.robot, self._config)
         self._until_plan = self._backing = self._turning = 0
         # Number of steps without progress towards any goal, and largest number of known cells so far.
         self._idle = self._known = 0
@@ -138,20 +123,6 @@ class FrontierPolicy(MapExplorer):
     def frontier_size(self) -> int | None:
         """Number of cells of the frontier that the robot drives to, or None."""
         return None if self._pursuit is None else len(self._pursuit.target.group)
-
-    def act(self, belief: Belief) -> FloatArray:
-        """Wheel speeds (2,) towards the present goal. Zero after the policy has stopped."""
-        self._step += 1
-        self.enter(belief)
-        if self.stop_reason is not None:
-            return np.zeros(2)
-        if self._step == 1 and self.robot.reach < least_reach(self.robot, belief.grid.cell):
-            self._wall_follower = WallFollower(self.robot, self._config)
-        if self._wall_follower is not None:
-            return self._follow_walls(belief, self._wall_follower)
-        self._collision_guard.add_readings(belief.pose, belief.ranges)
-        self._excursion.observe(belief)
-        return self._collision_guard.limit_speed(belief.pose, self._wheels(belief))
 
     def resume(self, belief: Belief) -> bool:
         """Explore again, after the policy has stopped, if there is a frontier that can be reached; whether there is."""
@@ -170,7 +141,12 @@ class FrontierPolicy(MapExplorer):
         return wheels
 
     def _wheels(self, belief: Belief) -> FloatArray:
-        """Wheel speeds (2,) of the plan, before the collision guard limits them."""
+        self._step += 1
+        if self._step == 1 and self.robot.reach < least_reach(self.robot, belief.grid.cell):
+            self._wall_follower = WallFollower(self.robot, self._config)
+        if self._wall_follower is not None:
+            return self._follow_walls(belief, self._wall_follower)
+        self._excursion.observe(belief)
         if self._backing > 0:
             self._backing -= 1
             return back_off(belief.pose, belief.grid, self.robot, self._config.speed)
@@ -241,7 +217,7 @@ class FrontierPolicy(MapExplorer):
     def _follow(self, belief: Belief, pursuit: _Pursuit) -> FloatArray:
         off = self.plan - belief.pose[:2]
         away = np.sqrt(off[:, 0] ** 2 + off[:, 1] ** 2)
-        if away[-1] < _ARRIVED or len(self.plan) == 1:
+        if away[-1] < ARRIVED or len(self.plan) == 1:
             return self._look(belief, pursuit)
         action, left = follow(self.plan, away, belief, self.robot, self._config.speed)
         if self._is_stuck(belief.grid, pursuit, left, action):
@@ -253,7 +229,7 @@ class FrontierPolicy(MapExplorer):
     def _is_stuck(self, grid: GridView, pursuit: _Pursuit, left: float, action: FloatArray) -> bool:
         """Whether the robot has stood still for too long, or has come no nearer and seen nothing new for too long."""
         known = int(np.count_nonzero(grid.values))
-        is_nearer = left < pursuit.left - _AHEAD and math.isfinite(pursuit.left)
+        is_nearer = left < pursuit.left - AHEAD and math.isfinite(pursuit.left)
         self._idle = 0 if is_nearer or known > self._known + _NEW_CELLS else self._idle + 1
         if self._idle == 0:
             self._known = max(known, self._known)

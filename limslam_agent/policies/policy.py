@@ -7,7 +7,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from limslam_agent.belief import Belief
+from limslam_agent.policies.collision_guard import CollisionGuard
 from limslam_env.geometry import FloatArray, no_rows
+from limslam_env.interface import RobotSpec
 from limslam_env.messages import described
 
 NO_PLAN = no_rows(2)
@@ -42,14 +44,38 @@ class Policy(Protocol):
 class MapExplorer(ABC):
     """A policy whose plans belong to a frame of a map, and which settles things for the map as a whole.
 
-    A new map comes with a new frame. A map that was moved has another frame and the same number.
+    A new map comes with a new frame. A map that was moved has another frame and the same number. A collision guard
+    limits the speeds that the policy wants.
+
+    Parameters
+    ----------
+    robot
+        Body and beams.
+
+    Attributes
+    ----------
+    robot
+        The robot that the policy drives.
+    stop_reason
+        Why there is nothing left to do, in words. None while the policy is active.
+    plan
+        Path to the present goal (k, 2), m.
     """
 
     _frame = _map_number = 0
 
-    def __init__(self) -> None:
+    def __init__(self, robot: RobotSpec) -> None:
+        self.robot = robot
         self._forget_map()
-        self._plan_anew()
+        self._begin()
+
+    def act(self, belief: Belief) -> FloatArray:
+        """Wheel speeds (2,). Zero after the policy has stopped."""
+        self.enter(belief)
+        if self.stop_reason is not None:
+            return np.zeros(2)
+        self._collision_guard.add_readings(belief.pose, belief.ranges)
+        return self._collision_guard.limit_speed(belief.pose, self._wheels(belief))
 
     def enter(self, belief: Belief) -> None:
         """Plan anew if the frame is another one, and also forget what was settled if the map is another one."""
@@ -58,7 +84,17 @@ class MapExplorer(ABC):
             self._forget_map()
         if belief.frame != self._frame:
             self._frame = belief.frame
-            self._plan_anew()
+            self._begin()
+
+    def _begin(self) -> None:
+        self.stop_reason: str | None = None
+        self.plan: FloatArray = NO_PLAN
+        self._collision_guard = CollisionGuard(self.robot)
+        self._plan_anew()
+
+    @abstractmethod
+    def _wheels(self, belief: Belief) -> FloatArray:
+        """Wheel speeds (2,), before the collision guard limits them."""
 
     @abstractmethod
     def _forget_map(self) -> None:

@@ -1,6 +1,7 @@
 """Policies without a planner: laps of a known loop, wall following, and a random walk."""
 
 import math
+from abc import abstractmethod
 from typing import Literal
 
 import numpy as np
@@ -8,14 +9,20 @@ import numpy as np
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.policies.collision_guard import CollisionGuard
-from limslam_agent.policies.controller import STOP_DISTANCE, TURN_RATE, free_ahead, steer, turn_by, wheel_speeds
-from limslam_agent.policies.policy import NO_PLAN
+from limslam_agent.policies.controller import (
+    ARRIVED,
+    STOP_DISTANCE,
+    TURN_RATE,
+    free_ahead,
+    steer,
+    turn_by,
+    wheel_speeds,
+)
+from limslam_agent.policies.policy import MapExplorer
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
 
-_ARRIVED = 0.08
 LAP_SPEED = 0.25
 """Cruising speed on laps, m/s."""
 # The robot counts as standing when its wheel speeds sum to less than this. It stops after this many such steps.
@@ -27,6 +34,7 @@ _NEW_CELLS = 5
 # count.
 _SIDE = math.radians(30.0), math.radians(120.0)
 _LOST = 0.8
+_DISTANCE = 0.25  # m, between a wall that is followed and the rim of the robot
 # Rate of turn per metre of sideways error, rad/s per m, and its largest value, rad/s.
 _GAIN, _SHARPEST = 4.0, 1.0
 _LITTLE_ROOM = 0.1
@@ -60,7 +68,7 @@ class Laps:
         if self._next is None:
             nearest = int(np.argmin(np.linalg.norm(self._corners - belief.pose[:2], axis=1)))
             self._next = (nearest + 1) % len(self._corners)
-        if np.linalg.norm(self._corners[self._next] - belief.pose[:2]) < _ARRIVED:
+        if np.linalg.norm(self._corners[self._next] - belief.pose[:2]) < ARRIVED:
             self._next = (self._next + 1) % len(self._corners)
             self._remaining -= 1
         if self._remaining <= 0:
@@ -75,7 +83,7 @@ class Laps:
         return action
 
 
-class ReactivePolicy:
+class ReactivePolicy(MapExplorer):
     """Base class of policies that react to the readings and stop when the map has not grown for a while.
 
     Parameters
@@ -89,29 +97,25 @@ class ReactivePolicy:
     """
 
     def __init__(self, robot: RobotSpec | None, config: PolicyConfig | None, patience: float, where: str) -> None:
-        self.robot = robot or RobotSpec()
         self._config = config or PolicyConfig()
-        self._collision_guard = CollisionGuard(self.robot)
         self._patience, self._where = patience, where
-        self._known = self._since = self._frame = 0
-        self.stop_reason: str | None = None
-        self.plan: FloatArray = NO_PLAN
+        super().__init__(robot or RobotSpec())
 
-    def act(self, belief: Belief) -> FloatArray:
-        """Wheel speeds (2,). Zero after the policy has stopped."""
-        if belief.frame != self._frame:
-            # The map begins anew, or is another one.
-            self._frame, self._known, self._since = belief.frame, 0, 0
-            self._collision_guard = CollisionGuard(self.robot)
-        if self.stop_reason is None and self._has_seen_nothing_new(belief.grid):
-            self.stop_reason = f"stopped: nothing new was seen {self._where} for {self._patience:g} s"
-        if self.stop_reason is not None:
-            return np.zeros(2)
-        self._collision_guard.add_readings(belief.pose, belief.ranges)
-        return self._collision_guard.limit_speed(belief.pose, self._wheels(belief))
+    def _forget_map(self) -> None:
+        """Nothing is settled in a map."""
+
+    def _plan_anew(self) -> None:
+        self._known = self._since = 0
 
     def _wheels(self, belief: Belief) -> FloatArray:
-        raise NotImplementedError
+        if self._has_seen_nothing_new(belief.grid):
+            self.stop_reason = f"stopped: nothing new was seen {self._where} for {self._patience:g} s"
+            return np.zeros(2)
+        return self._wanted(belief)
+
+    @abstractmethod
+    def _wanted(self, belief: Belief) -> FloatArray:
+        """Wheel speeds (2,) while something new is seen."""
 
     def _has_seen_nothing_new(self, grid: GridView) -> bool:
         known = int(np.count_nonzero(grid.values))
@@ -133,10 +137,6 @@ class WallFollower(ReactivePolicy):
         Body and settings. Those of the paper's robot and the default settings if left out.
     side
         Side of the robot on which the wall is kept, ``"left"`` or ``"right"``.
-    distance
-        Distance between the wall and the rim of the robot, m.
-    patience
-        Time without new cells after which the policy stops, s.
 
     Raises
     ------
@@ -149,34 +149,32 @@ class WallFollower(ReactivePolicy):
         robot: RobotSpec | None = None,
         config: PolicyConfig | None = None,
         side: Literal["left", "right"] = "right",
-        distance: float = 0.25,
-        patience: float = 90.0,
     ) -> None:
         if side not in {"left", "right"}:
             raise ValueError(f"a wall is followed on the left or the right side, not {side!r}")
-        super().__init__(robot, config, patience, "along the wall")
-        self._distance, self._toward = distance, 1.0 if side == "left" else -1.0
+        super().__init__(robot, config, 90.0, "along the wall")
+        self._toward = 1.0 if side == "left" else -1.0
         # Angle (rad) turned since the wall was lost. A full turn means that no wall is followed yet.
         self._turned = 2.0 * math.pi
 
-    def _wheels(self, belief: Belief) -> FloatArray:
+    def _wanted(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) along the wall."""
         ranges = belief.ranges
         robot, config = self.robot, self._config
         room = free_ahead(ranges, robot) - STOP_DISTANCE
         away = self._clearance(ranges)
-        if room < 0.5 * self._distance:
+        if room < 0.5 * _DISTANCE:
             self._turned = 0.0
             return wheel_speeds(0.0, -self._toward * TURN_RATE, robot)
         speed = config.speed * min(room / 0.2, 1.0)
         if math.isfinite(away):
             self._turned = 0.0
-            turn = float(np.clip(_GAIN * (away - self._distance), -_SHARPEST, _SHARPEST))
+            turn = float(np.clip(_GAIN * (away - _DISTANCE), -_SHARPEST, _SHARPEST))
             return wheel_speeds(speed, self._toward * turn, robot)
         if self._turned > 1.5 * math.pi:
             return wheel_speeds(speed, 0.0, robot)
         # The wall has ended: drive around its end until another wall must appear.
-        turn = speed / (self._distance + robot.radius)
+        turn = speed / (_DISTANCE + robot.radius)
         self._turned += turn * robot.control_period
         return wheel_speeds(speed, self._toward * turn, robot)
 
@@ -201,8 +199,6 @@ class RandomPolicy(ReactivePolicy):
         Body and settings. Those of the paper's robot and the default settings if left out.
     seed
         Seed of the random numbers, or a generator.
-    patience
-        Time without new cells after which the policy stops, s.
     """
 
     def __init__(
@@ -210,14 +206,13 @@ class RandomPolicy(ReactivePolicy):
         robot: RobotSpec | None = None,
         config: PolicyConfig | None = None,
         seed: int | np.random.Generator = 0,
-        patience: float = 180.0,
     ) -> None:
-        super().__init__(robot, config, patience, "by chance")
+        super().__init__(robot, config, 180.0, "by chance")
         self._generator = np.random.default_rng(seed)
         self._heading: float | None = None
         self._until_turn = 0
 
-    def _wheels(self, belief: Belief) -> FloatArray:
+    def _wanted(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) of a random walk that bounces off the walls."""
         robot, config = self.robot, self._config
         yaw, room = float(belief.pose[2]), free_ahead(belief.ranges, robot) - STOP_DISTANCE

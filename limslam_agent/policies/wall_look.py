@@ -7,16 +7,22 @@ import numpy as np
 
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
-from limslam_agent.policies.controller import PATIENCE, TURN_RATE, follow, nearest_beam, turn_by, wheel_speeds
+from limslam_agent.policies.controller import (
+    AHEAD,
+    ARRIVED,
+    PATIENCE,
+    TURN_RATE,
+    follow,
+    nearest_beam,
+    turn_by,
+    wheel_speeds,
+)
 from limslam_agent.policies.wall_views import View, is_unfinished, path_to
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
 
-_ARRIVED = 0.08
 _POINTED = math.radians(2.0)
-# Progress on a path means that it is shorter by this distance, m.
-_AHEAD = 0.05
 # Number of steps between two checks of the path and of the stretch.
 _CHECK_PERIOD = 10
 # The sweep goes beyond the ends of a stretch by this angle.
@@ -145,7 +151,7 @@ class Look:
         away = np.hypot(*(self.path - belief.pose[:2]).T)
         if self.is_over:
             return np.zeros(2)
-        if away[-1] < _ARRIVED or len(self.path) == 1:
+        if away[-1] < ARRIVED or len(self.path) == 1:
             self._sweep, self._idle = sweep_along(self.view, belief.pose, self._robot, self._std), 0
             return np.zeros(2)
         wheels, left = follow(self.path, away, belief, self._robot, self._config.speed)
@@ -154,7 +160,7 @@ class Look:
 
     def _count_idle(self, left: float) -> None:
         """Count the steps in which the remaining path, ``left`` (m), became no shorter, and end after too many."""
-        self._idle = 0 if left < self._left - _AHEAD else self._idle + 1
+        self._idle = 0 if left < self._left - AHEAD else self._idle + 1
         self._left = left if self._idle == 0 else self._left
         self.is_over = self.is_stuck = self._idle > PATIENCE
 

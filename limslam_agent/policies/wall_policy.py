@@ -4,10 +4,9 @@ import numpy as np
 
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import AgentConfig, PolicyConfig
-from limslam_agent.policies.collision_guard import CollisionGuard
 from limslam_agent.policies.controller import BACK_STEPS, back_off
 from limslam_agent.policies.frontier_policy import FrontierPolicy
-from limslam_agent.policies.policy import NO_PLAN, NOT_EXPLORED, MapExplorer, Policy
+from limslam_agent.policies.policy import NOT_EXPLORED, MapExplorer, Policy
 from limslam_agent.policies.right_of_way import RightOfWay
 from limslam_agent.policies.wall_look import Look
 from limslam_agent.policies.wall_views import LookMemory, next_view
@@ -50,20 +49,13 @@ class WallPolicy(MapExplorer):
         The robot's place in its team. Of two robots that meet, the one with the higher index waits.
     range_std
         Assumed standard deviation of a range, m. Noisy ranges need slower sweeps.
-
-    Attributes
-    ----------
-    stop_reason
-        Why there is nothing left to explore, in words. None while the policy is active.
-    plan
-        Path to the present goal (k, 2), m.
     """
 
     def __init__(self, robot: RobotSpec, config: PolicyConfig, index: int = 0, range_std: float = 0.02) -> None:
-        self._robot, self._config, self._std = robot, config, range_std
+        self._config, self._std = config, range_std
         self._right_of_way = RightOfWay(index, robot)
         self._frontiers = FrontierPolicy(robot, config, index)
-        super().__init__()
+        super().__init__(robot)
 
     def enter(self, belief: Belief) -> None:
         """Also tell the frontier explorer."""
@@ -75,9 +67,6 @@ class WallPolicy(MapExplorer):
         self._exploring = self._looking = 0
 
     def _plan_anew(self) -> None:
-        self._collision_guard = CollisionGuard(self._robot)
-        self.stop_reason: str | None = None
-        self.plan: FloatArray = NO_PLAN
         self._look: Look | None = None
         self._backing = 0
 
@@ -86,23 +75,14 @@ class WallPolicy(MapExplorer):
         """Present goal (2,), m, or None."""
         return self._frontiers.goal if self._look is None else self._look.view.stand
 
-    def act(self, belief: Belief) -> FloatArray:
-        """Wheel speeds (2,) towards the present goal. Zero after the policy has stopped."""
-        self.enter(belief)
-        if self.stop_reason is not None:
-            return np.zeros(2)
-        self._collision_guard.add_readings(belief.pose, belief.ranges)
-        wheels = self._wheels(belief)
-        self.plan = self._frontiers.plan if self._look is None else self._look.path
-        return wheels
-
     def _wheels(self, belief: Belief) -> FloatArray:
         wheels = self._frontier_wheels(belief) if self._frontiers.stop_reason is None else None
-        if wheels is not None:
-            return wheels
-        if self._look is None and self._backing == 0:
-            self._choose(belief)
-        return self._collision_guard.limit_speed(belief.pose, self._look_wheels(belief))
+        if wheels is None:
+            if self._look is None and self._backing == 0:
+                self._choose(belief)
+            wheels = self._look_wheels(belief)
+        self.plan = self._frontiers.plan if self._look is None else self._look.path
+        return wheels
 
     def _frontier_wheels(self, belief: Belief) -> FloatArray | None:
         """Wheel speeds (2,) to the next frontier. None if there is no frontier left."""
@@ -125,19 +105,19 @@ class WallPolicy(MapExplorer):
         """After the last frontier: explore a frontier that has appeared, begin the next look, or stop."""
         if self._frontiers.resume(belief):
             return
-        view = None if self._is_late else next_view(belief, self._memory, self._robot, self._config)
+        view = None if self._is_late else next_view(belief, self._memory, self.robot, self._config)
         if view is not None:
-            self._look = Look(view, self._robot, self._config, self._std)
+            self._look = Look(view, self.robot, self._config, self._std)
             return
         end = "the time for looking at walls is over" if self._is_late else "all walls were looked at"
         self.stop_reason = f"{self._frontiers.stop_reason}, and {end}"
 
     def _look_wheels(self, belief: Belief) -> FloatArray:
-        """Wheel speeds (2,) of the present look, before the collision guard limits them."""
+        """Wheel speeds (2,) of the present look."""
         self._looking += 1
         if self._backing > 0:
             self._backing -= 1
-            return back_off(belief.pose, belief.grid, self._robot, self._config.speed)
+            return back_off(belief.pose, belief.grid, self.robot, self._config.speed)
         if self._look is None or self._right_of_way.waits(belief.pose, belief.other_poses):
             return np.zeros(2)
         wheels = self._look.act(belief)

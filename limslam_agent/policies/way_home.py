@@ -7,14 +7,12 @@ import numpy as np
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.policies.collision_guard import CollisionGuard
-from limslam_agent.policies.controller import BACK_STEPS, PATIENCE, REPLAN_PERIOD, back_off, follow
+from limslam_agent.policies.controller import AHEAD, ARRIVED, BACK_STEPS, PATIENCE, REPLAN_PERIOD, back_off, follow
 from limslam_agent.policies.policy import NO_PLAN, Policy
 from limslam_agent.policies.wall_views import path_to
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 
-_ARRIVED = 0.08  # m
-_AHEAD = 0.05  # m by which the path must become shorter
 _MOST_TRIES = 3  # number of times that the robot backs off where it cannot go on
 
 
@@ -114,7 +112,7 @@ class WayHome:
         self._until_plan -= 1
         if self._until_plan < 0:
             self._plan(belief)
-        if self.stop_reason is None and float(np.hypot(*(self._home - belief.pose[:2]))) < _ARRIVED:
+        if self.stop_reason is None and float(np.hypot(*(self._home - belief.pose[:2]))) < ARRIVED:
             self.stop_reason = f"{self._why}; the robot is back at its start"
         if self.stop_reason is not None:
             return np.zeros(2)
@@ -132,7 +130,7 @@ class WayHome:
 
     def _count_idle(self, left: float) -> None:
         """Count the steps in which the remaining path, ``left`` (m), became no shorter; back off, or give up."""
-        self._idle = 0 if left < self._left - _AHEAD else self._idle + 1
+        self._idle = 0 if left < self._left - AHEAD else self._idle + 1
         self._left = left if self._idle == 0 else self._left
         if self._idle <= PATIENCE:
             return

@@ -157,22 +157,8 @@ Watcher = Callable[[LimSlamTeam, LimSlamParallelEnv, float, float], None]
 """Called at each step, after the team has decided, with team, env, simulated time (s) and true coverage (0 to 1)."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Row:
-    """One step of a run, with all robots."""
-
-    time: float
-    coverage: float
-    infos: list[dict[str, Any]]
-    observations: list[Observation]
-    actions: list[FloatArray]
-    estimated: FloatArray
-    covariances: FloatArray
-    levels: list[int]
-    odometry: FloatArray
-    dropped: list[BoolArray]
-    slam_ms: float
-    decide_ms: float
+_Row = dict[str, Any]
+"""One step of a run with all robots, by the names of the columns in :class:`Episode`."""
 
 
 def run_episode(
@@ -208,6 +194,7 @@ def run_episode(
     clock = time.perf_counter()
     with naming_lines_of(config.policy):
         rows = _drive(config, env, team, watch, alter)
+    columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
     joined, parted = (
         (team.mapper.joined, team.mapper.parted) if isinstance(team.mapper, JoiningMapper) else (None, None)
     )
@@ -227,9 +214,7 @@ def run_episode(
         joined=joined,
         sensor=team.slam.sensor,
         beam_turns=team.slam.beam_turns,
-        **_in_shared_frame(
-            _in_one_frame(_columns(rows), team.mapper.prior_frame, team.mapper.places), joined or parted
-        ),
+        **_in_shared_frame(_in_one_frame(columns, team.mapper.prior_frame, team.mapper.places), joined or parted),
     )
 
 
@@ -269,36 +254,6 @@ def _stop_reason(config: RunConfig, world: World, reason: str | None) -> str:
         f"stopped: the start region is explored, but {1.0 - region.share:.0%} of the floor cannot be reached from it: "
         f"{NOT_EXPLORED}"
     )
-
-
-def _columns(rows: list[_Row]) -> dict[str, Any]:
-    """The rows of a run as arrays, by their names in :class:`Episode`."""
-    robots = range(len(rows[0].observations))
-    observations = [each for row in rows for each in row.observations]
-    infos = [each for row in rows for each in row.infos]
-    columns: dict[str, Any] = {
-        "time": np.array([row.time for row in rows]),
-        "ranges": _stacked([each["ranges"] for each in observations], rows),
-        "wheels": _stacked([each["wheels"] for each in observations], rows),
-        "actions": _stacked([row.actions[robot] for row in rows for robot in robots], rows),
-        "true": _stacked([each["pose"] for each in infos], rows),
-        "estimated": _stacked([row.estimated for row in rows], rows),
-        "odometry": _stacked([row.odometry for row in rows], rows),
-        "covariances": np.concatenate([row.covariances for row in rows]).reshape(len(rows), len(robots), 3, 3),
-        "levels": np.array([row.levels for row in rows]),
-        "wall_seen": _stacked([each["wall_seen"] for each in infos], rows),
-        "dropped": _stacked([row.dropped[robot] for row in rows for robot in robots], rows),
-        "coverage": np.array([row.coverage for row in rows]),
-        "contact": np.array([[info["collision"] for info in row.infos] for row in rows]),
-        "slam_ms": np.array([row.slam_ms for row in rows]),
-        "decide_ms": np.array([row.decide_ms for row in rows]),
-    }
-    return columns
-
-
-def _stacked(each: list[Any], rows: list[_Row]) -> Any:
-    """The values of all robots in all steps as one array (t, n, k). It is much faster than ``np.array`` on lists."""
-    return np.concatenate(each).reshape(len(rows), len(rows[0].observations), -1)
 
 
 def _in_one_frame(columns: dict[str, Any], prior_frame: FloatArray | None, places: PlaceHistory) -> dict[str, Any]:
@@ -346,14 +301,14 @@ def _drive(
         row = _decide(env, team, told, [infos[name] for name in team.names])
         rows.append(row)
         if watch is not None:
-            watch(team, env, row.time, row.coverage)
+            watch(team, env, row["time"], row["coverage"])
         if team.done or len(rows) > max_steps:
             team.finish()
             return rows
         if len(rows) == kidnapped_at:
             draws = np.random.default_rng([config.seed, kidnapped_at])
-            env.carry(0, another_place(env.world, config.robot, row.infos[0]["pose"], draws))
-        observed, _, _, _, infos = env.step(dict(zip(team.names, row.actions, strict=True)))
+            env.carry(0, another_place(env.world, config.robot, row["true"][0], draws))
+        observed, _, _, _, infos = env.step(dict(zip(team.names, row["actions"], strict=True)))
 
 
 def _decide(
@@ -366,20 +321,23 @@ def _decide(
     team.observe(observations)
     actions = team.decide()
     elapsed_ms = 1e3 * (time.perf_counter() - begin)
-    return _Row(
-        time=truth["time"],
-        coverage=truth["coverage"],
-        infos=infos,
-        observations=observations,
-        actions=actions,
-        estimated=mapper.poses,
-        covariances=mapper.covariances,
-        levels=[LEVELS.index(status.level) for status in mapper.statuses],
-        odometry=mapper.odometry,
-        dropped=mapper.dropped,
-        slam_ms=mapper.slam_ms,
-        decide_ms=elapsed_ms - mapper.slam_ms,
-    )
+    return {
+        "time": truth["time"],
+        "coverage": truth["coverage"],
+        "true": np.array([info["pose"] for info in infos]),
+        "wall_seen": np.array([info["wall_seen"] for info in infos]),
+        "contact": np.array([info["collision"] for info in infos]),
+        "ranges": np.array([observation["ranges"] for observation in observations]),
+        "wheels": np.array([observation["wheels"] for observation in observations]),
+        "actions": np.array(actions),
+        "estimated": mapper.poses,
+        "covariances": mapper.covariances,
+        "odometry": mapper.odometry,
+        "levels": [LEVELS.index(status.level) for status in mapper.statuses],
+        "dropped": np.array(mapper.dropped),
+        "slam_ms": mapper.slam_ms,
+        "decide_ms": elapsed_ms - mapper.slam_ms,
+    }
 
 
 def _inform(

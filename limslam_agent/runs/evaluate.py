@@ -2,7 +2,6 @@
 
 import re
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
@@ -19,7 +18,7 @@ from limslam_agent.runs.results import drive_scores, map_scores, team_scores
 from limslam_env.config import NoiseConfig
 from limslam_env.envs.adapter import SimulationEnv
 from limslam_env.envs.argument_types import robot_of
-from limslam_env.geometry import FloatArray, no_rows
+from limslam_env.geometry import FloatArray
 from limslam_env.interface import NominalNoise
 from limslam_env.messages import described
 
@@ -46,15 +45,15 @@ def evaluate(
     Parameters
     ----------
     actor
-        A policy or an actor. A **policy** has ``act(belief)``, ``stop_reason`` and ``plan`` (`Policy`). It becomes the
-        policy of a `LimSlamAgent` of the default preset, which is told ``robot`` and a plain ``sensor_noise``.
-        Each episode begins with a new copy of the policy. An **actor** is anything with ``act(observation)``, a model
-        of Stable-Baselines3 or another object with ``predict(observation, deterministic=True) -> (action, state)``, or
-        a callable. If the actor has a ``reset(start_pose, seed)``, it is called before each episode. In a parallel
-        environment an actor answers a dict of all robots' observations with a dict of their actions. In a dict of
-        actors by robot names, each actor answers for its own robot. A model with ``predict`` answers for each robot in
-        turn. A **name** that ``limslam run --policy`` knows (``"frontier"``, ``"learned"`` and so on) stands for the
-        agent of that command, and for its team in a parallel environment.
+        A policy or an actor. A **policy** has ``act(belief)``, ``stop_reason`` and ``plan`` (`Policy`). A new copy of
+        it is the policy of a `LimSlamAgent` in each episode, which is told ``robot`` and a plain ``sensor_noise``. An
+        **actor** is anything with ``act(observation)``, a model of Stable-Baselines3 or another object with
+        ``predict(observation, deterministic=True) -> (action, state)``, or a callable. If the actor has a
+        ``reset(start_pose, seed)``, it is called before each episode. In a parallel environment an actor answers a dict
+        of all robots' observations with a dict of their actions. In a dict of actors by robot names, each actor answers
+        for its own robot. A model with ``predict`` answers for each robot in turn. A **name** that ``limslam run
+        --policy`` knows (``"frontier"``, ``"learned"`` and so on) stands for the agent of that command, and for its
+        team in a parallel environment.
     env_id
         A Gymnasium id (``LimSlam-Env1-v0``), or a PettingZoo id (``limslam/Env1-v0``) for several robots.
     seeds
@@ -68,8 +67,8 @@ def evaluate(
         Wraps the bare environment into the one that the actor sees.
     **arguments
         Arguments of the environment, such as ``sensor_noise=0.02`` or ``num_robots=3``. A number as ``noise`` is the
-        ``sensor_noise``. ``coverage_goal`` is None by
-        default for an actor that says itself when it is ``done``, and 0.99 for other actors, which have to be stopped.
+        ``sensor_noise``. ``coverage_goal`` is by default None for an actor that says itself when it is ``done``, else
+        0.99.
 
     Returns
     -------
@@ -84,18 +83,10 @@ def evaluate(
         If the environment does not exist, or the actor cannot act in it (because it was made for another robot or
         trained on other observations, for example), or an answer of the actor is not an action.
     """
-    if not max_time > 0.0:
-        raise ValueError(f"the longest time must be above 0 s, not {max_time:g}")
-    if not isinstance(env_id, str):
-        raise ValueError(  # noqa: TRY004 (all refused arguments are ValueErrors)
-            f"env_id is a name such as 'LimSlam-Env1-v0', not {described(env_id)}: "
-            "evaluate makes the environment itself, from further arguments (sensor_noise=0.02 and so on) and wrap="
-        )
+    _check(actor, env_id, max_time, preset)
     seeds, arguments = _seeds(seeds), _with_plain_noise(arguments)
     is_team = env_id.startswith(_TEAMS)
     robot = robot_of(arguments.get("robot"))
-    if preset is not None and not _has_agent(actor):
-        raise ValueError(f"preset={preset!r} is for a policy: an actor brings its own settings")
     driver = driver_of(actor, is_team=is_team, robot=robot, noise=_nominal_noise(arguments), preset_name=preset)
     goal = {"coverage_goal": None} if driver.can_stop else {}
     bare = _make(env_id, round(max_time / robot.control_period), {**goal, **arguments})
@@ -158,16 +149,8 @@ def _nominal_noise(arguments: dict[str, Any]) -> NominalNoise:
     return NominalNoise(highest) if isinstance(highest, int | float) and 0.0 <= highest < np.inf else NominalNoise()
 
 
-@dataclass(frozen=True, eq=False)
-class _Row:
-    """One step of all n robots: odometry and estimated poses (n, 3), covariances (n, 3, 3). Empty where they are
-    unknown.
-    """
-
-    infos: list[dict[str, Any]]
-    odometry: FloatArray
-    estimated: FloatArray
-    covariances: FloatArray
+_Infos = dict[str, dict[str, Any]]
+"""The true infos of the robots by their names."""
 
 
 class _Robots:
@@ -176,12 +159,12 @@ class _Robots:
     def __init__(self, env: Any, *, is_team: bool) -> None:
         self._env, self._is_team = env, is_team
 
-    def reset(self, seed: int) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
+    def reset(self, seed: int) -> tuple[dict[str, Any], _Infos]:
         """Observations and true infos of the robots."""
         observation, info = self._env.reset(seed=seed)
         return (observation, info) if self._is_team else ({_ALONE: observation}, {_ALONE: info})
 
-    def step(self, actions: Actions) -> tuple[dict[str, Any], dict[str, dict[str, Any]], bool, bool]:
+    def step(self, actions: Actions) -> tuple[dict[str, Any], _Infos, bool, bool]:
         """Observations and infos, whether the episode has terminated, and whether it was truncated."""
         if self._is_team:
             observations, _, over, late, infos = self._env.step(dict(actions))
@@ -190,9 +173,18 @@ class _Robots:
         return {_ALONE: observation}, {_ALONE: info}, bool(is_over), bool(is_late)
 
 
-def _has_agent(actor: Any) -> bool:
-    """Whether `evaluate` makes the agent itself, for a policy or for the name of one."""
-    return isinstance(actor, str) or (not isinstance(actor, Mapping | type) and is_policy(actor))
+def _check(actor: Any, env_id: Any, max_time: float, preset: str | None) -> None:
+    """Refuse arguments that cannot be used, before anything is made."""
+    if not max_time > 0.0:
+        raise ValueError(f"the longest time must be above 0 s, not {max_time:g}")
+    if not isinstance(env_id, str):
+        raise ValueError(  # noqa: TRY004 (all refused arguments are ValueErrors)
+            f"env_id is a name such as 'LimSlam-Env1-v0', not {described(env_id)}: "
+            "evaluate makes the environment itself, from further arguments (sensor_noise=0.02 and so on) and wrap="
+        )
+    has_agent = isinstance(actor, str) or (not isinstance(actor, Mapping | type) and is_policy(actor))
+    if preset is not None and not has_agent:
+        raise ValueError(f"preset={preset!r} is for a policy: an actor brings its own settings")
 
 
 def _make(env_id: str, max_steps: int, arguments: dict[str, Any]) -> Any:
@@ -218,28 +210,38 @@ def _make(env_id: str, max_steps: int, arguments: dict[str, Any]) -> Any:
 
 def _scored(driver: Driver, robots: _Robots, stage: SimulationEnv, seed: int) -> Result:
     """Drive one episode and score it."""
-    rows, stop_reason = _drive(driver, robots, seed)
-    time, coverage = (np.array([row.infos[0][name] for row in rows]) for name in ("time", "coverage"))
-    true, contact = (np.array([[info[name] for info in row.infos] for row in rows]) for name in ("pose", "collision"))
+    truth, beliefs, stop_reason = _drive(driver, robots, seed)
+    time, coverage = (np.array([next(iter(infos.values()))[name] for infos in truth]) for name in ("time", "coverage"))
+    true, contact = (
+        np.array([[info[name] for info in infos.values()] for infos in truth]) for name in ("pose", "collision")
+    )
     has_explored = stop_reason is not None and not stop_reason.endswith(NOT_EXPLORED)
     scores: Result = drive_scores(time, coverage, true, contact, has_explored=has_explored)
     if driver.snapshot_source is not None:
-        estimated, covariances = np.array([row.estimated for row in rows]), np.array([row.covariances for row in rows])
-        odometry, snapshot = np.array([row.odometry for row in rows]), driver.snapshot_source.snapshot()
+        estimated, odometry, covariances = (np.array(column) for column in zip(*beliefs, strict=True))
+        snapshot = driver.snapshot_source.snapshot()
         scores |= team_scores(true, estimated, odometry, covariances)
         scores |= map_scores(stage.world, stage.robot, stage.coverage_grid, snapshot, true, estimated)
     return {"seed": seed, **scores, "stop_reason": stop_reason or OUT_OF_TIME}
 
 
-def _drive(driver: Driver, robots: _Robots, seed: int) -> tuple[list[_Row], str | None]:
-    """The rows of an episode and its stop reason, which is None if the time ran out."""
+def _drive(
+    driver: Driver, robots: _Robots, seed: int
+) -> tuple[list[_Infos], list[tuple[FloatArray, FloatArray, FloatArray]], str | None]:
+    """What is true in each step, what is believed, and the stop reason, which is None if the time ran out.
+
+    What is believed are estimated poses (n, 3), odometry (n, 3) and covariances (n, 3, 3) of n robots.
+    """
     observations, infos = robots.reset(seed)
     _begin(driver, infos, seed)
-    rows, is_over, is_late = list[_Row](), False, False
+    truth, beliefs, is_over, is_late = list[_Infos](), list[tuple[FloatArray, FloatArray, FloatArray]](), False, False
     while True:
         # The last observation only updates the estimate; its action is not executed.
         actions = driver.act(observations)
-        rows.append(_row(driver.snapshot_source, infos))
+        truth.append(infos)
+        if driver.snapshot_source is not None:
+            snapshot = driver.snapshot_source.snapshot()
+            beliefs.append((snapshot.poses, snapshot.odometry, snapshot.covariances))
         if is_over or is_late or driver.done:
             break
         observations, infos, is_over, is_late = robots.step(actions)
@@ -247,19 +249,11 @@ def _drive(driver: Driver, robots: _Robots, seed: int) -> tuple[list[_Row], str 
     if callable(finish):
         finish()
     if driver.done:
-        return rows, driver.stop_reason or "the actor says that it is done"
-    return rows, "the coverage goal is reached" if is_over else None
+        return truth, beliefs, driver.stop_reason or "the actor says that it is done"
+    return truth, beliefs, "the coverage goal is reached" if is_over else None
 
 
-def _begin(driver: Driver, infos: dict[str, dict[str, Any]], seed: int) -> None:
+def _begin(driver: Driver, infos: _Infos, seed: int) -> None:
     driver.reset({name: np.array(info["pose"], dtype=float) for name, info in infos.items()}, seed)
     if driver.done:
         raise ValueError(f"the actor was done before seed {seed} began: a policy serves for one run only")
-
-
-def _row(snapshot_source: Any, infos: dict[str, dict[str, Any]]) -> _Row:
-    truth = list(infos.values())
-    if snapshot_source is None:
-        return _Row(truth, no_rows(3), no_rows(3), no_rows(9))
-    snapshot = snapshot_source.snapshot()
-    return _Row(truth, snapshot.odometry, snapshot.poses, snapshot.covariances)

@@ -88,7 +88,7 @@ def inspect_run(config: RunConfig, run: FinishedRun, progress: Progress) -> Insp
     recorder.finish()
     if config.kidnap_at is not None:
         row = round(config.kidnap_at / config.robot.control_period)
-        recorder.mark(min(row, len(run.time) - 1), "kidnap", "the robot is carried to another place")
+        recorder.log.mark(min(row, len(run.time) - 1), "kidnap", "the robot is carried to another place")
     return _inspection(recorder, team.mapper, run, world.edges)
 
 
@@ -128,7 +128,7 @@ def inspect_log(
     mapper.finish()
     recorder.finish()
     if handed_over < len(log):
-        recorder.mark(handed_over, "handover", "the filter is lost, and the replay goes on with the online graph")
+        recorder.log.mark(handed_over, "handover", "the filter is lost, and the replay goes on with the online graph")
     return _inspection(recorder, mapper, run, None, handed_over)
 
 

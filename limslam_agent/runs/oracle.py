@@ -149,11 +149,6 @@ def check_policy(policy: str, laps: int, robots: int) -> None:
         raise ValueError(f"{what} for one robot: several would meet on the loop")
 
 
-def needs_loop(policy: str, laps: int) -> bool:
-    """Whether the run needs a world with a loop."""
-    return laps > 0 and policy == "frontier"
-
-
 def is_privileged(policy: str) -> bool:
     """Whether a policy knows the true pose or the true map."""
     return policy in _PRIVILEGED
@@ -226,14 +221,9 @@ def _privileged_policy(
     if policy == "learned_true_pose":
         return TruePoseExplorer(robot, config, seed)
     if policy == "oracle":
-        return Oracle(robot, top_speeds(robot), _coverage_planner(world, robot), _MOST_TOURS, GOAL)
+        return Oracle(
+            robot, top_speeds(robot), lambda pose, seen: coverage_tour(world, robot, pose, seen=seen), _MOST_TOURS, GOAL
+        )
     # The speeds do not depend on the preset, so that all estimators listen to the same drive.
     speeds = Speeds(LAP_SPEED, TURN_RATE)
     return Oracle(robot, speeds, lambda pose, _: closed_tour(world, robot, pose, laps or 1))
-
-
-def _coverage_planner(world: World, robot: RobotSpec) -> Planner:
-    def plan(pose: FloatArray, seen: BoolArray | None) -> FloatArray:
-        return coverage_tour(world, robot, pose, seen=seen)
-
-    return plan

@@ -9,7 +9,7 @@ from limslam_agent.config.presets import AgentConfig, preset, with_until
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.places.saved_map import read_saved_map
 from limslam_agent.policies.frontier_policy import least_reach, short_reach
-from limslam_agent.runs.oracle import check_policy, needs_loop
+from limslam_agent.runs.oracle import check_policy
 from limslam_env.config import NoiseConfig
 from limslam_env.envs.adapter import MAX_ROBOTS
 from limslam_env.interface import NominalNoise, RobotSpec
@@ -47,12 +47,9 @@ class RunConfig:
     ablation
         Part of the method that is switched off. None switches off nothing.
     policy
-        Name of the policy. ``frontier`` explores, and ``frontier_fast`` explores at top speed. ``learned`` is a trained
-        network. ``learned_true_pose`` is a network whose map is drawn from the true pose. ``wall_follower`` and
-        ``random`` are simple baselines. ``FILE.py:NAME`` is a class or a function of that file, which makes a policy.
-        ``tour`` and ``oracle`` know the true map and the true pose, while the
-        estimators listen: ``tour`` drives around the world's loop, or without a loop past everything that can be seen
-        and back, and ``oracle`` drives past everything as fast as possible.
+        Name of the policy, as ``limslam run --policy`` takes it. ``tour`` drives around the world's loop, or without a
+        loop past everything that can be seen and back, and ``oracle`` past everything as fast as possible: both know
+        the truth, while the estimators listen.
     limit
         Whether to also compare the run with the offline optimum of its log.
     settings
@@ -113,7 +110,7 @@ class RunConfig:
         if self.seed < 0:
             raise ValueError(f"a seed is 0 or more, not {self.seed}")
         world = load_world(self.world)
-        if needs_loop(self.policy, self.laps) and len(world.loop) < 3:
+        if self.laps and self.policy == "frontier" and len(world.loop) < 3:
             raise WorldError(f"world {world.name!r} has no loop to drive laps on")
         world.check(self.robot.radius)
 

@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from limslam_agent.slam.core.diagnostics import PendingPoints
 from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.geometry.line import direction, normal
 from limslam_env.geometry.se2 import transform_points
@@ -48,40 +49,6 @@ class Event:
     def walls(self) -> tuple[int, ...]:
         """Numbers of the walls that the event is about."""
         return (self.wall,) if self.other is None else (self.wall, self.other)
-
-
-@dataclass(frozen=True, eq=False)
-class BufferView:
-    """A scan buffer.
-
-    Attributes
-    ----------
-    robot, side
-        Robot and side that the buffer belongs to.
-    points
-        (p, 2), m, in the world frame.
-    size
-        Number of new points that fill the buffer.
-    new
-        Number of new points. The other points have waited since an earlier extraction. None if all are new.
-    """
-
-    robot: int
-    side: Literal["left", "right"]
-    points: FloatArray
-    size: int
-    new: int | None = None
-
-    @property
-    def filled(self) -> int:
-        """Number of points that count towards the size."""
-        return len(self.points) if self.new is None else self.new
-
-    @property
-    def words(self) -> str:
-        """How full the buffer is, in words."""
-        kept = len(self.points) - self.filled
-        return f"{self.side} {self.filled}/{self.size}" + (f" + {kept} kept" if kept > 0 else "")
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +102,7 @@ class BeliefFrame:
     lines, line_covariances
         (r, theta) of each wall (k, 2), and its covariance (k, 2, 2).
     numbers
-        Numbers of the walls in ``events`` (k,). 1, 2, ... by default.
+        Numbers of the walls (k,), as in ``events``.
     unsure
         Numbers of provisional walls, which were seen too few times. They are drawn thinner.
     grid_low, grid_cell, grid_values
@@ -145,21 +112,18 @@ class BeliefFrame:
         Centres of the frontier cells (m, 2).
     plans, goals
         Each robot's planned path (p, 2) and its goal (2,) or None.
+    new_goals
+        Robots that have got another goal since the previous frame.
     paths
         Positions (q, 2) of each robot so far, as it estimated them.
     buffers
-        Scan buffers, two for each robot.
+        The points that wait for an extraction, two entries for each robot: the scan buffers.
     hough
         The latest extraction of lines. None before the first.
     events
         Events since the previous frame.
     warning
         Why the estimate cannot be trusted, in words. Empty if it can.
-
-    Raises
-    ------
-    ValueError
-        If the numbers of poses and covariances, or of walls and their properties, differ.
     """
 
     time: float
@@ -168,7 +132,7 @@ class BeliefFrame:
     segments: FloatArray = field(default_factory=lambda: no_rows(4))
     lines: FloatArray = field(default_factory=lambda: no_rows(2))
     line_covariances: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 2)))
-    numbers: tuple[int, ...] | None = None
+    numbers: tuple[int, ...] = ()
     unsure: frozenset[int] = frozenset()
     grid_low: FloatArray = field(default_factory=lambda: np.zeros(2))
     grid_cell: float = 0.10
@@ -176,23 +140,12 @@ class BeliefFrame:
     frontier: FloatArray = field(default_factory=lambda: no_rows(2))
     plans: Sequence[FloatArray] = ()
     goals: Sequence[FloatArray | None] = ()
+    new_goals: Sequence[int] = ()
     paths: Sequence[FloatArray] = ()
-    buffers: Sequence[BufferView] = ()
+    buffers: Sequence[PendingPoints] = ()
     hough: HoughView | None = None
     events: Sequence[Event] = ()
     warning: str = ""
-
-    def __post_init__(self) -> None:
-        if len(self.poses) != len(self.covariances):
-            raise ValueError(f"{len(self.poses)} poses have {len(self.covariances)} covariances")
-        counts = {len(self.segments), len(self.lines), len(self.line_covariances), len(self.names)}
-        if len(counts) > 1:
-            raise ValueError(f"walls have {sorted(counts)} segments, lines, covariances and numbers")
-
-    @property
-    def names(self) -> tuple[int, ...]:
-        """The number of each wall (k,)."""
-        return tuple(range(1, len(self.segments) + 1)) if self.numbers is None else self.numbers
 
 
 def wall_bands(frame: BeliefFrame, sigmas: float = 2.0, samples: int = 9) -> FloatArray:

@@ -33,7 +33,8 @@ from limslam_agent.output.style import (
     width_of,
     write,
 )
-from limslam_agent.video.belief_frame import BufferView, HoughView
+from limslam_agent.slam.core.diagnostics import PendingPoints
+from limslam_agent.video.belief_frame import HoughView
 from limslam_env.messages import counted
 
 STAGES = ("predict", "collect", "find lines", "associate", "correct or add", "close loops", "explore")
@@ -130,7 +131,7 @@ def buffers_height(robots: int) -> int:
     return 24 + 19 * max(robots, 2)
 
 
-def draw_buffers(buffers: Sequence[BufferView], width: int, height: int) -> Image:
+def draw_buffers(buffers: Sequence[PendingPoints], width: int, height: int) -> Image:
     """How full the buffers are, as bars one below the other. For several robots one row per robot."""
     panel = blank(width, height)
     title = "Points in the scan buffers"
@@ -154,11 +155,14 @@ def draw_buffers(buffers: Sequence[BufferView], width: int, height: int) -> Imag
     return panel
 
 
-def _draw_bar(panel: Image, buffer: BufferView, x: int, y: int, width: int) -> None:
-    colour, words = side_colour(buffer.side), buffer.words
+def _draw_bar(panel: Image, buffer: PendingPoints, x: int, y: int, width: int) -> None:
+    count = len(buffer.points) if buffer.new is None else buffer.new
+    kept = len(buffer.points) - count
+    colour, words = side_colour(buffer.side), f"{buffer.side} {count}/{buffer.enough}"
+    words += f" + {kept} kept" if kept > 0 else ""
     # All bars have one length, with or without points that are kept.
     length = max(width - (80 if buffer.new is None else 124), _SHORTEST_BAR)
-    filled = round(length * min(buffer.filled / max(buffer.size, 1), 1.0))
+    filled = round(length * min(count / max(buffer.enough, 1), 1.0))
     cv2.rectangle(panel, (x, y), (x + length, y + 9), mixed(colour, PAPER, 0.8), -1)
     if filled:
         cv2.rectangle(panel, (x, y), (x + filled, y + 9), colour, -1)

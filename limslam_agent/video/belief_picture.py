@@ -108,9 +108,7 @@ class Sheet:
         write(self.image, words, (x, y + above - 3), size, ink, bold=True, anchor="centre")
 
 
-def draw_belief(
-    frame: BeliefFrame, size: tuple[int, int], window: tuple[FloatArray, FloatArray] | None = None
-) -> Image:
+def draw_belief(frame: BeliefFrame, size: tuple[int, int], window: tuple[FloatArray, FloatArray]) -> Image:
     """Draw what is believed.
 
     Parameters
@@ -120,14 +118,14 @@ def draw_belief(
     size
         Width and height, pixels.
     window
-        Lower left and upper right corner (2,), m, of the visible region. By default everything that is known.
+        Lower left and upper right corner (2,), m, of the visible region.
 
     Returns
     -------
     image
         (height, width, 3), RGB.
     """
-    sheet = _sheet(size, window or _extent(frame))
+    sheet = _sheet(size, window)
     _draw_grid(sheet, frame)
     for number, path in enumerate(frame.paths):
         sheet.path(thinned(path, _TRAIL_POINTS), mixed(robot_colour(number), FREE, 0.5), 2)
@@ -153,14 +151,6 @@ def _sheet(size: tuple[int, int], window: tuple[FloatArray, FloatArray]) -> Shee
     return Sheet(plain(width, height, UNKNOWN).copy(), corner, scale)
 
 
-def _extent(frame: BeliefFrame) -> tuple[FloatArray, FloatArray]:
-    rows, columns = frame.grid_values.shape
-    grid_high = frame.grid_low + frame.grid_cell * np.array([columns, rows])
-    grid = np.vstack((frame.grid_low, grid_high)) if rows else np.zeros((0, 2))
-    places = np.vstack((frame.segments.reshape(-1, 2), frame.poses[:, :2], grid))
-    return places.min(axis=0) - 0.3, places.max(axis=0) + 0.3
-
-
 def _draw_grid(sheet: Sheet, frame: BeliefFrame) -> None:
     """Draw the cells: light where free, grey where occupied, with a stronger colour for a larger value."""
     if not frame.grid_values.size:
@@ -184,7 +174,7 @@ def _draw_grid(sheet: Sheet, frame: BeliefFrame) -> None:
 
 def _draw_walls(sheet: Sheet, frame: BeliefFrame) -> None:
     glowing = {wall for event in frame.events for wall in event.walls}
-    for name, segment in zip(frame.names, frame.segments.reshape(-1, 2, 2), strict=True):
+    for name, segment in zip(frame.numbers, frame.segments.reshape(-1, 2, 2), strict=True):
         if name in glowing:
             sheet.path(segment, GLOW, 7)
         is_sure = name not in frame.unsure
@@ -195,7 +185,7 @@ def _draw_walls(sheet: Sheet, frame: BeliefFrame) -> None:
 
 def _draw_names(sheet: Sheet, frame: BeliefFrame) -> None:
     """Draw the walls' numbers. Walls of events are highlighted, and the two walls of a loop are connected."""
-    middles = dict(zip(frame.names, frame.segments.reshape(-1, 2, 2).mean(axis=1), strict=True))
+    middles = dict(zip(frame.numbers, frame.segments.reshape(-1, 2, 2).mean(axis=1), strict=True))
     glowing = {wall for event in frame.events for wall in event.walls}
     for name, middle in middles.items():
         if name not in frame.unsure and name not in glowing:

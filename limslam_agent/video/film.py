@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Protocol
 
 import cv2
 import numpy as np
@@ -19,16 +18,13 @@ from limslam_agent.video.belief_panels import (
     draw_stages,
 )
 from limslam_agent.video.belief_picture import draw_belief
-from limslam_agent.video.narration import Caption, Narrator
+from limslam_agent.video.narration import SPEED, Caption, Narrator
+from limslam_agent.video.video import VideoWriter
 from limslam_env.geometry import FloatArray
 
 WIDTH, HEIGHT = 1280, 720
 FPS = 25
 """Frames per second of the video."""
-SPEED = 5.0
-"""How much faster the video is than the run, by default."""
-SLOWEST, FASTEST = 1.0, 100.0
-"""Limits of the speed of a video. Below 2.5, a step of 0.1 s is shown for several frames."""
 
 _GAP, _TOP, _FOOT = 16, 80, 134
 _SIDE, _STRIP = 268, 176  # width of the panels beside the pictures, and their height below them
@@ -38,14 +34,6 @@ _LAST_FRAME = 3.0  # s of the video
 _TRUTH_MARGIN, _TRUTH_MOST = 30, (1600, 640)
 _KEPT_MARGIN = 5
 _ADDED_MARGIN = 0.04  # share of the world's size at each side, so that a map that has drifted stays visible
-
-
-class Writer(Protocol):
-    """Gets the frames."""
-
-    def write(self, image: Image, hold: float = 0.0) -> None:
-        """Take a frame (height, width, 3), RGB, and show it for ``hold`` s, or for the time of one frame."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,22 +49,19 @@ class Scene:
     log
         Past events, with the latest first: time (s), kind and text.
     coverage
-        True coverage, 0 to 1. None if it is unknown.
+        True coverage, 0 to 1.
     window
-        Corners (2,), m, of the region that the picture of the belief shows. By default everything that is known.
+        Corners (2,), m, of the region that the picture of the belief shows.
     is_paused
         Whether the video is paused for the caption.
-    speed
-        How much faster the video is than the run.
     """
 
     caption: Caption
-    title: str = ""
-    log: Sequence[tuple[float, str, str]] = ()
-    coverage: float | None = None
-    window: tuple[FloatArray, FloatArray] | None = None
+    title: str
+    log: Sequence[tuple[float, str, str]]
+    coverage: float
+    window: tuple[FloatArray, FloatArray]
     is_paused: bool = False
-    speed: float = SPEED
 
 
 @dataclass(frozen=True)
@@ -101,31 +86,11 @@ class Film:
         Corners (2,), m, of the smallest box around all walls of the world. Both pictures show this region.
     title
         Title of the run.
-    explain
-        Whether the video pauses for a short explanation when something happens for the first time.
-    speed
-        How much faster the video is than the run.
-
-    Raises
-    ------
-    ValueError
-        If the speed is out of bounds.
     """
 
-    def __init__(
-        self,
-        writer: Writer,
-        low: FloatArray,
-        high: FloatArray,
-        title: str = "",
-        *,
-        explain: bool = True,
-        speed: float = SPEED,
-    ) -> None:
-        if not SLOWEST <= speed <= FASTEST:
-            raise ValueError(f"the speed of a film must be {SLOWEST:g} to {FASTEST:g} times the run's, not {speed:g}")
-        self._writer, self._corners, self._title, self._speed = writer, (low, high), title, speed
-        self._narrator = Narrator(speed, explain=explain)
+    def __init__(self, writer: VideoWriter, low: FloatArray, high: FloatArray, title: str) -> None:
+        self._writer, self._corners, self._title = writer, (low, high), title
+        self._narrator = Narrator()
         self._next, self._shown = 0.0, 0
         self._last: tuple[Image, BeliefFrame, Scene] | None = None
 
@@ -133,7 +98,7 @@ class Film:
         """Whether a frame has to be added at a simulated time, s."""
         return time >= self._next - 1e-6
 
-    def add(self, truth: Image, frame: BeliefFrame, coverage: float | None = None) -> None:
+    def add(self, truth: Image, frame: BeliefFrame, coverage: float) -> None:
         """Add a frame.
 
         Parameters
@@ -146,11 +111,11 @@ class Film:
             True coverage, 0 to 1.
         """
         # The next frame is due a period after the last one was, whenever that was drawn: steps need not fit the period.
-        self._next = max(self._next, frame.time - self._speed / FPS) + self._speed / FPS
+        self._next = max(self._next, frame.time - SPEED / FPS) + SPEED / FPS
         cropped, window = cropped_truth(truth, *self._corners)
         for moment in self._narrator.hear(frame):
             caption = moment.caption
-            scene = Scene(caption, self._title, self._narrator.log, coverage, window, moment.pause > 0.0, self._speed)
+            scene = Scene(caption, self._title, self._narrator.log, coverage, window, moment.pause > 0.0)
             # Only the walls of the current caption are highlighted, and the votes are those that it speaks of.
             events = () if caption.event is None else (caption.event,)
             shown = replace(frame, events=events, hough=caption.hough or frame.hough)
@@ -159,7 +124,7 @@ class Film:
 
     def _hold(self, time: float) -> float:
         """How long the frame of a simulated time is shown, s of the video. 0 is the time of one frame."""
-        frames = max(round(time / self._speed * FPS) + 1 - self._shown, 1)
+        frames = max(round(time / SPEED * FPS) + 1 - self._shown, 1)
         self._shown += frames
         return frames / FPS if frames > 1 else 0.0
 
@@ -264,11 +229,9 @@ def _draw_header(page: Image, time: float, scene: Scene) -> None:
     right = WIDTH - _GAP
     minutes, seconds = divmod(round(time, 1), 60.0)
     write(page, f"{int(minutes)}:{seconds:04.1f}", (right, 33), 18, INK, bold=True, anchor="right")
-    if scene.coverage is not None:
-        words = f"seen {100.0 * scene.coverage:.0f} %"
-        write(page, words, (right - 150, 33), 14, TEXT, anchor="right")
-        _bar(page, right - 142, 24, 60, scene.coverage)
-    write(page, "paused" if scene.is_paused else f"{scene.speed:g} x", (right - 270, 33), 14, FAINT, anchor="right")
+    write(page, f"seen {100.0 * scene.coverage:.0f} %", (right - 150, 33), 14, TEXT, anchor="right")
+    _bar(page, right - 142, 24, 60, scene.coverage)
+    write(page, "paused" if scene.is_paused else f"{SPEED:g} x", (right - 270, 33), 14, FAINT, anchor="right")
     cv2.line(page, (0, 46), (WIDTH, 46), RULE, 1)
 
 

@@ -7,8 +7,10 @@ import numpy as np
 
 from limslam_agent.video.belief_frame import BeliefFrame, Event, HoughView
 
+SPEED = 5.0
+"""How much faster the video is than the run."""
+
 _LEAST_HOLD, _HOLD = 0.7, 1.8  # s of the video before a more important caption, and before any caption, may follow
-_MOVED_GOAL = 1.0  # m, so that a goal that moves along a frontier is not a new goal
 _LONGEST_LOG = 24
 _WORDS_PER_SECOND = 7.0
 # s of the video between two explanations. Without it all pauses would come in the first seconds of the run.
@@ -103,22 +105,14 @@ _WEIGHTS = {"warning": 6, "loop": 5, "new": 3, "goal": 2, "hough": 1, "again": 1
 class Narrator:
     """Chooses the captions so that they can be read, although several events happen in every second.
 
-    Parameters
-    ----------
-    speed
-        Simulated seconds per second of the video.
-    explain
-        Whether the picture pauses for an explanation when something happens for the first time.
-
     Attributes
     ----------
     log
         Past events, with the latest first: time (s), kind and text.
     """
 
-    def __init__(self, speed: float, *, explain: bool = True) -> None:
-        self._speed = speed
-        self._untaught = set(LESSONS) if explain else set()
+    def __init__(self) -> None:
+        self._untaught = set(LESSONS)
         self._last: BeliefFrame | None = None
         self._said, self._since = "drive", -np.inf
         self._waiting: dict[str, Caption] = {}
@@ -130,24 +124,23 @@ class Narrator:
     def hear(self, frame: BeliefFrame) -> list[Moment]:
         """The moments of a frame: explanations first, and then the caption with which the run continues."""
         several, self._robots = len(frame.poses) > 1, len(frame.poses)
-        new_goals = self._new_goals(frame)
-        happening = _happenings(frame, self._last, new_goals)
+        happening = _happenings(frame, self._last)
         for event in frame.events:
             self._note(frame.time, event.kind, _who(event.robot, several and event.kind != "loop") + event.words)
-        for robot in new_goals:
+        for robot in frame.new_goals:
             self._note(frame.time, "goal", _who(robot, several) + "drives to a frontier")
         about: dict[str, Event] = {event.kind: event for event in frame.events}
         taught = self._lessons_now(frame.time, happening)
         lessons = [replace(LESSONS[kind], event=about.get(kind)) for kind in taught]
         self._last = frame
-        self._waiting |= {kind: caption for kind, caption in _captions(frame, new_goals).items() if kind in happening}
+        self._waiting |= {kind: caption for kind, caption in _captions(frame).items() if kind in happening}
         self._choose(frame.time)
         return [*(Moment(lesson, lesson.reading_time) for lesson in lessons), Moment(self._caption, 0.0)]
 
     def _lessons_now(self, time: float, happening: Sequence[str]) -> list[str]:
         """The kind to explain now: one at a time, with some of the run between two. Loops are rare and do not wait."""
         new = [kind for kind in happening if kind in self._untaught]
-        if (time - self._explained) / self._speed < _BETWEEN:
+        if (time - self._explained) / SPEED < _BETWEEN:
             new = [kind for kind in new if kind == "loop"]
         if new:
             self._explained = time
@@ -163,18 +156,9 @@ class Narrator:
         self._noted, self._times = words, 1
         self.log = [(time, kind, words), *self.log][:_LONGEST_LOG]
 
-    def _new_goals(self, frame: BeliefFrame) -> list[int]:
-        before = self._last.goals if self._last is not None else ()
-        old = [*before, *([None] * (len(frame.goals) - len(before)))]
-        return [
-            number
-            for number, (was, goal) in enumerate(zip(old, frame.goals, strict=False))
-            if goal is not None and (was is None or np.hypot(*(goal - was)) > _MOVED_GOAL)
-        ]
-
     def _choose(self, time: float) -> None:
         """Change the caption after it could be read, if there is another one."""
-        held = (time - self._since) / self._speed
+        held = (time - self._since) / SPEED
         others = {kind: caption for kind, caption in self._waiting.items() if kind != self._said} or self._waiting
         best = max(others, key=_WEIGHTS.__getitem__, default=None)
         if held > _OUTDATED and (best is None or best == self._said != "drive"):
@@ -189,15 +173,15 @@ class Narrator:
         self._waiting = {}
 
 
-def _happenings(frame: BeliefFrame, last: BeliefFrame | None, new_goals: Sequence[int]) -> list[str]:
+def _happenings(frame: BeliefFrame, last: BeliefFrame | None) -> list[str]:
     """Kinds of the events since the last frame, in the order of the method."""
     if last is None:
         return ["start"]
     is_extracted = frame.hough is not None and len(frame.hough.peaks) and frame.hough is not last.hough
-    is_collected = any(2 * len(buffer.points) >= buffer.size for buffer in frame.buffers)
+    is_collected = any(2 * len(buffer.points) >= buffer.enough for buffer in frame.buffers)
     kinds = {event.kind for event in frame.events}
     found = {
-        "goal": bool(new_goals) and last.time > 0.0,
+        "goal": bool(frame.new_goals) and last.time > 0.0,
         "drive": _has_moved(frame, last),
         "collect": is_collected,
         "hough": is_extracted and (last.hough is None or frame.hough is None or frame.hough.time > last.hough.time),
@@ -213,11 +197,11 @@ def _has_moved(frame: BeliefFrame, last: BeliefFrame) -> bool:
     return bool((np.hypot(*(frame.poses[:, :2] - last.poses[:, :2]).T) > 0.01).any())
 
 
-def _captions(frame: BeliefFrame, new_goals: Sequence[int]) -> dict[str, Caption]:
+def _captions(frame: BeliefFrame) -> dict[str, Caption]:
     """Possible captions of a frame by their kinds."""
     several = len(frame.poses) > 1
     said = {"drive": _captions_of_driving(len(frame.poses))}
-    for robot in new_goals:
+    for robot in frame.new_goals:
         said["goal"] = Caption(
             (6,), f"Explore{_whose(robot, several)}: a new goal at a frontier.",
             "Of all frontiers, this frontier has the least cost.",

@@ -4,11 +4,10 @@ import importlib
 import subprocess
 import tempfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from types import TracebackType
-from typing import IO, Protocol, Self
+from typing import IO
 
 import cv2
 import numpy as np
@@ -19,7 +18,6 @@ from limslam_agent.output.style import PALETTE, Image
 
 SUFFIXES = (".mp4", ".gif")
 
-_FASTEST_FPS = 60.0
 # A GIF stores whole pictures. Fewer and smaller pictures with few colours keep the file small.
 _GIF_WIDTH, _GIF_FPS, _GIF_COLOURS = 960, 8.0, 144
 _GIF_FRAMES = 320
@@ -30,75 +28,13 @@ class VideoError(ValueError):
     """A video cannot be written. The message says which and why."""
 
 
-class _Encoder(Protocol):
-    """Makes a file of frames. ``abandon`` comes last, finished or not, and frees all resources."""
-
-    def add(self, image: Image, hold: float) -> None: ...
-
-    def finish(self) -> None: ...
-
-    def abandon(self) -> None: ...
-
-
 class VideoWriter:
-    """Writes a video file. It is a context manager, and the file appears only when the context ends without an error.
+    """Takes the frames of a video file, which :func:`video_file` makes."""
 
-    Parameters
-    ----------
-    path
-        The file, ``.mp4`` or ``.gif``. Missing folders are made.
-    fps
-        Frames per second. A GIF leaves out frames that would make it too large.
-    force
-        Whether an existing file may be replaced.
-
-    Raises
-    ------
-    VideoError
-        Before the first frame: if the suffix is another one, something exists at the path, or the encoder for .mp4 is
-        missing. At the end of the context: if there was no frame.
-    OSError
-        At the start of the context: if the file cannot be written there.
-    """
-
-    def __init__(self, path: str | Path, fps: float, *, force: bool = False) -> None:
-        self.path, self.fps = Path(path).absolute(), float(fps)
-        self._suffix = self.path.suffix.lower()
-        if self._suffix not in SUFFIXES:
-            raise VideoError(f"{path}: a video ends in {' or '.join(SUFFIXES)}")
-        if not 0.0 < self.fps <= _FASTEST_FPS:
-            raise VideoError(f"{path}: a video has up to {_FASTEST_FPS:g} frames per second, not {fps:g}")
-        if self.path.is_dir():
-            raise VideoError(f"{path}: is a folder")
-        if self.path.exists() and not force:
-            raise VideoError(f"{path}: already exists; --force replaces it")
-        self._program = _ffmpeg() if self._suffix == ".mp4" else ""
-        self._beside: Path | None = None
-        self._encoder: _Encoder | None = None
-
-    def __enter__(self) -> Self:
-        self._session = self._recording()
-        self._session.__enter__()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._session.__exit__(kind, error, trace)
-
-    @contextmanager
-    def _recording(self) -> Iterator[None]:
-        with atomic_write(self.path) as beside:
-            self._beside = beside
-            try:
-                yield
-                if self._encoder is None:
-                    raise VideoError(f"{self.path}: there are no frames")
-                self._encoder.finish()
-            finally:
-                encoder, self._encoder, self._beside = self._encoder, None, None
-                if encoder is not None:
-                    encoder.abandon()
+    def __init__(self, path: Path, start: "Callable[[Image], _Mp4 | _Gif]") -> None:
+        self._path, self._start = path, start
+        self._encoder: _Mp4 | _Gif | None = None
+        self._shape: tuple[int, ...] = ()
 
     def write(self, image: Image, hold: float = 0.0) -> None:
         """Add a frame.
@@ -113,22 +49,66 @@ class VideoWriter:
         Raises
         ------
         VideoError
-            If the image is not a frame, has another size than the first, or the writer's context has ended.
+            If the image is not a frame, or has another size than the first.
         """
-        if self._beside is None:
-            raise VideoError(f"{self.path}: frames must be written within the writer's context")
         if image.dtype != np.uint8 or image.shape[2:] != (3,) or image.shape[0] % 2 or image.shape[1] % 2:
-            raise VideoError(f"{self.path}: a frame is (height, width, 3) in bytes, even sides, not {image.shape}")
+            raise VideoError(f"{self._path}: a frame is (height, width, 3) in bytes, even sides, not {image.shape}")
         if self._encoder is None:
-            self._shape = image.shape
-            self._encoder = (
-                _Mp4(self._beside, self._program, self.path, image, self.fps)
-                if self._program
-                else _Gif(self._beside, self.fps)
-            )
+            self._shape, self._encoder = image.shape, self._start(image)
         if image.shape != self._shape:
-            raise VideoError(f"{self.path}: a frame of {image.shape} has another size than the first, {self._shape}")
+            raise VideoError(f"{self._path}: a frame of {image.shape} has another size than the first, {self._shape}")
         self._encoder.add(image, hold)
+
+    def finish(self) -> None:
+        """Complete the file."""
+        if self._encoder is None:
+            raise VideoError(f"{self._path}: there are no frames")
+        self._encoder.finish()
+
+    def abandon(self) -> None:
+        """Free all resources."""
+        if self._encoder is not None:
+            self._encoder.abandon()
+
+
+@contextmanager
+def video_file(path: str | Path, fps: float, *, force: bool = False) -> Iterator[VideoWriter]:
+    """Write a video file, which appears only when the context ends without an error.
+
+    Parameters
+    ----------
+    path
+        The file, ``.mp4`` or ``.gif``. Missing folders are made.
+    fps
+        Frames per second. A GIF leaves out frames that would make it too large.
+    force
+        Whether an existing file may be replaced.
+
+    Raises
+    ------
+    VideoError
+        Before the first frame: if the suffix is another one, something exists at the path, or the encoder for .mp4 is
+        missing. At the end: if there was no frame.
+    OSError
+        If the file cannot be written there.
+    """
+    target = Path(path).absolute()
+    if target.suffix.lower() not in SUFFIXES:
+        raise VideoError(f"{path}: a video ends in {' or '.join(SUFFIXES)}")
+    if target.is_dir():
+        raise VideoError(f"{path}: is a folder")
+    if target.exists() and not force:
+        raise VideoError(f"{path}: already exists; --force replaces it")
+    program = _ffmpeg() if target.suffix.lower() == ".mp4" else None
+    with atomic_write(target) as beside:
+        writer = VideoWriter(
+            target, lambda first: _Mp4(beside, program, target, first, fps) if program else _Gif(beside, fps)
+        )
+        try:
+            yield writer
+            writer.finish()
+        finally:
+            writer.abandon()
 
 
 class _Mp4:

@@ -9,13 +9,13 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
+from limslam_agent.live.link import POLL, NoRobotError
 from limslam_agent.live.protocol import VERSION, Command, Heartbeat, Hello, Message, Speeds, Stop, Telemetry
 from limslam_agent.live.recording import MM
 from limslam_agent.live.ros2.odometer import Sample
 from limslam_agent.live.ros2.parameters import Parameters
 from limslam_agent.live.ros2.sensors import RangeSensors, ScanSensors, Sensors
 from limslam_agent.live.ros2.synchroniser import Measurement, Synchroniser
-from limslam_agent.live.session import NoRobotError
 from limslam_agent.logs.ros_messages import pose_of
 from limslam_env.geometry.se2 import wheels_to_arc
 from limslam_env.interface import RobotSpec
@@ -26,7 +26,6 @@ ODOMETRY = -1
 _MICROMETRE = 1e-6
 _FIRST = 5  # number of measurements that show the period
 _MOST_SENT = 200  # number of commands that may wait to be acknowledged
-_POLL = 0.02  # s
 
 
 class Event(NamedTuple):
@@ -152,7 +151,7 @@ class RosLink:
         while len(found) < _FIRST or self._sensors.robot is None:
             if self.clock() - begin > patience:
                 raise NoRobotError(f"within {patience:g} s {self._missing(found)}")
-            for event in self._ports.take(_POLL):
+            for event in self._ports.take(POLL):
                 found += self._taken(event)
         steps = [after.sample.time - before.sample.time for before, after in pairwise(found)]
         period, watchdog = (max(1, round(1e3 * each)) for each in (np.median(steps), self._parameters.watchdog))

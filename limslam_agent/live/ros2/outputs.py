@@ -28,12 +28,10 @@ class Outputs:
         The node.
     link
         The connection of the session.
-    policy
-        The policy that drives.
     """
 
-    def __init__(self, node: RosNode, link: RosLink, policy: WayHome) -> None:
-        self._node, self._link, self._policy = node, link, policy
+    def __init__(self, node: RosNode, link: RosLink) -> None:
+        self._node, self._link = node, link
         self._next_map, self._told = 0.0, ("", "")
         self._pose = node.publisher("geometry_msgs/msg/PoseWithCovarianceStamped", "pose")
         self._transform = node.publisher("geometry_msgs/msg/TransformStamped", "map_to_odom")
@@ -46,7 +44,7 @@ class Outputs:
     def watch(self, session: Session) -> None:
         """Publish what the session believes after a decision."""
         self._publish_pose(session)
-        told = state_of(session, self._policy), session.agent.status
+        told = state_of(session), session.agent.status
         if time.monotonic() >= self._next_map or told != self._told:
             self._told, self._next_map = told, time.monotonic() + self._node.parameters.map_period
             self._publish_map(session)
@@ -56,7 +54,7 @@ class Outputs:
         orders = self._node.orders
         session.is_paused = orders.is_paused
         if orders.go_home:
-            self._policy.go_home()
+            policy_of(session).go_home()
         if orders.stop:
             session.asked_to_end = STOPPED
 
@@ -83,7 +81,7 @@ class Outputs:
     def _diagnosis(self, session: Session, at: float) -> Any:
         make, agent, figures = self._node.build.make, session.agent, session.figures
         told = {
-            "state": state_of(session, self._policy), "walls": len(agent.slam.segments), **figures,
+            "state": state_of(session), "walls": len(agent.slam.segments), **figures,
             "odometry_jumps": self._link.jumps,
         }  # fmt: skip
         values = [make("diagnostic_msgs/msg/KeyValue", key=key, value=str(value)) for key, value in told.items()]
@@ -95,13 +93,20 @@ class Outputs:
         return make("diagnostic_msgs/msg/DiagnosticArray", header=header, status=[status])
 
 
-def state_of(session: Session, policy: WayHome) -> str:
+def policy_of(session: Session) -> WayHome:
+    """The policy that drives a robot of ROS 2."""
+    policy = session.agent.policy
+    assert isinstance(policy, WayHome)  # noqa: S101 (as it was wired)
+    return policy
+
+
+def state_of(session: Session) -> str:
     """What the robot is doing, in a word or a few."""
     if session.agent.stop_reason is not None or session.asked_to_end is not None:
         return "done"
     if session.is_paused:
         return "paused"
-    return "driving home" if policy.is_going_home else "exploring"
+    return "driving home" if policy_of(session).is_going_home else "exploring"
 
 
 def ros_grid(view: GridView) -> Grid:

@@ -1,18 +1,23 @@
 """The parameters of the node, as users of ROS set them: ``-p NAME:=VALUE``."""
 
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
-from typing import Any, Self
+from array import array
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Annotated, Any
 
 import numpy as np
 
+from limslam_agent.config.bounds import Bounded, Bounds, NonNegative
+from limslam_agent.config.tables import updated
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec, SensorSpec
 
+_Time = Annotated[float, Bounds(0.0, 60.0)]
+
 
 @dataclass(frozen=True)
-class Parameters:
+class Parameters(Bounded):
     """Parameters of the node.
 
     Attributes
@@ -49,31 +54,26 @@ class Parameters:
     range_topics: tuple[str, ...] = ()
     scan_mount: tuple[float, ...] = (0.0, 0.0, 0.0)
     beams_deg: tuple[float, ...] = ()
-    max_range: float = 0.0
-    period: float = 0.1
-    watchdog: float = 0.5
-    map_period: float = 1.0
+    max_range: NonNegative = 0.0
+    period: _Time = 0.1
+    watchdog: Annotated[float, Bounds(0.05, 60.0)] = 0.5
+    map_period: _Time = 1.0
     map_frame: str = "map"
     odom_frame: str = ""
     base_frame: str = ""
-    transform_tolerance: float = 0.5
+    transform_tolerance: _Time = 0.5
     publish_tf: bool = True
     explore: bool = True
     return_to_init: bool = False
     enable_stamped_cmd_vel: bool = False
 
     def __post_init__(self) -> None:
-        for name, least in (("period", 0.0), ("watchdog", 0.05), ("map_period", 0.0), ("transform_tolerance", 0.0)):
-            value = getattr(self, name)
-            if not least <= value <= 60.0:
-                raise ValueError(f"the parameter {name} must be from {least:g} to 60 s, not {value:g}")
-        if not (math.isfinite(self.max_range) and self.max_range >= 0.0):
-            raise ValueError(f"the parameter max_range must be a length, m, not {self.max_range:g}")
+        super().__post_init__()
         if len(self.scan_mount) != 3 or not all(map(math.isfinite, self.scan_mount)):
             raise ValueError("the parameter scan_mount must be three numbers: x (m), y (m), heading (deg)")
 
     @classmethod
-    def of(cls, values: Mapping[str, Any]) -> Self:
+    def of(cls, values: Mapping[str, Any]) -> "Parameters":
         """The parameters from the values of a node. Names that are missing keep their defaults.
 
         Raises
@@ -81,12 +81,9 @@ class Parameters:
         ValueError
             If there is no such parameter, or a value cannot be used.
         """
-        defaults = {field.name: field.default for field in fields(cls)}
-        unknown = sorted(set(values) - set(defaults))
-        if unknown:
-            raise ValueError(f"there is no parameter {unknown[0]}; there are {', '.join(defaults)}")
-        found: dict[str, Any] = {name: _checked(name, value, defaults[name]) for name, value in values.items()}
-        return cls(**found)
+        # ROS has arrays of numbers where a file of settings has lists.
+        told = {name: list(value) if isinstance(value, array) else value for name, value in values.items()}
+        return updated(cls(), told, "the parameters of the node")
 
     @property
     def mount(self) -> FloatArray:
@@ -111,15 +108,3 @@ class Parameters:
         if self.range_topics and len(self.range_topics) != len(beams):
             raise ValueError(f"range_topics has {len(self.range_topics)} topics, but the robot has {len(beams)} beams")
         return replace(described, beams=beams)
-
-
-def _checked(name: str, value: Any, default: Any) -> Any:
-    """A value of the type that a parameter has."""
-    if isinstance(default, tuple) and not isinstance(value, str) and isinstance(value, Sequence):
-        kind: type[str | float] = str if name == "range_topics" else float
-        return tuple(_checked(name, each, kind()) for each in value)
-    is_number = isinstance(default, float) and isinstance(value, int) and not isinstance(value, bool)
-    if is_number or type(value) is type(default):
-        return type(default)(value)
-    words = {bool: "true or false", float: "a number", str: "a text", tuple: "a list"}[type(default)]
-    raise ValueError(f"the parameter {name} must be {words}, not {value!r}")

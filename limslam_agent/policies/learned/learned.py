@@ -15,7 +15,6 @@ import numpy as np
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.policies.collision_guard import CollisionGuard
 from limslam_agent.policies.controller import wheel_speeds
 from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.policies.learned.network import DirectionNetwork, load_network
@@ -95,21 +94,15 @@ class LearnedPolicy(MapExplorer):
         Body, and the settings that all policies share. Those of the paper's robot and the default settings if left out.
     network
         Network that scores directions. The shipped one by default.
-    drive, finish
-        Settings for driving in a chosen direction, and for handing over to the frontier explorer.
+    finish
+        When the frontier explorer drives.
     seed
         Seed of the random numbers, or a generator.
-    temperature
-        Temperature of the softmax from which directions are drawn. 0 takes the best direction.
     index
         The robot's place in its team. Of two robots that meet, the one with the higher index waits.
 
     Attributes
     ----------
-    robot
-        The robot that the policy drives.
-    stop_reason
-        Why there is nothing left to explore, in words. None while the policy is active.
     plan
         Path to the present goal of the frontier explorer (k, 2), m. Empty while the network drives.
     """
@@ -119,22 +112,22 @@ class LearnedPolicy(MapExplorer):
         robot: RobotSpec | None = None,
         config: PolicyConfig | None = None,
         network: DirectionNetwork | None = None,
-        drive: DriveConfig | None = None,
         seed: int | np.random.Generator = 0,
-        temperature: float = TEMPERATURE,
         finish: FinishConfig | None = None,
         index: int = 0,
     ) -> None:
-        self.robot = robot or RobotSpec()
-        config = config or PolicyConfig()
+        robot, config = robot or RobotSpec(), config or PolicyConfig()
         self._network = network or load_network(WEIGHTS / SHIPPED)
-        self._drive, self._finish = drive or DriveConfig(), finish or FinishConfig()
-        self._generator, self._temperature = np.random.default_rng(seed), temperature
+        self._drive, self._finish, self._generator = (
+            DriveConfig(),
+            finish or FinishConfig(),
+            np.random.default_rng(seed),
+        )
         large = max(config.min_frontier, self._finish.large_frontier)
-        self._config = replace(config, speed=self.robot.max_wheel_speed, min_frontier=large)
-        self._right_of_way = RightOfWay(index, self.robot)
-        self._finisher = FrontierPolicy(self.robot, self._config, index)
-        super().__init__()
+        fast = replace(config, speed=robot.max_wheel_speed, min_frontier=large)
+        self._right_of_way = RightOfWay(index, robot)
+        self._finisher = FrontierPolicy(robot, fast, index)
+        super().__init__(robot)
 
     def enter(self, belief: Belief) -> None:
         """Also tell the frontier explorer."""
@@ -145,30 +138,22 @@ class LearnedPolicy(MapExplorer):
         self._known = deque[int](maxlen=math.ceil(self._finish.window / self.robot.control_period) + 1)
 
     def _plan_anew(self) -> None:
-        self._collision_guard = CollisionGuard(self.robot)
         self._until_choice, self._heading, self._is_finishing = 0, 0.0, False
-        self.stop_reason: str | None = None
-        self.plan: FloatArray = NO_PLAN
 
     @property
     def goal(self) -> FloatArray | None:
         """Present goal of the frontier explorer (2,), m. None while the network drives."""
         return self._finisher.goal if self._is_finishing else None
 
-    def act(self, belief: Belief) -> FloatArray:
-        """Wheel speeds (2,). Zero after the policy has stopped."""
-        self.enter(belief)
-        if self.stop_reason is not None:
-            return np.zeros(2)
+    def _wheels(self, belief: Belief) -> FloatArray:
         self._known.append(int(np.count_nonzero(belief.grid.values)))
-        self._collision_guard.add_readings(belief.pose, belief.ranges)
         if self._until_choice <= 0:
             self._choose(belief)
             self._until_choice = self._drive.hold
         self._until_choice -= 1
-        wheels = self._end(belief) if self._is_finishing else self._wheels(belief)
+        wheels = self._end(belief) if self._is_finishing else self._towards_heading(belief)
         self.plan = self._finisher.plan if self._is_finishing else NO_PLAN
-        return self._collision_guard.limit_speed(belief.pose, wheels)
+        return wheels
 
     def _end(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) of the frontier explorer, which ends the exploration; zero if it is over."""
@@ -179,7 +164,7 @@ class LearnedPolicy(MapExplorer):
             self.stop_reason = ONLY_REMNANTS
         return wheels if self.stop_reason is None else np.zeros(2)
 
-    def _wheels(self, belief: Belief) -> FloatArray:
+    def _towards_heading(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) towards the chosen direction."""
         if self._right_of_way.waits(belief.pose, belief.other_poses):
             return np.zeros(2)
@@ -200,7 +185,7 @@ class LearnedPolicy(MapExplorer):
         if not self._is_finishing:
             scores = self._network.scores(observation).astype(float)
             # The index of the largest score plus Gumbel noise has the distribution of the softmax.
-            drawn = int(np.argmax(scores + self._temperature * self._generator.gumbel(size=len(scores))))
+            drawn = int(np.argmax(scores + TEMPERATURE * self._generator.gumbel(size=len(scores))))
             self._heading = float(belief.pose[2]) + view.angle(drawn)
 
     def _is_growing(self, grid: GridView, area: float) -> bool:

@@ -7,7 +7,7 @@ from PIL import Image as Pictures
 from support.command_line import invoke
 
 from limslam_agent.cli.show import compare
-from limslam_agent.output.comparison_picture import COLOURS, MOST_RUNS, draw_comparison, names_of, sheet_size, table_of
+from limslam_agent.output.comparison_picture import COLOURS, MOST_RUNS, draw_comparison, sheet_size
 from limslam_agent.output.export import write_json
 from limslam_agent.output.finished_run import read_run
 from limslam_agent.output.tum import write_tum
@@ -38,19 +38,6 @@ def test_metrics_stand_side_by_side_under_what_differs(tmp_path):
     assert told[1].split()[-2:] == ["0.05", "0.1"]
     with Pictures.open(tmp_path / "both.png") as picture:
         assert picture.size == tuple(round(150 * side) for side in sheet_size(2))
-
-
-def test_runs_with_the_same_settings_are_told_apart_by_their_folders(tmp_path):
-    runs = [read_run(write_folder(tmp_path / name)) for name in ("first", "second")]
-    assert names_of(runs) == ["first", "second"]
-
-
-def test_a_metric_that_one_run_lacks_is_a_dash(tmp_path):
-    runs = [
-        read_run(write_folder(tmp_path / "a", metrics={"ate_m": 0.1, "status": "lost"})),
-        read_run(write_folder(tmp_path / "b", metrics={"ate_m": 0.2})),
-    ]
-    assert ("status", "lost", "-") in table_of(runs)
 
 
 @pytest.mark.parametrize(("count", "truth", "axes"), [(2, True, 4), (5, True, 7), (3, False, 3)])

@@ -2,30 +2,25 @@
 
 import json
 import shutil
-from dataclasses import replace
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from PIL import Image as Pictures
 from support.command_line import invoke
 
 from limslam_agent import Mapper, save_map
 from limslam_agent.cli.show import show, true_edges
-from limslam_agent.config import DEFAULT_PRESET
-from limslam_agent.output.comparison_picture import draw_comparison, sheet_size
 from limslam_agent.output.export import write_json
-from limslam_agent.output.finished_run import FolderError, heading_error, position_error, read_run, read_walls
-from limslam_agent.output.run_picture import SIZE, draw_run
-from limslam_agent.output.summary import place_records, record_summary, replay_summary, run_summary
+from limslam_agent.output.finished_run import FolderError, read_run
+from limslam_agent.output.run_picture import draw_run
+from limslam_agent.output.summary import replay_summary, run_summary
 from limslam_agent.output.tum import write_tum
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import write_episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_env.interface import RobotSpec
 from limslam_env.worlds.formats.loading import load_world
-from limslam_env.worlds.formats.writing import write_world
 
 pytestmark = pytest.mark.usefixtures("no_display")
 
@@ -73,54 +68,11 @@ def real_run(tmp_path_factory):
     return folder
 
 
-def test_a_run_is_read_as_it_was_written(real_run):
-    run = read_run(real_run)
-    with np.load(real_run / "log.npz") as log:
-        true, wheels = log["true_pose"], log["wheels"]
-    assert len(run.time) == len(true) == 41
-    np.testing.assert_allclose(run.true[0], true, atol=2e-6)
-    assert run.segments.shape[1] == 4
-    assert not run.is_replay
-    assert run.title == f"env1, range noise 2 cm, {DEFAULT_PRESET}, seed 300"
-    # Odometry comes from the wheels: it begins where the robot does, and goes as far as they say.
-    np.testing.assert_allclose(run.odometry[0][0], true[0], atol=2e-6)
-    travelled = np.hypot(*np.diff(run.odometry[0][:, :2], axis=0).T).sum()
-    assert travelled == pytest.approx(np.abs(wheels.mean(axis=1)).sum(), rel=0.01)
-
-
-def test_the_error_by_odometry_is_that_of_the_result(real_run):
-    run = read_run(real_run)
-    for kind, name in ((run.odometry, "odometry_ate_m"), (run.estimated, "ate_m")):
-        rms = np.sqrt(np.mean(position_error(kind[0], run.true[0]) ** 2))
-        assert rms == pytest.approx(run.result["metrics"][name], abs=1e-5)
-
-
 def test_the_true_walls_are_those_of_the_world_that_was_run_in(real_run):
     run = read_run(real_run)
     np.testing.assert_array_equal(true_edges(run), load_world("env1").edges)
     run.result["config"]["world_digest"] = "another"
     assert true_edges(run) is None
-
-
-def test_without_a_file_of_the_world_only_a_world_that_ships_is_drawn(real_run, tmp_path):
-    run = read_run(shutil.copytree(real_run, tmp_path / "old", ignore=shutil.ignore_patterns("world.toml")))
-    np.testing.assert_array_equal(true_edges(run), load_world("env1").edges)
-    run.result["config"]["world"] = "../env1.toml"
-    assert true_edges(run) is None
-
-
-@pytest.mark.parametrize("world", ["random:17", "plan.toml"])
-def test_the_true_walls_of_a_world_that_does_not_ship_are_drawn(world, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    write_world(load_world("square"), "plan.toml")
-    write_episode(tmp_path, run_episode(RunConfig(world, 0.02, max_time=1.0)))
-    (tmp_path / "plan.toml").unlink()
-    np.testing.assert_array_equal(
-        true_edges(read_run(tmp_path)), load_world(world if world == "random:17" else "square").edges
-    )
-    (tmp_path / "world.toml").write_text("walls = 3")
-    with pytest.raises(ValueError, match=r"world\.toml: the key 'name' is missing"):
-        true_edges(read_run(tmp_path))
 
 
 def test_a_real_run_is_told_and_drawn(real_run, tmp_path):
@@ -140,25 +92,6 @@ def test_without_a_display_it_says_where_the_picture_is(tmp_path):
     assert sorted(path.name for path in folder.iterdir()) == before
 
 
-def test_with_a_display_but_no_toolkit_it_says_so_too(tmp_path, monkeypatch):
-    monkeypatch.setenv("DISPLAY", ":99")
-    monkeypatch.setattr(plt, "show", lambda: pytest.fail("there is nothing to show it on"))
-    plt.switch_backend("agg")
-    assert "--out" in invoke(show, write_folder(tmp_path / "run"))
-    assert plt.get_fignums() == []
-
-
-def test_with_a_display_a_window_opens(tmp_path, monkeypatch):
-    monkeypatch.setenv("DISPLAY", ":99")
-    plt.switch_backend("agg")
-    monkeypatch.setattr(FigureCanvasAgg, "required_interactive_framework", "something")
-    shown = []
-    monkeypatch.setattr(plt, "show", lambda: shown.append([len(plt.figure(n).axes) for n in plt.get_fignums()]))
-    assert "--out" not in invoke(show, write_folder(tmp_path / "run"))
-    assert shown == [[4]]
-    assert plt.get_fignums() == []
-
-
 @pytest.mark.parametrize(
     ("config", "robots", "truth", "log"),
     [
@@ -175,27 +108,6 @@ def test_replays_and_several_robots_are_drawn(tmp_path, config, robots, truth, l
     run = read_run(folder)
     assert len(run.estimated) == robots
     assert run.is_replay == ("log" in config)
-
-
-def test_several_robots_wheels_become_a_path_each(tmp_path):
-    folder = write_folder(tmp_path / "run", robots=2, config={"world": "hall", "robot": {"axle": 0.16}})
-    wheels = np.zeros((30, 2, 2))
-    wheels[1:, 0], wheels[1:, 1] = 0.01, 0.02
-    np.savez(folder / "log.npz", wheels=wheels)
-    run = read_run(folder)
-    for odometry, length in zip(run.odometry, (0.29, 0.58), strict=True):
-        assert np.hypot(*(odometry[-1] - odometry[0])[:2]) == pytest.approx(length, rel=1e-6)
-    np.savez(folder / "log.npz", wheels=wheels[:-1])
-    with pytest.raises(FolderError, match="does not fit the trajectories"):
-        read_run(folder)
-
-
-def test_errors_are_what_they_are_called():
-    first, second = poses(), poses(offset=0.25)
-    np.testing.assert_allclose(position_error(second, first), 0.25)
-    np.testing.assert_allclose(heading_error(second, first), 0.25)
-    across = np.array([[0.0, 0.0, 3.1]]), np.array([[0.0, 0.0, -3.1]])
-    assert heading_error(*across)[0] == pytest.approx(6.2 - 2 * np.pi)
 
 
 def test_a_summary_leaves_out_what_is_not_known():
@@ -238,25 +150,12 @@ def test_a_summary_leaves_out_what_is_not_known():
     assert sum("odometry" in line for line in replay_summary({**relations, **other})) == 2
 
 
-def test_the_limit_is_compared_with_the_filter_and_with_the_smoothed_path():
-    known = {**METRICS, "limit_ate_m": 0.02, "ate_over_limit": 2.5}
-    found = run_summary(known, {})
-    place = found.index("limit       0.020 m rms, the least-squares solution with known associations")
-    assert found[place + 1] == "            the error is 2.5 times that"
-    smoothed = run_summary({**known, "smoothed_over_limit": 0.8}, {})
-    assert smoothed[place + 1] == "            the error is 2.5 times that, smoothed is 0.8 times that"
-
-
 def spoil_json(folder):
     (folder / "result.json").write_text('{"metrics": ')
 
 
 def drop_metrics(folder):
     write_json(folder / "result.json", {"config": {}, "cost": {}})
-
-
-def list_instead(folder):
-    write_json(folder / "result.json", [1, 2])
 
 
 def drop(name):
@@ -272,20 +171,13 @@ def write(name, words):
     [
         (drop("result.json"), "no result.json"),
         (spoil_json, "is not JSON"),
-        (list_instead, "does not hold"),
         (drop_metrics, "no metrics"),
-        (write("result.json", "[" * 100_000), "is not JSON"),
         (lambda folder: (folder / "result.json").write_bytes(b"\xff\xfe{}"), "is not JSON"),
         (drop("map.json"), "map.json"),
         (write("map.json", '{"segments": [[1, 2, 3]]}'), "four numbers"),
-        (write("map.json", '{"segments": [[1, 2, 3, NaN]]}'), "four numbers"),
-        (write("map.json", '{"segments": "walls"}'), "four numbers"),
-        (write("map.json", "{}"), "four numbers"),
         (drop("trajectory_est.tum"), "no trajectory_est.tum"),
         (write("trajectory_est.tum", "# nothing\n"), "is empty"),
         (write("trajectory_est.tum", "0 1 2 3\n"), "line 1 is not t x y z"),
-        (write("trajectory_est.tum", "0 0 0 0 0 0 0 1\n0.1 0 0 0 0 0 0 one\n"), "line 2 is not"),
-        (write("trajectory_est.tum", "0 inf 0 0 0 0 0 1\n"), "line 1 is not"),
         (write("trajectory_true.tum", "0 0 0 0 0 0 0 1\n"), "have other robots or times"),
         (lambda folder: (folder / "trajectory_est.tum").write_bytes(b"\xff\x00\xff"), "cannot be read"),
     ],
@@ -388,84 +280,3 @@ def test_the_band_of_a_run_is_what_the_filter_said_of_its_error(tmp_path):
         assert top == pytest.approx(2.0 * np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1]).max(), rel=1e-5)
     finally:
         plt.close(figure)
-
-
-def test_the_legends_stand_beside_the_curves(real_run):
-    run = read_run(real_run)
-    draws = [(SIZE, lambda figure: draw_run(figure, run, []))]
-    draws.append((sheet_size(2), lambda figure: draw_comparison(figure, [run, run], [None, None])))
-    for size, draw in draws:
-        figure = plt.figure(figsize=size, layout="constrained")
-        try:
-            draw(figure)
-            figure.canvas.draw()
-            (box,) = [axes.get_legend().get_window_extent() for axes in figure.axes if axes.get_legend()]
-            assert not any(box.overlaps(axes.get_window_extent()) for axes in figure.axes)
-        finally:
-            plt.close(figure)
-
-
-@pytest.mark.parametrize("robots", [1, 2, 4, 8])
-def test_the_plots_stay_high_for_many_robots(tmp_path, robots):
-    run = read_run(write_folder(tmp_path / "run", robots=robots))
-    covariances = [np.full((30, 3, 3), 0.01) for _ in range(robots)]
-    run = replace(
-        run, odometry=run.true, smoothed=run.estimated, covariances=covariances, smoothed_covariances=covariances
-    )
-    figure = plt.figure(figsize=SIZE, layout="constrained")
-    try:
-        draw_run(figure, run, ["explored"] * 8)
-        figure.canvas.draw()
-        for axes in figure.axes[1:3]:
-            assert axes.get_window_extent().height > 0.2 * figure.bbox.height
-        told = [text.get_text() for text in figure.axes[1].get_legend().get_texts()]
-        of_all = ["estimated online", "smoothed", "odometry alone", "2 sigma, online", "2 sigma, smoothed"]
-        assert told == of_all if robots > 2 else len(told) == 3 * robots + 2
-        whole = [text.get_text() for text in figure.legends[0].get_texts()]
-        assert [f"robot {number + 1}" in whole for number in range(robots)] == [robots > 1] * robots
-    finally:
-        plt.close(figure)
-
-
-def test_long_lines_of_text_do_not_push_the_curves_aside(real_run):
-    figure = plt.figure()
-    try:
-        draw_run(
-            figure, read_run(real_run), ["stopped     " + "because of many things, " * 10, "            after 2 s"]
-        )
-        (told,) = figure.axes[3].texts
-        lines = told.get_text().splitlines()
-        assert max(map(len, lines)) <= 78
-        assert len(lines) == 5
-        assert all(line.startswith(12 * " ") for line in lines[1:])
-    finally:
-        plt.close(figure)
-
-
-def test_a_folder_of_an_earlier_version_has_no_band_and_a_damaged_one_is_refused(real_run, tmp_path):
-    folder = shutil.copytree(real_run, tmp_path / "old")
-    (folder / "covariance_est.npz").unlink()
-    assert read_run(folder).covariances == []
-    np.savez(folder / "covariance_est.npz", estimated=np.zeros((3, 1, 3, 3)))
-    with pytest.raises(FolderError, match="its covariances do not fit the trajectories"):
-        read_run(folder)
-    (folder / "covariance_est.npz").write_bytes(b"PK")
-    with pytest.raises(FolderError, match="is damaged"):
-        read_run(folder)
-
-
-def test_the_nees_is_told_with_what_it_means():
-    told = run_summary({**METRICS, "anees": 1.23, "anees_smoothed": 0.9}, {})
-    assert "consistency NEES / 3 is 1.2, smoothed 0.9; 1 is right, more is overconfident" in told
-
-
-def test_the_times_of_a_lost_robot_count_from_the_start_of_its_log():
-    records = place_records(7654.3 + 0.1 * np.arange(50), [{"event": "lost", "step": 30}])
-    assert record_summary({"record": {"places": records}})[-1] == "place       lost at 3.0 s"
-
-
-def test_a_map_with_more_walls_than_a_building_is_refused(tmp_path):
-    path = tmp_path / "map.json"
-    path.write_text('{"segments": [' + ", ".join(["[0, 0, 1, 1]"] * 20_001) + "]}")
-    with pytest.raises(FolderError, match="it has 20001 walls; at most 20000 are read"):
-        read_walls(path)

@@ -7,7 +7,6 @@ from typing import get_type_hints
 import pytest
 
 from limslam_agent.cli.settings import Given, run_config, run_options
-from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.ablations import ABLATIONS, NO_GATE, ablated
 from limslam_agent.config.bounds import Bounded, Bounds
 from limslam_agent.config.consistent import ConsistentConfig, CreationConfig, PendingReadingsConfig
@@ -19,7 +18,6 @@ from limslam_agent.config.presets import (
     PolicyConfig,
     PublishedConfig,
     preset,
-    self_calibrating,
 )
 from limslam_agent.config.tables import SettingsError, read_toml, table_of, updated, write_toml
 from limslam_env.config import NoiseConfig
@@ -45,20 +43,11 @@ def numbers(group):
     return [field.name for field in fields(group) if type(getattr(group, field.name)) in {int, float}]
 
 
-def test_the_settings_without_arguments_are_the_default_preset():
-    assert AgentConfig() == preset(DEFAULT_PRESET)
-
-
 @pytest.mark.parametrize("name", PRESETS)
 def test_a_preset_chooses_the_estimator_by_the_type_of_its_settings(name):
     config = preset(name, NominalNoise(0.03))
     assert type(config.estimator) is KINDS[name]
     assert (config.preset, config.noise.range_std) == (name, 0.03)
-
-
-def test_only_the_preset_odometry_does_not_correct():
-    assert preset("paper").estimator.filter.correct
-    assert preset("odometry").estimator == ablated(preset("paper"), "no-ekf").estimator
 
 
 def test_an_unknown_preset_is_refused_with_the_known_ones():
@@ -100,21 +89,6 @@ def test_an_ablation_changes_one_setting(ablation):
         if not is_dataclass(getattr(old, name)) and getattr(old, name) != getattr(new, name)
     ]
     assert changed in ([("correct", False)], [("enabled", False)], [("max_end_gap", NO_GATE)], [("only_best", True)])
-
-
-def test_the_consistent_estimator_has_one_of_the_ablations():
-    config = preset("consistent")
-    assert not ablated(config, "no-loop-closing").estimator.merging.enabled
-    for ablation in set(ABLATIONS) - {"no-loop-closing"}:
-        with pytest.raises(ValueError, match=f"{ablation} switches off a part of the published method"):
-            ablated(config, ablation)
-
-
-def test_odometry_is_calibrated_where_that_is_needed_unless_the_settings_say_otherwise():
-    assert preset("consistent").estimator.self_calibration.calibrate == "if_needed"
-    always = self_calibrating(preset("consistent"))
-    assert always.estimator.self_calibration.calibrate == "always"
-    assert self_calibrating(always, "if_needed") == preset("consistent")
 
 
 def round_trip(settings, start, path):
@@ -184,17 +158,6 @@ def test_a_robot_that_cannot_be_is_refused_by_file_and_key(table, words):
         updated(RobotSpec(), table, "f: robot")
 
 
-def test_a_range_of_noise_has_two_numbers():
-    with pytest.raises(SettingsError, match=r"^f: noise\.dropout: must have 2 values, not 3"):
-        updated(NoiseConfig(), {"dropout": [0, 0.1, 0.2]}, "f: noise")
-
-
-def test_a_file_may_begin_with_the_mark_of_an_editor(tmp_path):
-    path = tmp_path / "marked.toml"
-    path.write_text("noise = 0.02\n", encoding="utf-8-sig")
-    assert read_toml(path) == {"noise": 0.02}
-
-
 def test_a_file_that_is_not_toml_is_refused_by_its_name(tmp_path):
     path = tmp_path / "broken.toml"
     for content in (b"a = ", b"\xff"):
@@ -223,9 +186,3 @@ def test_a_large_world_has_more_time_unless_it_is_told(table, told, seconds):
     assert run_config(given, run_options(given)).max_time == seconds
     given = Given(None, table, {**told, "max_time": 50.0})
     assert run_config(given, run_options(given)).max_time == 50.0
-
-
-def test_a_very_long_name_of_a_preset_is_cut():
-    with pytest.raises(ValueError, match="no preset is called 'xxx") as caught:
-        preset("x" * 10_000)
-    assert len(str(caught.value)) < 400

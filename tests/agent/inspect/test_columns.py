@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from support.inspection import unpacked
 
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.inspect.columns import Ragged, packed, quantised, quantum_for
+from limslam_agent.inspect.columns import packed, quantised, quantum_for
 from limslam_agent.inspect.grid_changes import FREE, OCCUPIED, UNKNOWN, GridChanges
 
 
@@ -23,31 +23,12 @@ def test_what_is_packed_comes_out_again():
         assert np.array_equal(found[name], array), name
 
 
-def test_the_packed_text_is_the_same_each_time():
-    arrays = {"some": np.arange(1000.0)}
-    assert packed(arrays, {"a": 1}) == packed(arrays, {"a": 1})
-
-
-def test_numbers_that_json_does_not_have_are_refused():
-    with pytest.raises(ValueError, match="JSON"):
-        packed({}, {"bad": float("nan")})
-
-
 @given(st.lists(st.floats(-500.0, 500.0), min_size=1, max_size=20))
 def test_quantised_lengths_are_off_by_half_a_step_at_most(lengths):
     array = np.array(lengths)
     quantum = quantum_for([array])
     assert np.abs(quantised(array, quantum) * quantum - array).max() <= 0.5 * quantum * (1.0 + 1e-9)
     assert quantum == pytest.approx(max(1e-3, np.abs(array).max() / 32000))
-
-
-def test_rows_of_different_length():
-    rows = Ragged(2)
-    for count in (2, 0, 1):
-        rows.add(np.full((count, 2), count))
-    assert rows.starts().tolist() == [0, 2, 2, 3]
-    assert rows.values().tolist() == [[2, 2], [2, 2], [1, 1]]
-    assert Ragged(3).values().shape == (0, 3)
 
 
 def restored(changes, cells):

@@ -12,7 +12,7 @@ from support.inspection import SHORT, short_run, unpacked
 from limslam_agent.cli import main as cli
 from limslam_agent.config.presets import preset
 from limslam_agent.inspect import live_page as module
-from limslam_agent.inspect.live_page import Follower, LivePage, live_page
+from limslam_agent.inspect.live_page import Follower, live_page
 from limslam_agent.mapper import Mapper
 from limslam_env.interface import NominalNoise
 
@@ -78,18 +78,6 @@ def test_the_recording_grows():
         status, changes = asked(page, "/changes")
         assert status == 200
         assert changes.rstrip().split("\n\n")[-1].startswith("event: end")
-
-
-def test_states_are_offered_only_so_often(monkeypatch):
-    monkeypatch.setattr(module, "LEAST_PAUSE", 3600.0)
-    page = LivePage("run", "")
-    drive = Drive(page)
-    drive.on(30)
-    arrays, _ = unpacked(page.text())
-    assert len(arrays["time"]) == 1
-    drive.follower.end()
-    arrays, _ = unpacked(page.text())
-    assert len(arrays["time"]) == 30
 
 
 def test_a_run_is_not_changed_by_watching_it(tmp_path, run_folder):

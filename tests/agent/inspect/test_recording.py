@@ -5,20 +5,12 @@ import shutil
 import numpy as np
 import pytest
 from support.command_line import call
-from support.drives import FOUR_BEAMS, laps_of_square
 from support.inspection import data_in, inspected, short_run, unpacked
 
 from limslam_agent.cli import main as cli
-from limslam_agent.config.presets import preset
-from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.inspect import recorder
-from limslam_agent.mapper import Mapper
 from limslam_agent.output.finished_run import read_run
-from limslam_agent.slam.core.diagnostics import AssociationRecord
-from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.status import Status
 from limslam_env.geometry.se2 import wrap_angle
-from limslam_env.interface import NominalNoise
 
 DECISIONS = {"new", "again", "waits"}
 
@@ -95,13 +87,6 @@ def test_decisions_agree_with_the_values_that_they_show(recording):
             assert event["why"]
 
 
-def test_events_are_in_order_and_within_the_run(recording):
-    arrays, meta = recording
-    times = [event["t"] for event in meta["events"]]
-    assert times == sorted(times)
-    assert times[-1] <= arrays["time"][-1]
-
-
 def test_frontiers_have_costs_and_the_goal_is_at_one_of_them(recording):
     arrays, meta = recording
     moment = 100
@@ -111,43 +96,6 @@ def test_frontiers_have_costs_and_the_goal_is_at_one_of_them(recording):
     starts = arrays["frontier_starts"]
     cells = [arrays["frontier_cells"][starts[f["cells"]] : starts[f["cells"] + 1]] * meta["quantum"] for f in found]
     assert np.hypot(*(np.concatenate(cells) - goal).T).min() < 0.5
-
-
-@pytest.mark.parametrize("name", ["consistent", "paper"])
-def test_listening_changes_nothing(name):
-    log, heard = laps_of_square(0.02, laps=0.5), []
-    slams = [LineSlam(FOUR_BEAMS, preset(name, NominalNoise(0.02)), log.poses[0]) for _ in range(2)]
-    slams[1].on_comparison = heard.append
-    for slam in slams:
-        for observation in log.observations:
-            slam.step(observation)
-    assert np.array_equal(slams[0].poses, slams[1].poses)
-    assert np.array_equal(slams[0].segments, slams[1].segments)
-    assert len(heard) > 5
-    assert any(test.excluded for comparison in heard for test in comparison.tests)
-
-
-def test_a_recorder_leaves_the_slam_of_a_lost_robot_alone_and_keeps_each_association_once(monkeypatch):
-    log = laps_of_square(0.02, laps=0.5)
-    records = [AssociationRecord(0, is_new=True, readings=np.zeros((1, 2), dtype=int)) for _ in range(3)]
-    mapper = Mapper(FOUR_BEAMS, preset("consistent", NominalNoise(0.02)), log.poses[0])
-    watching, known = recorder.Recorder(mapper, 10), mapper.slam
-    row, grid = (log.observations[0]["ranges"][None],), OccupancyGrid(mapper.config.grid)
-    known.associations.append(records[0])
-    watching.note(0.0, *row)
-    # As the mapper does when the robot is lost, and when it has found its place.
-    with monkeypatch.context() as patch:
-        patch.setattr(Mapper, "statuses", property(lambda _: [Status("lost", "made up")]))
-        mapper._use(mapper._slam_at(log.poses[0]), grid)
-        mapper.slam.associations.append(records[1])
-        watching.note(0.0, *row)
-        assert mapper.slam.on_association is None
-    mapper._use(known.copied(), grid)
-    mapper.slam.associations.append(records[2])
-    watching.note(0.0, *row)
-    assert mapper.slam.on_association is not None
-    assert [record for _, record in watching._associations] == [records[0], records[2]]
-    assert [number for number, _ in watching._associations] == [0, 2]
 
 
 @pytest.mark.parametrize("options", [("--robots", 2), ("--preset", "paper"), ("--policy", "tour", "--laps", 1)])

@@ -166,8 +166,3 @@ def test_bytes_become_lines(library):
     assert lines_of(b",2\n") == [b"V,2"]
     assert lines_of(b"x" * 5000 + b"\nP,1\n") == [b"P,1"]
     assert lines_of(b"y" * 511 + b"\n") == [b"y" * 511]
-
-
-def test_both_have_the_same_checksum(library):
-    for text in (b"", b"123456789", bytes(range(1, 256))):
-        assert library.limslam_checksum(text, len(text)) == checksum(text)

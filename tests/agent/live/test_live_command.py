@@ -2,7 +2,6 @@
 
 import json
 import socket
-import subprocess
 import sys
 import threading
 import time
@@ -143,15 +142,6 @@ def test_what_cannot_be_is_refused_in_one_line_and_leaves_nothing(told, words, t
     assert list(tmp_path.iterdir()) == []
 
 
-def test_without_pyserial_the_extra_is_named(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "serial", None)
-    finished = call(main, "live", "--serial", "COM3", "--out", tmp_path / "room")
-    assert (finished.returncode, finished.stderr) == (
-        2,
-        "limslam: a serial port needs pyserial: pip install 'limslam[live]'\n",
-    )
-
-
 @pytest.mark.parametrize(
     ("hello", "words"),
     [
@@ -201,18 +191,6 @@ def test_a_second_robot_does_not_take_the_place_of_the_first():
         transport.close()
         for robot in sockets:
             robot.close()
-
-
-def test_the_emulator_refuses_in_one_line():
-
-    command = [sys.executable, "-m", "limslam_agent.live.emulator"]
-    for told, words in (
-        ([], "either --udp PORT, --pty or --ros2 is needed"),
-        (["--pty", "--loss", "2"], "loss must be"),
-    ):
-        ended = subprocess.run([*command, *told], capture_output=True, text=True, check=False)
-        assert (ended.returncode, ended.stderr.count("\n")) == (2, 1)
-        assert words in ended.stderr
 
 
 def test_a_policy_that_fails_stops_the_robot_and_keeps_its_log(emulator, tmp_path):

@@ -116,11 +116,3 @@ def test_lines_do_not_depend_on_how_their_bytes_arrive(parts, size):
     found = [line for start in range(0, len(text), size) for line in piecewise.add(text[start : start + size])]
     assert found == at_once.add(text)
     assert all(b"\n" not in line and line for line in found)
-
-
-def test_noise_without_an_end_does_not_fill_the_memory():
-    buffer = LineBuffer()
-    for _ in range(50):
-        assert buffer.add(b"x" * 1000) == []
-    (line,) = buffer.add(b"\n")
-    assert len(line) <= LONGEST_LINE

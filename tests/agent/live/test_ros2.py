@@ -13,17 +13,15 @@ import typer
 from support.command_line import call
 
 from limslam_agent.cli.main import app, main
-from limslam_agent.grid.occupancy import GridView
+from limslam_agent.live.link import NoRobotError
 from limslam_agent.live.protocol import NOTHING_SEEN, Heartbeat, Hello, Speeds, Stop
 from limslam_agent.live.recording import Recording
 from limslam_agent.live.ros2.link import ODOMETRY, Event, RosLink
 from limslam_agent.live.ros2.node import PACKAGES
-from limslam_agent.live.ros2.odometer import Odometer, map_to_odom, wheel_travel
-from limslam_agent.live.ros2.outputs import ros_grid
+from limslam_agent.live.ros2.odometer import Odometer, wheel_travel
 from limslam_agent.live.ros2.parameters import Parameters
 from limslam_agent.live.ros2.sensors import RangeSensors, Reading, ScanSensors, in_mm
-from limslam_agent.live.ros2.synchroniser import MOST_WAITING, Synchroniser
-from limslam_agent.live.session import NoRobotError
+from limslam_agent.live.ros2.synchroniser import Synchroniser
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc
 from limslam_env.interface import RobotSpec, beams_on_rim
 
@@ -82,10 +80,6 @@ def test_the_travel_of_wheels_comes_back_from_the_pose_that_it_leads_to(wheels):
     np.testing.assert_allclose(wheel_travel(motion, 0.16), wheels, atol=1e-12)
 
 
-def test_a_motion_to_the_side_is_no_travel():
-    assert wheel_travel(np.array([0.0, 0.1, 0.0]), 0.16) == pytest.approx((0.0, 0.0))
-
-
 def test_between_two_messages_travel_and_pose_are_interpolated_and_lost_messages_lose_no_travel():
     odometer, pose, wheels = Odometer(ROBOT), np.array([3.0, -1.0, 3.0]), np.array([0.02, 0.03])
     odometer.add(10.0, pose)
@@ -112,27 +106,6 @@ def test_late_and_doubled_odometry_is_counted_and_a_jump_is_no_travel():
     assert not odometer.has_begun_again
 
 
-def test_one_stray_time_is_ignored_and_a_clock_that_was_set_begins_again():
-    synchroniser = Synchroniser(ROBOT, 0.1)
-    for time in (100.0, 100.1, 3.0, 100.2):
-        synchroniser.add_odometry(time, np.zeros(3))
-    assert (synchroniser.begun, synchroniser.late) == (0, 1)
-    for time in (1.0, 1.1, 1.2, 1.3, 1.4):
-        synchroniser.add_odometry(time, np.zeros(3))
-    assert synchroniser.begun == 1
-    synchroniser.add_reading(Reading(1.45, (1,)))
-    assert [each.sample.time for each in synchroniser.add_odometry(1.5, np.zeros(3))] == [1.45]
-
-
-def test_the_transform_leads_from_the_odometry_to_the_map():
-    rng = np.random.default_rng(1)
-    for _ in range(20):
-        estimated, measured = rng.uniform(-3.0, 3.0, (2, 3))
-        shift = map_to_odom(estimated, measured)
-        np.testing.assert_allclose(compose(shift, measured)[:2], estimated[:2], atol=1e-12)
-        assert math.cos(compose(shift, measured)[2] - estimated[2]) == pytest.approx(1.0)
-
-
 # Readings.
 
 
@@ -156,22 +129,6 @@ def test_the_beams_of_a_scan_are_picked_by_their_angles_and_begin_at_the_laser()
     np.testing.assert_allclose(sensors.robot.beam_origins, np.broadcast_to((0.05, 0.0), (6, 2)))
     assert set(sensors.robot.max_ranges) == {1.5}
     assert [beam.side for beam in sensors.robot.beams] == [beam.side for beam in ROBOT.beams]
-
-
-def test_a_laser_that_sees_less_far_shortens_the_beams_and_its_turn_takes_time():
-    sensors = ScanSensors(ROBOT, np.zeros(3))
-    message = scan([0.5] * 360, largest=1.0, time_increment=0.1 / 360)
-    assert sensors.add(0, 1.0, message)[0].time == pytest.approx(1.05, abs=1e-3)
-    assert set(sensors.robot.max_ranges) == {1.0}
-
-
-def test_a_scan_without_a_wanted_beam_is_refused_with_the_beam():
-    with pytest.raises(ValueError, match="no beam within 1 deg of 90 deg"):
-        ScanSensors(ROBOT, np.zeros(3)).add(0, 0.0, scan([1.0] * 91, first=-45.0))
-    sensors = ScanSensors(ROBOT, np.zeros(3))
-    sensors.add(0, 0.0, scan([1.0] * 360))
-    with pytest.raises(ValueError, match="the scan's beams have changed"):
-        sensors.add(0, 0.1, scan([1.0] * 91, first=-45.0))
 
 
 def collected(sensors, *messages):
@@ -204,32 +161,11 @@ def test_a_lost_message_is_no_reading_and_moments_are_not_mixed():
     assert collected(sensors, *messages) == [(1.0, (500, None, 700)), (1.1, (400, 600, 300))]
 
 
-def test_topics_may_overtake_each_other():
-    sensors = three_ranges()
-    messages = [(0, 1.0, 0.1), (1, 1.0, 0.2), (0, 1.1, 0.4), (1, 1.1, 0.5), (2, 1.0, 0.3), (2, 1.1, 0.6)]
-    assert collected(sensors, *messages) == [(1.0, (100, 200, 300)), (1.1, (400, 500, 600))]
-
-
-def test_a_topic_that_has_ended_is_not_waited_for_any_more():
-    sensors = three_ranges()
-    messages = [(number, 1.0 + 0.1 * step, 0.5) for step in range(6) for number in range(2)]
-    found = collected(sensors, *messages)
-    assert [ranges for _, ranges in found] == [(500, 500, None)] * 6
-    # All come at the third one: the topic was waited for until then.
-    assert collected(sensors, (0, 1.6, 0.5), (1, 1.6, 0.5)) == [(1.6, (500, 500, None))]
-
-
 def test_ranges_that_are_late_or_doubled_are_left_out():
     sensors = three_ranges()
     messages = [(0, 1.1, 0.5), (0, 1.1, 0.5), (0, 1.0, 0.7), (1, 1.1, 0.4), (2, 1.12, 0.3)]
     assert collected(sensors, *messages) == [(1.1, (500, 400, 300))]
     assert (sensors.doubled, sensors.late) == (1, 1)
-
-
-def test_topics_that_are_found_later_than_others_are_not_waited_for():
-    sensors = RangeSensors(RobotSpec(beams=beams_on_rim((90.0, 0.0, -90.0), 0.1)))
-    messages = [(0, 1.0, 0.5), (1, 1.0, 0.5), (0, 1.1, 0.5), (1, 1.1, 0.5), (2, 1.2, 0.4), (0, 1.2, 0.5), (1, 1.2, 0.5)]
-    assert collected(sensors, *messages) == [(1.1, (500, 500, None)), (1.2, (500, 500, 400))]
 
 
 # Readings and odometry together.
@@ -250,18 +186,6 @@ def test_readings_wait_for_odometry_and_leave_in_the_order_of_their_times():
     assert synchroniser.late == 2
     done = synchroniser.add_odometry(1.3, np.array([0.03, 0.0, 0.0]))
     assert [each.sample.time for each in done] == [1.25]
-
-
-def test_fast_sensors_are_thinned_out_and_no_more_than_some_readings_wait():
-    synchroniser = Synchroniser(ROBOT, 0.1)
-    synchroniser.add_odometry(0.0, np.zeros(3))
-    for number in range(1, 41):
-        synchroniser.add_reading(Reading(0.025 * number, (number,)))
-    done = synchroniser.add_odometry(1.0, np.zeros(3))
-    np.testing.assert_allclose(np.diff([each.sample.time for each in done]), 0.075)
-    for number in range(MOST_WAITING + 5):
-        synchroniser.add_reading(Reading(2.0 + number, (0,)))
-    assert synchroniser.late == 5
 
 
 # The connection.
@@ -296,26 +220,6 @@ def test_messages_become_the_telemetry_of_a_session():
     link.send(Heartbeat(link.next_seq()))
     link.send(Stop(link.next_seq()))
     assert (ports.driven[1:], ports.held) == ([(0.0, 0.0)], 1)
-
-
-def test_a_command_is_acknowledged_by_the_first_measurement_after_it():
-    link, ports = link_of(*(moment(5.0 + 0.1 * step, 0.0) for step in range(-1, 8)))
-    link.first_hello(10.0)
-    assert {packet.ack for packet in link.receive(0.02)} == {0}
-    ports.time = 5.65
-    link.send(Speeds(link.next_seq(), 0, 1, 1))
-    acks = {round(1e-3 * packet.time_ms, 1): packet.ack for packet in (*link.receive(0.0), *link.receive(0.0))}
-    assert acks == {5.6: 0, 5.7: 1}
-
-
-def test_a_stop_by_the_watchdog_is_told_until_the_next_speeds():
-    link, ports = link_of(*(moment(5.0 + 0.1 * step, 0.0) for step in range(9)))
-    link.first_hello(10.0)
-    link.receive(0.02)
-    ports.watchdog_stops = 1
-    assert [packet.stopped for packet in link.receive(0.02)] == [1]
-    link.send(Speeds(link.next_seq(), 0, 1, 1))
-    assert [packet.stopped for packet in link.receive(0.02)] == [0]
 
 
 def test_a_clock_that_was_set_is_a_robot_that_was_switched_on_again():
@@ -361,38 +265,15 @@ def test_what_is_silent_is_named(moments, words):
 # Parameters, and what is published.
 
 
-def test_parameters_change_the_beams():
-    robot = Parameters(beams_deg=(0.0, 90.0), max_range=3.0).robot(ROBOT)
-    np.testing.assert_allclose(np.degrees(robot.beam_angles), (0.0, 90.0))
-    assert set(robot.max_ranges) == {3.0}
-    given = {"range_topics": ["a"], "period": 1, "scan_mount": [0, 0.5, 180], "explore": False}
-    expected = Parameters(range_topics=("a",), period=1.0, scan_mount=(0.0, 0.5, 180.0), explore=False)
-    assert Parameters.of(given) == expected
-
-
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"watchdog": 0.0}, "watchdog must be from 0.05 to 60 s, not 0"),
-        ({"period": math.nan}, "period must be"),
-        ({"max_range": -1.0}, "max_range must be a length"),
-        ({"scan_mount": (0.0, 1.0)}, "scan_mount must be three numbers"),
-    ],
-)
-def test_impossible_parameters_are_refused(values, words):
-    with pytest.raises(ValueError, match=words):
-        Parameters(**values)
-
-
-@pytest.mark.parametrize(
-    ("values", "words"),
-    [
-        ({"range_topic": ["a"]}, "there is no parameter range_topic; there are range_topics, scan_mount, "),
-        ({"period": "fast"}, "the parameter period must be a number, not 'fast'"),
-        ({"period": True}, "the parameter period must be a number, not True"),
-        ({"explore": 1}, "the parameter explore must be true or false, not 1"),
-        ({"range_topics": "a"}, "the parameter range_topics must be a list, not 'a'"),
-        ({"beams_deg": ["left"]}, "the parameter beams_deg must be a number, not 'left'"),
+        ({"range_topic": ["a"]}, "range_topic: there is no such setting; there are range_topics, scan_mount, "),
+        ({"period": "fast"}, "the parameters of the node: period: must be a number, not 'fast'"),
+        ({"explore": 1}, "explore: must be true or false, not 1"),
+        ({"range_topics": "a"}, "range_topics: must be a list, not 'a'"),
+        ({"watchdog": 0.0}, "watchdog must be a number from 0.05 to 60, not 0"),
+        ({"beams_deg": ["left"]}, "must be a number, not 'left'"),
     ],
 )
 def test_parameters_of_another_name_or_type_are_refused(values, words):
@@ -400,32 +281,7 @@ def test_parameters_of_another_name_or_type_are_refused(values, words):
         Parameters.of(values)
 
 
-def test_there_is_a_topic_for_each_beam():
-    with pytest.raises(ValueError, match="range_topics has 2 topics, but the robot has 6 beams"):
-        Parameters(range_topics=("a", "b")).robot(ROBOT)
-
-
-def test_the_grid_has_the_numbers_of_ros():
-    view = GridView(np.array([-1.0, 2.0]), 0.1, np.array([[3, 0], [-2, 1]], dtype=np.int16))
-    grid = ros_grid(view)
-    assert grid.cells.tolist() == [[0, -1], [100, 0]]
-    assert (grid.cells.dtype, grid.resolution, grid.origin.tolist()) == (np.int8, 0.1, [-1.0, 2.0])
-
-
 # The command line.
-
-
-@pytest.mark.parametrize(
-    ("told", "words"),
-    [
-        (("--ros2", "--udp", 9), "--udp and --ros2 are different places"),
-        (("--udp", 0, "--", "--ros-args"), "--ros-args: only --ros2 takes arguments for ROS 2"),
-    ],
-)
-def test_impossible_options_are_refused_in_one_line(told, words, tmp_path):
-    finished = call(main, "live", "--out", tmp_path / "room", *told)
-    assert finished.returncode == 2
-    assert words in finished.stderr.splitlines()[-1]
 
 
 def test_without_ros_the_extra_is_named(tmp_path, monkeypatch):

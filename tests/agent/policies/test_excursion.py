@@ -11,7 +11,7 @@ from limslam_agent.belief import Belief
 from limslam_agent.grid.planner import routes
 from limslam_agent.policies.excursion import Excursion
 from limslam_agent.policies.frontier_policy import FrontierPolicy
-from limslam_agent.policies.targets import Target, coast_of, sight_of
+from limslam_agent.policies.targets import Target
 
 # A hall of 20 x 12 m with a wall on the left, of which nothing else was seen yet.
 FIELD = grid_of(*["#" + "." * 199] * 120)
@@ -55,11 +55,6 @@ def test_a_target_that_is_far_from_all_walls_is_reached_all_the_same() -> None:
     assert driven_to(Excursion(ROBOT, CONFIG), 150, 150) is None
 
 
-def test_short_excursions_are_not_interrupted() -> None:
-    excursion = Excursion(ROBOT, replace(CONFIG, longest_excursion=0.0))
-    assert driven_to(excursion, 20, 21) is None
-
-
 def test_a_wall_in_sight_ends_the_excursion() -> None:
     excursion = Excursion(ROBOT, CONFIG)
     driven_to(excursion, 40, 42)
@@ -67,13 +62,6 @@ def test_a_wall_in_sight_ends_the_excursion() -> None:
     along = replace(in_field(4, heading=0.5 * np.pi), ranges=np.minimum(CLEAR, 0.3 / np.abs(np.sin(ROBOT.beam_angles))))
     excursion.observe(along)
     assert excursion.driven == 0.0
-
-
-def test_without_a_wall_in_the_map_there_is_no_way_back() -> None:
-    excursion = Excursion(ROBOT, CONFIG)
-    driven_to(excursion, 40, 42)
-    belief = replace(in_field(40), segments=np.zeros((0, 4)))
-    assert excursion.way_back(belief, target_at(40, 80)) is None
 
 
 def test_the_policy_drives_back_and_then_explores_again() -> None:
@@ -88,11 +76,6 @@ def test_the_policy_drives_back_and_then_explores_again() -> None:
     assert goals[0] > 19.0
     assert goals[55] == pytest.approx(0.65, abs=CELL)
     assert goals[-1] > 19.0
-
-
-def test_only_in_large_maps_paths_stay_near_walls() -> None:
-    assert coast_of(grid_of("." * 119), ROBOT, CONFIG) == math.inf
-    assert coast_of(grid_of("." * 121), ROBOT, CONFIG) == sight_of(ROBOT) < ROBOT.reach
 
 
 def test_steps_far_from_walls_cost_three_times_as_much() -> None:

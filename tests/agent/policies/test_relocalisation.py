@@ -44,11 +44,6 @@ def test_a_robot_goes_where_its_only_likely_place_predicts_something():
     assert target.goal[0] < HERE[0], "although the other end is a little more ahead"
 
 
-def test_an_unlikely_place_says_nothing():
-    left, right = costs(lost(Guess(FRAME, -8.0, LEFT)))
-    assert left == pytest.approx(right, abs=0.1)
-
-
 def test_a_robot_goes_where_two_likely_places_predict_different_things():
     """Both places predict free ground to the left, and only one does so to the right."""
     wall = grid_of(*["." * 55 + "#" * 26] * 9)

@@ -41,14 +41,6 @@ def test_another_robot_is_driven_round() -> None:
     assert np.hypot(*(policy.plan - other[0, :2]).T).min() >= 2.0 * ROBOT.radius
 
 
-def test_where_another_robot_stands_in_the_only_way_the_goal_stays_the_same() -> None:
-    policy = FrontierPolicy(ROBOT, CONFIG)
-    other = np.array([[*place(3, 12)[:2], 0.0]])
-    policy.act(Belief(place(3, 3), np.zeros((3, 3)), CLEAR, np.zeros((0, 4)), CORRIDOR, other))
-    assert policy.goal is not None
-    assert policy.goal[0] == pytest.approx(place(3, 29)[0])
-
-
 @pytest.mark.parametrize(("index", "waits"), [(0, False), (1, True)])
 def test_of_two_that_meet_the_second_waits_but_not_for_ever(index: int, waits: bool) -> None:
     policy = FrontierPolicy(ROBOT, CONFIG, index)
@@ -58,10 +50,3 @@ def test_of_two_that_meet_the_second_waits_but_not_for_ever(index: int, waits: b
     assert moves[0] != waits
     assert moves[PATIENCE - 1] != waits
     assert moves[-1]
-
-
-def test_it_does_not_wait_for_one_behind_it() -> None:
-    policy = FrontierPolicy(ROBOT, CONFIG, 1)
-    other = np.array([[*place(3, 7)[:2], math.pi]])
-    action = policy.act(Belief(place(3, 11), np.zeros((3, 3)), CLEAR, np.zeros((0, 4)), CORRIDOR, other))
-    assert action.sum() > 0.5

@@ -10,21 +10,16 @@ from hypothesis import strategies as st
 from support.beliefs import BLOCKED, CONFIG, ROBOT, belief_of, drive
 
 from limslam_agent.belief import Belief
-from limslam_agent.config.exploration import PolicyConfig
-from limslam_agent.config.presets import preset, with_until
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.grid.unfinished import Faces
 from limslam_agent.policies.controller import PATIENCE
-from limslam_agent.policies.frontier_policy import FrontierPolicy
-from limslam_agent.policies.wall_look import Look, Sweep, readings_for, sweep_along
-from limslam_agent.policies.wall_policy import WallPolicy, explorer
+from limslam_agent.policies.wall_look import Look, sweep_along
+from limslam_agent.policies.wall_policy import WallPolicy
 from limslam_agent.policies.wall_views import LookMemory, View, next_view
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.run_config import RunConfig
-from limslam_agent.team import LimSlamTeam
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
-from limslam_env.robots import e_puck
 from limslam_env.worlds.world import World
 
 CELL = 0.1
@@ -86,44 +81,6 @@ def test_a_missing_part_of_a_wall_is_looked_at_from_a_place_that_sees_it(side, s
     assert abs(away @ along) <= 0.9 * np.hypot(*away)
 
 
-def test_the_nearest_of_two_stretches_comes_first_and_one_not_looked_at_before_others() -> None:
-    walls = np.vstack((with_gap(1, 0.9, 0.5)[:-2], with_gap(3, 0.9, 0.5)[-2:], with_gap(1, 0.9, 0.5)[-2:]))
-    walls = walls[[0, 1, *range(3, len(walls))]]
-    belief, memory = belief_at([0.8, 1.2, 0.0], walls), LookMemory()
-    first = next_view(belief, memory, ROBOT, CONFIG)
-    assert first is not None
-    assert first.middle[0] == pytest.approx(0.0)
-    memory.add(first.faces, first.stand)
-    second = next_view(belief, memory, ROBOT, CONFIG)
-    assert second is not None
-    assert second.middle[0] == pytest.approx(3.0)
-    memory.add(second.faces, second.stand)
-    # The second look at a stretch is taken from another place.
-    again = next_view(belief, memory, ROBOT, CONFIG)
-    assert again is not None
-    assert again.middle[0] == pytest.approx(0.0)
-    assert np.hypot(*(again.stand - first.stand)) >= 0.2
-
-
-def test_a_short_stretch_is_looked_at_once(monkeypatch) -> None:
-    belief, memory = belief_at([1.5, 1.2, 0.0], with_gap(0, 1.3, 0.35)), LookMemory()
-    view = next_view(belief, memory, ROBOT, CONFIG)
-    assert view is not None
-    memory.add(view.faces, view.stand)
-    assert next_view(belief, memory, ROBOT, CONFIG) is None
-    monkeypatch.setattr("limslam_agent.policies.wall_views._SHORTEST_AGAIN", 0.1)
-    assert next_view(belief, memory, ROBOT, CONFIG) is not None
-
-
-def test_a_stretch_behind_a_wall_is_not_looked_at() -> None:
-    # The right half of the room is open ground, but the robot cannot get there.
-    values = ROOM.values.copy()
-    values[:, 15] = -4
-    walls = np.vstack((with_gap(1, 0.9, 0.5), [1.4, 0.0, 1.4, 2.4]))
-    belief = replace(belief_at([0.5, 1.2, 0.0], walls), grid=GridView(ROOM.low, CELL, values))
-    assert next_view(belief, LookMemory(), ROBOT, CONFIG) is None
-
-
 def view_of(middle: FloatArray, count: int, stand: FloatArray) -> View:
     """A view of a stretch that lies along x, of ``count`` faces."""
     offset = CELL * (np.arange(count) - 0.5 * (count - 1))
@@ -154,26 +111,6 @@ def test_a_sweep_lets_a_beam_pass_over_the_whole_stretch(heading, count, away, s
     assert sweep.left(sweep.end) == pytest.approx(0.0, abs=1e-9)
 
 
-def test_noisy_ranges_and_short_walls_need_more_readings() -> None:
-    assert readings_for(0.3, 0.04) == pytest.approx(4.0 * readings_for(0.3, 0.02))
-    assert readings_for(0.3, 0.04) > readings_for(0.6, 0.04)
-    assert readings_for(0.2, 0.04) == readings_for(0.1, 0.04)
-    assert readings_for(0.3, 0.001) == 14
-    # The direction of a wall of 0.5 m, from that many readings, has a standard deviation of 2.8 degrees.
-    count = round(readings_for(0.5, 0.04))
-    positions = np.linspace(-0.25, 0.25, count)
-    assert 0.04 / math.sqrt(positions @ positions) == pytest.approx(math.radians(2.8), rel=0.1)
-
-
-def test_turns_past_the_half_circle_are_measured() -> None:
-    sweep = Sweep(math.radians(170.0), math.radians(230.0), math.radians(2.0))
-    assert (sweep.steps, sweep.direction) == (pytest.approx(30.0), 1.0)
-    assert math.degrees(sweep.left(math.radians(-175.0))) == pytest.approx(45.0)
-    back = Sweep(sweep.end, sweep.start, sweep.step)
-    assert math.degrees(back.left(math.radians(-175.0))) == pytest.approx(15.0)
-    assert math.degrees(back.left(math.radians(165.0))) == pytest.approx(-5.0)
-
-
 def test_a_look_drives_to_its_place_and_sweeps_the_stretch() -> None:
     walls = with_gap(0, 0.8, 0.5)
     pose = np.array([2.5, 1.9, math.radians(100.0)])
@@ -192,17 +129,6 @@ def test_a_look_drives_to_its_place_and_sweeps_the_stretch() -> None:
     np.testing.assert_array_equal(look.act(belief_at(pose, walls)), [0.0, 0.0])
 
 
-def test_a_look_is_needless_when_the_wall_has_been_found_on_the_way() -> None:
-    walls = with_gap(0, 0.8, 0.5)
-    view = next_view(belief_at([2.5, 1.9, 0.0], walls), LookMemory(), ROBOT, CONFIG)
-    assert view is not None
-    look = Look(view, ROBOT, CONFIG, 0.02)
-    for _ in range(20):
-        look.act(belief_at([2.5, 1.9, 0.0], WALLS))
-    assert look.is_over
-    assert look.is_needless
-
-
 def test_a_robot_that_cannot_move_gives_every_look_up_and_ends() -> None:
     policy = WallPolicy(ROBOT, CONFIG)
     belief = belief_at([2.5, 1.9, 0.0], with_gap(0, 0.6, 0.8), BLOCKED)
@@ -215,56 +141,6 @@ def test_a_robot_that_cannot_move_gives_every_look_up_and_ends() -> None:
     np.testing.assert_array_equal(policy.act(belief), [0.0, 0.0])
     assert policy.goal is None
     assert len(policy.plan) == 0
-
-
-def test_the_time_for_looking_at_walls_is_limited(monkeypatch) -> None:
-    # No wall is ever found, and there is always another place to try.
-    monkeypatch.setattr("limslam_agent.policies.wall_views._LOOKS", 1000)
-    monkeypatch.setattr("limslam_agent.policies.wall_views._SHORTEST_AGAIN", 0.0)
-    policy = WallPolicy(ROBOT, CONFIG)
-    pose, steps = np.array([1.5, 1.2, 0.0]), 0
-    while policy.stop_reason is None and steps < 3000:
-        pose, steps = drive(pose, policy.act(belief_at(pose, np.zeros((0, 4))))), steps + 1
-    assert policy.stop_reason == "explored: no frontier is left, and the time for looking at walls is over"
-    assert 600 <= steps < 1000
-
-
-@pytest.mark.parametrize(("exploring", "longest"), [(1000, 1600), (50_000, 9600)])
-def test_looking_at_walls_takes_at_most_as_long_as_exploring_and_at_most_a_quarter_of_an_hour(exploring, longest):
-    policy = WallPolicy(ROBOT, CONFIG)
-    policy._exploring, policy._looking = exploring, longest
-    assert not policy._is_late
-    policy._looking += 1
-    assert policy._is_late
-
-
-def test_a_frontier_that_appears_is_explored_before_the_next_look() -> None:
-    policy = WallPolicy(ROBOT, CONFIG)
-    walls = with_gap(0, 0.8, 0.5)
-    pose = np.array([2.5, 1.9, 0.0])
-    policy.act(belief_at(pose, walls))
-    assert policy.goal is not None
-    values = ROOM.values.copy()
-    values[8:16, 30:32] = 0
-    opened = replace(belief_at(pose, WALLS), grid=GridView(ROOM.low, CELL, values))
-    for _ in range(30):
-        policy.act(opened)
-    assert policy.stop_reason is None
-    assert policy.goal is not None
-    assert policy.goal[0] > 2.6
-
-
-def test_the_settings_choose_the_policy() -> None:
-    config = preset("consistent")
-    assert isinstance(explorer(ROBOT, config), FrontierPolicy)
-    assert isinstance(explorer(ROBOT, with_until(config, "walls")), WallPolicy)
-    policies = LimSlamTeam(ROBOT, with_until(config, "walls"), 2).policies
-    assert [type(policy) for policy in policies] == [WallPolicy, WallPolicy]
-    for bad in ("wall", ""):
-        with pytest.raises(ValueError, match="until must be seen or walls, not"):
-            with_until(config, bad)
-        with pytest.raises(ValueError, match="until must be seen or walls, not"):
-            PolicyConfig(until=bad)
 
 
 def room_world() -> World:
@@ -305,11 +181,3 @@ def test_two_robots_look_at_the_walls_together() -> None:
     episode = run("walls", robots=2)
     assert episode.is_finished
     assert "all walls were looked at" in episode.stop_reason
-
-
-def test_a_robot_that_cannot_see_frontiers_does_not_look_at_walls() -> None:
-    walls = [[0, 0, 0.6, 0], [0.6, 0, 0.6, 0.6], [0.6, 0.6, 0, 0.6], [0, 0.6, 0, 0]]
-    box = World("box", (0.6, 0.6), np.array(walls), starts=np.array([[0.3, 0.3, 0.0]]))
-    episode = run_episode(RunConfig(box, robot=e_puck(), max_time=400.0, until="walls"))
-    assert episode.is_finished
-    assert episode.stop_reason.endswith("needs at least 0.175 m: not explored")

@@ -47,14 +47,6 @@ class Model:
         return np.array([0.5, 0.4], dtype=np.float32), ((state or 0) + 1 if self.remembers else None)
 
 
-class Forgetful:
-    """A model that takes nothing but what a policy without memory needs."""
-
-    def predict(self, _observation, deterministic):
-        assert deterministic
-        return np.array([0.3, 0.3]), None
-
-
 class Trained:
     """A model that was trained on the observations of a space. Without a space, on beliefs that it does not declare."""
 
@@ -135,11 +127,6 @@ def test_a_recurrent_model_gets_its_memory_back():
     assert all(deterministic for *_, deterministic in model.calls)
 
 
-def test_a_model_without_memory_need_not_know_of_one():
-    (result,) = evaluate(Forgetful(), "LimSlam-World-v0", [0], max_time=2.0, world=ROOM)
-    assert result["path_m"] == pytest.approx(2.0 * 0.3 * 0.3)
-
-
 def test_each_robot_of_a_team_has_its_own_actor():
     model = Model(remembers=True)
     actors = {"robot_0": straight, "robot_1": spin, "robot_2": model}
@@ -180,17 +167,13 @@ def test_a_wrapped_environment_shows_the_actor_what_it_was_made_for():
         (object(), "LimSlam-Env1-v0", {}, "object cannot act"),
         (LimSlamAgent, "LimSlam-Env1-v0", {}, "LimSlamAgent is a class"),
         ({"robot_0": spin}, "LimSlam-Env1-v0", {}, "for parallel environments"),
-        ({"robot_0": spin, "robot_1": 3}, "limslam/Env1-v0", {}, "int cannot act"),
         ({"robot_0": spin}, "limslam/Env1-v0", {}, "one actor for each of robot_0, robot_1"),
         (spin, "limslam/Env1-v0", {}, "a dict of actions"),
         (lambda _: {"robot_0": (0, 0)}, "limslam/Env1-v0", {}, "one action for each"),
         (lambda _: None, "LimSlam-Env1-v0", {}, "two finite numbers"),
-        (lambda _: (np.nan, 0.0), "LimSlam-Env1-v0", {}, "two finite numbers"),
-        (spin, "LimSlam-Env9-v0", {}, "Env9"),
         (spin, "limslam/Env9-v0", {}, "no environment 'limslam/Env9-v0'"),
         (spin, "CartPole-v1", {}, "is not a LimSLAM environment"),
         (spin, "LimSlam-Env1-v0", {"max_time": 0.0}, "above 0 s"),
-        (spin, "LimSlam-World-v0", {"world": "atlantis"}, "atlantis"),
         (
             spin,
             LimSlamEnv("env1"),
@@ -198,15 +181,10 @@ def test_a_wrapped_environment_shows_the_actor_what_it_was_made_for():
             "env_id is a name such as 'LimSlam-Env1-v0', not .*: evaluate makes",
         ),
         (spin, "LimSlam-Env1-v0", {"robot": "e-puck"}, "robot must be a RobotSpec"),
-        (spin, "LimSlam-Env1-v0", {"rewards": 1.0}, "rewards must be a RewardConfig"),
         (LimSlamAgent(FAST), "LimSlam-Env1-v0", {}, r"LimSlamAgent was made for another robot .*in max_wheel_speed\)"),
-        (LimSlamAgent(ROBOT), "LimSlam-Env1-v0", {"robot": FAST}, "was made for another robot"),
-        (FrontierPolicy(), "LimSlam-Env1-v0", {"robot": FAST}, "FrontierPolicy was made for another robot"),
-        (LimSlamTeam(FAST, TOLD), "limslam/Env1-v0", {}, "LimSlamTeam was made for another robot"),
         ({"robot_0": spin, "robot_1": LimSlamAgent(FAST)}, "limslam/Env1-v0", {}, "LimSlamAgent was made for another"),
         (Trained(BELIEFS), "LimSlam-Env1-v0", {}, r"observations \(covariance \(6,\), grid \(.*by wrap="),
         (Trained(FLAT), "LimSlam-Env1-v0", {}, r"shape \(8,\)\).*\(ranges \(6,\), wheels \(2,\)\).*by wrap="),
-        (Trained(FLAT), "limslam/Env1-v0", {}, r"Trained was trained on other observations"),
         (Trained(None), "LimSlam-Env1-v0", {}, r"Trained looks for 'pose' in an observation that holds ranges, wheels"),
         ("fronteer", "LimSlam-Env1-v0", {}, "no policy is called 'fronteer'; there are frontier, "),
         ("oracle", "LimSlam-Env1-v0", {}, "the policy 'oracle' knows the truth: use limslam run --policy oracle"),
@@ -216,17 +194,6 @@ def test_what_cannot_act_is_refused_in_one_line(actor, env_id, arguments, words)
     with pytest.raises(ValueError, match=words) as refusal:
         evaluate(actor, env_id, [0], **{"max_time": 1.0, **arguments})
     assert "\n" not in str(refusal.value)
-
-
-def test_a_policy_that_is_used_up_is_refused():
-    class Brief(FrontierPolicy):
-        def act(self, belief):
-            self.stop_reason = "enough"
-            return super().act(belief)
-
-    agent = LimSlamAgent(ROBOT, TOLD, Brief(ROBOT, TOLD.policy))
-    with pytest.raises(ValueError, match="done before seed 1 began"):
-        evaluate(agent, "LimSlam-World-v0", [0, 1], max_time=1.0, world=ROOM)
 
 
 def test_medians_by_hand():
@@ -261,16 +228,6 @@ def test_a_policy_is_scored_as_the_policy_of_an_agent():
     assert [first] == [second] == expected
     assert "ate_m" in first
     assert policy.steps == 0, "each episode begins with a copy"
-
-
-def test_a_policy_that_stops_serves_for_each_seed():
-    class Brief(TurnFromWalls):
-        def act(self, belief):
-            self.stop_reason = "enough"
-            return super().act(belief)
-
-    results = evaluate(Brief(), "LimSlam-World-v0", [0, 1], max_time=1.0, world=ROOM)
-    assert [result["stop_reason"] for result in results] == ["enough", "enough"]
 
 
 class WithoutAttributes:
@@ -327,24 +284,12 @@ def test_the_policies_of_the_package_need_no_arguments(policy):
     assert "ate_m" in result
 
 
-@pytest.mark.parametrize("name", ["frontier", "frontier_fast", "wall_follower", "random", "learned"])
+@pytest.mark.parametrize("name", ["frontier_fast", "learned"])
 def test_a_name_stands_for_the_policy_of_a_run(name):
     expected = score(run_episode(RunConfig("env2", 0.02, "consistent", seed=3, max_time=5.0, policy=name)))
     (result,) = evaluate(name, "LimSlam-Env2-v0", [3], max_time=5.0, sensor_noise=0.02)
     assert result.pop("seed") == 3
     assert {each: expected[each] for each in result} == result
-
-
-def test_a_name_stands_for_a_team_in_a_parallel_environment():
-    expected = score(run_episode(RunConfig("env2", 0.02, "consistent", 3, 5.0, robots=2, policy="wall_follower")))
-    (result,) = evaluate("wall_follower", "limslam/Env2-v0", [3], max_time=5.0, sensor_noise=0.02)
-    assert result.pop("seed") == 3
-    assert {each: expected[each] for each in result} == result
-
-
-def test_a_model_with_the_observations_of_its_training_is_taken():
-    arguments = {"max_time": 0.5, "world": ROOM, "wrap": SlamObservation}
-    assert evaluate(Trained(BELIEFS), "LimSlam-World-v0", [0], **arguments)[0]["path_m"] >= 0.0
 
 
 class Ahead:
@@ -355,11 +300,6 @@ class Ahead:
     def act(self, belief):
         del belief
         return 0.3, 0.3
-
-
-def test_what_is_obviously_meant_is_taken():
-    (first, second) = evaluate(straight, seeds=2, max_time=2.0, noise=0.03)
-    assert [first, second] == evaluate(straight, seeds=[0, 1], max_time=2.0, sensor_noise=0.03)
 
 
 def test_a_policy_may_drive_an_agent_of_any_preset():
@@ -375,7 +315,6 @@ def test_a_policy_may_drive_an_agent_of_any_preset():
     ("arguments", "words"),
     [
         ({"seeds": "abc"}, "seeds must be a number of episodes or a list of seeds, not 'abc'"),
-        ({"seeds": 2.5}, "seeds must be a number of episodes or a list of seeds, not 2.5"),
         ({"seeds": 0}, "seeds must be whole numbers from 0, at least one of them, not 0"),
         ({"seeds": ["a"]}, "seeds must be whole numbers from 0"),
         ({"noise": "much"}, "noise must be a NoiseConfig or a standard deviation of the ranges, m, not 'much'"),
@@ -387,8 +326,3 @@ def test_a_policy_may_drive_an_agent_of_any_preset():
 def test_what_cannot_be_meant_is_refused(arguments, words):
     with pytest.raises(ValueError, match=words):
         evaluate(straight, **({"max_time": 1.0} | arguments))
-
-
-def test_a_preset_that_does_not_exist_is_refused():
-    with pytest.raises(ValueError, match="no preset is called 'papers'"):
-        evaluate(Ahead(), preset="papers")

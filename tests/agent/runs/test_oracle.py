@@ -1,26 +1,17 @@
 """The policies of a run by their names, and the oracle, which knows the truth."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
-from limslam_agent.belief import Belief
-from limslam_agent.config import DEFAULT_PRESET
-from limslam_agent.config.presets import GridConfig
-from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.runs.episode import run_episode
-from limslam_agent.runs.oracle import Oracle
-from limslam_agent.runs.results import score, title_of
+from limslam_agent.runs.results import score
 from limslam_agent.runs.run_config import RunConfig
-from limslam_env.bounds.tours import top_speeds
 from limslam_env.interface import RobotSpec
 from limslam_env.worlds.world import World
 
 ROBOT = RobotSpec()
 WALLS = [[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0], [2, 0, 2, 1.6]]
 ROOM = World("room", (4.0, 3.0), WALLS, starts=[[1.0, 0.8, 0.4], [3.0, 1.0, 2.0]])
-BELIEF = Belief(np.zeros(3), np.eye(3), np.full(6, 1.5), np.zeros((0, 4)), OccupancyGrid(GridConfig()).view)
 
 
 def run(policy, **settings):
@@ -45,10 +36,6 @@ def test_every_estimator_listens_to_the_same_drive(policy, settings, request):
     for name in ("time", "ranges", "wheels", "actions", "true", "wall_seen", "coverage"):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
     assert not np.array_equal(one.estimated, other.estimated)
-
-
-def test_noise_moves_no_oracle_off_its_path(tour):
-    np.testing.assert_array_equal(run("tour", noise=0.0, seed=4).true, tour.true)
 
 
 def test_the_oracle_sees_everything_sooner_than_an_explorer(oracle):
@@ -88,14 +75,6 @@ def test_policies_to_compare_with_drive_by_what_they_believe(policy):
     assert not np.array_equal(other.true, episode.true)
 
 
-def test_titles_name_the_policy():
-    assert title_of(RunConfig(ROOM, policy="wall_follower")).startswith(
-        f"room, range noise 0 cm, {DEFAULT_PRESET}, wall follower"
-    )
-    assert "frontier" not in title_of(RunConfig(ROOM))
-    assert "tour, 3 laps" in title_of(RunConfig(ROOM, policy="tour", laps=3))
-
-
 @pytest.mark.parametrize(
     ("settings", "words"),
     [
@@ -114,43 +93,3 @@ def test_what_cannot_be_driven_is_refused_before_it_begins(settings, words):
     with pytest.raises(ValueError, match=words) as refusal:
         RunConfig(ROOM, **settings)
     assert "\n" not in str(refusal.value)
-
-
-@dataclasses.dataclass
-class SeenCells:
-    """The part of an environment that an oracle uses an environment."""
-
-    seen: np.ndarray
-
-
-def test_an_oracle_plans_again_for_what_its_drive_did_not_show():
-    asked = []
-
-    def planner(pose, seen):
-        asked.append((pose.copy(), seen))
-        return np.array([[1.0, 0.0]]) if len(asked) < 3 else np.zeros((0, 2))
-
-    env, oracle = SeenCells(np.ones((2, 2), dtype=bool)), Oracle(ROBOT, top_speeds(ROBOT), planner, tours=4, goal=0.9)
-    oracle.observe_truth(env, np.zeros(3), 0.1)
-    np.testing.assert_allclose(oracle.act(BELIEF), [1.0, 1.0])
-    # It has arrived; the second plan leads to where it stands, the third nowhere.
-    oracle.observe_truth(env, np.array([1.0, 0.0, 0.0]), 0.5)
-    assert [given is env.seen for _, given in asked] == [False, True, True]
-    assert asked[0][1] is None
-    assert oracle.stop_reason == "the tour is driven"
-    np.testing.assert_array_equal(oracle.act(BELIEF), [0.0, 0.0])
-
-
-def test_an_oracle_stops_at_its_goal_and_turns_before_it_drives():
-    oracle = Oracle(ROBOT, top_speeds(ROBOT), lambda *_: np.array([[0.0, 1.0]]), goal=0.9)
-    env = SeenCells(np.ones((2, 2), dtype=bool))
-    oracle.observe_truth(env, np.zeros(3), 0.1)
-    np.testing.assert_allclose(oracle.act(BELIEF), [-1.0, 1.0])  # to the left, as fast as it can, on the spot
-    oracle.observe_truth(env, np.array([0.0, 0.0, 1.4]), 0.2)
-    left, right = oracle.act(BELIEF)
-    assert right == pytest.approx(1.0)
-    # 0.17 rad in 0.1 s take 0.136 m/s more on the right.
-    assert left == pytest.approx(1.0 - 1.7079632679 * 0.16 / 0.3)
-    oracle.observe_truth(env, np.array([0.0, 0.0, 1.4]), 0.9)
-    assert oracle.stop_reason == "90% of what can be seen was seen"
-    np.testing.assert_array_equal(oracle.act(BELIEF), [0.0, 0.0])

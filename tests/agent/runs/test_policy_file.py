@@ -90,17 +90,6 @@ def test_the_folder_of_such_a_run_repeats_it_elsewhere(folder):
     assert one == other
 
 
-def test_each_robot_has_a_policy_of_its_own(folder):
-    done = call(main, "run", "--policy", "mine.py:Ahead", "--robots", "2", "--out", "two")
-    assert done.returncode == 0, done.stderr
-    assert json.loads((folder / "two" / "result.json").read_text())["record"]["steps"] == 8
-
-
-def test_a_run_without_an_out_has_the_name_in_its_folder(folder):
-    assert call(main, "run", "--policy", "mine.py:Ahead").returncode == 0
-    assert [path.name for path in (folder / "runs").iterdir()] == ["env1-2cm-graph-seed0-Ahead"]
-
-
 @pytest.mark.parametrize(
     ("policy", "words"),
     [

@@ -9,13 +9,13 @@ import pytest
 from PIL import Image as Pictures
 
 from limslam_agent.output import style as video_style
+from limslam_agent.slam.core.diagnostics import PendingPoints
 from limslam_agent.video import belief_panels, video
-from limslam_agent.video import film as film_module
-from limslam_agent.video.belief_frame import BeliefFrame, BufferView, Event, hough_image, hough_view, wall_bands
+from limslam_agent.video.belief_frame import BeliefFrame, Event, hough_image, hough_view, wall_bands
 from limslam_agent.video.belief_picture import draw_belief
-from limslam_agent.video.film import FPS, HEIGHT, SPEED, WIDTH, Film, Scene, compose, cropped_truth, layout_for
-from limslam_agent.video.narration import LESSONS, Caption, Narrator
-from limslam_agent.video.video import VideoError, VideoWriter
+from limslam_agent.video.film import FPS, HEIGHT, WIDTH, Film, Scene, compose, cropped_truth, layout_for
+from limslam_agent.video.narration import SPEED, Caption, Narrator
+from limslam_agent.video.video import VideoError, video_file
 from limslam_env.geometry import line as lines
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec
@@ -36,7 +36,7 @@ def frame_with(*, time=0.0, walls=(), poses=((0.0, 0.0, 0.0),), std=0.02, **more
     parameters = np.array([wall[:2] for wall in walls]).reshape(-1, 2)
     segments = np.array([on_line(*wall[:2], wall[2:]).ravel() for wall in walls]).reshape(-1, 4)
     covariances = np.array([np.diag([std**2, std**2])] * len(walls)).reshape(-1, 2, 2)
-    poses = np.array(poses)
+    poses, more = np.array(poses), {"numbers": tuple(range(1, len(walls) + 1)), **more}
     return BeliefFrame(
         time, poses, np.array([0.01**2 * np.eye(3)] * len(poses)), segments, parameters, covariances, **more
     )
@@ -55,7 +55,7 @@ def is_near(colour, other, tolerance=40):
 # What is drawn: votes, bands.
 
 
-@pytest.mark.parametrize("theta", np.radians([1.0, 37.0, 90.0, 133.0, 179.0]))
+@pytest.mark.parametrize("theta", np.radians([1.0, 133.0]))
 def test_votes_peak_at_the_line_that_the_points_lie_on(theta):
     points = on_line(0.40, theta, np.linspace(-0.5, 0.5, 20))
     votes, reach = hough_image(points, r_step=0.05, theta_bins=90)
@@ -67,17 +67,7 @@ def test_votes_peak_at_the_line_that_the_points_lie_on(theta):
     np.testing.assert_array_equal(votes.sum(axis=0), 20)
 
 
-def test_votes_of_nothing_and_of_points_past_all_bounds():
-    votes, reach = hough_image(np.zeros((0, 2)))
-    assert votes.sum() == 0
-    assert reach > 0.0
-    far, reach = hough_image(np.array([(1e6, 0.0), (0.0, 1.0)]), r_step=0.02)
-    assert len(far) <= 241
-    assert far.sum() == 2 * 90
-    assert reach >= 1e6
-
-
-@pytest.mark.parametrize("theta", np.radians([-170.0, -90.0, -20.0, 0.0, 60.0, 120.0, 180.0]))
+@pytest.mark.parametrize("theta", np.radians([-170.0, 0.0, 60.0]))
 def test_the_rings_lie_on_the_peaks_of_the_votes_all_round(theta):
     line, pose = np.array([0.8, theta]), np.array([1.0, 2.0, 0.7])
     points = on_line(*line, np.linspace(0.2, 1.2, 25))
@@ -108,19 +98,6 @@ def test_a_band_is_as_wide_as_the_line_may_be_off():
         assert half == pytest.approx(2.0 * np.std(off), rel=0.06)
 
 
-def test_a_belief_whose_walls_do_not_go_together_is_refused():
-    with pytest.raises(ValueError, match="segments"):
-        replace(frame_with(walls=[(1.0, 0.0, 0.0, 1.0)]), lines=np.zeros((2, 2)))
-    with pytest.raises(ValueError, match="covariances"):
-        replace(frame_with(), covariances=np.zeros((2, 3, 3)))
-
-
-def test_events_are_told_in_a_few_words():
-    events = [Event("new", 7), Event("again", 3), Event("loop", 12, 3)]
-    assert [event.words for event in events] == ["new wall 7", "wall 3 seen again", "loop closed: 12 = 3"]
-    assert events[2].walls == (12, 3)
-
-
 # The right half.
 
 
@@ -145,28 +122,6 @@ def test_walls_cells_frontiers_and_robots_are_drawn_where_they_are():
     assert is_near(pixel(image, 1.7, -0.63), video_style.ROBOTS[1], 60)
 
 
-def test_cells_have_their_edges_where_the_grid_has_them():
-    values = np.zeros((10, 10), dtype=np.int16)
-    values[4, 5] = 20
-    frame = frame_with(grid_low=np.array([-0.3, 0.4]), grid_values=values, poses=[(-1.9, -0.9, 0.0)])
-    image = draw_belief(frame, (SIDE, SIDE), WINDOW)
-    rows, columns = np.nonzero((image == np.array(video_style.FREE)).all(axis=2))
-    scale = SIDE / 4.0
-    left, right = columns.min() / scale - 2.0, (columns.max() + 1) / scale - 2.0
-    bottom, top = (SIDE - rows.max() - 1) / scale - 1.0, (SIDE - rows.min()) / scale - 1.0
-    np.testing.assert_allclose((left, right, bottom, top), (0.2, 0.3, 0.8, 0.9), atol=1.0 / scale)
-
-
-def test_what_is_less_sure_has_a_wider_band():
-    wall = (1.0, 0.0, 0.0, 2.0)
-
-    def pale(std):
-        image = draw_belief(frame_with(walls=[wall], std=std, poses=[(-1.5, 2.5, 0.0)]), (SIDE, SIDE), WINDOW)
-        return int((np.abs(image[SIDE // 2 - 40].astype(int) - video_style.UNKNOWN).sum(axis=1) > 12).sum())
-
-    assert pale(0.001) < pale(0.03) < pale(0.08)
-
-
 def test_walls_that_are_spoken_of_glow_and_those_of_a_loop_are_linked():
     walls = [(1.0, 0.0, 0.0, 2.0), (-1.0, 0.0, 0.0, 2.0)]
     frame = frame_with(walls=walls, numbers=(4, 9), poses=[(-1.7, -0.7, 0.0)])
@@ -184,15 +139,6 @@ def test_walls_that_are_spoken_of_glow_and_those_of_a_loop_are_linked():
     assert [glow(loop, x, y) for x, y in ((1.0, 0.4), (-1.0, 0.4), (0.5, 1.0))] == [True, True, True]
 
 
-def test_a_wall_that_is_unsure_is_fainter():
-    frame = frame_with(walls=[(1.0, 0.0, 0.0, 2.0)], poses=[(-1.7, -0.7, 0.0)], std=1e-4)
-    sure, unsure = (
-        draw_belief(replace(frame, unsure=frozenset(numbers)), (SIDE, SIDE), WINDOW) for numbers in ((), (1,))
-    )
-    ink = [np.abs(image.astype(int) - video_style.UNKNOWN)[:, 250:].sum() for image in (sure, unsure)]
-    assert 0 < ink[1] < ink[0]
-
-
 def test_a_belief_past_all_bounds_can_be_drawn():
     frame = frame_with(
         walls=[(1e9, 0.3, -1e9, 1e9)],
@@ -200,17 +146,10 @@ def test_a_belief_past_all_bounds_can_be_drawn():
         std=1e5,
         plans=[np.array([(0.0, 0.0), (1e12, 1e12)])],
         goals=[np.array([1e12, 1e12])],
-        buffers=[BufferView(0, "left", np.array([(1e9, 0.0)]), 30)],
+        buffers=[PendingPoints(0, "left", np.array([(1e9, 0.0)]), 30)],
     )
     frame = replace(frame, covariances=np.array([np.diag([1e10, -1e-20, 1e3])]))
     assert draw_belief(frame, (SIDE, SIDE), WINDOW).shape == (SIDE, SIDE, 3)
-
-
-def test_without_a_window_all_that_is_known_is_shown():
-    frame = frame_with(walls=[(40.0, 0.0, 0.0, 2.0)], poses=[(39.0, 1.0, 0.0)])
-    image = draw_belief(frame, (300, 200))
-    assert image.shape == (200, 300, 3)
-    assert (np.abs(image.astype(int) - video_style.WALL).sum(axis=2) < 40).any()
 
 
 # The panels.
@@ -227,107 +166,19 @@ def test_peaks_are_ringed_in_the_heat_map():
     assert belief_panels.draw_hough(None, 260, 250).shape == (250, 260, 3)
 
 
-def test_bars_are_as_long_as_the_buffers_are_full():
-    def length(count, robots=1):
-        points = np.zeros((count, 2))
-        buffers = [BufferView(robot, side, points, 30) for robot in range(robots) for side in ("left", "right")]
-        panel = belief_panels.draw_buffers(buffers, 268, belief_panels.buffers_height(robots))
-        return int((panel == np.array(video_style.LEFT)).all(axis=2).sum())
-
-    assert length(0) == 0
-    assert length(15) == pytest.approx(0.5 * length(30), rel=0.02)
-    assert length(60) == length(30)
-    assert length(30, robots=8) == pytest.approx(8 * 41 * 10, rel=0.1)  # eight bars, in half of the width
-
-
-def test_the_bars_of_several_robots_leave_the_words_free():
-    points = np.zeros((15, 2))
-    buffers = [BufferView(robot, side, points, 12, 5) for robot in (0, 1) for side in ("left", "right")]
-    panel = belief_panels.draw_buffers(buffers, 268, belief_panels.buffers_height(2))
-    filled = (panel == np.array(video_style.LEFT)).all(axis=2)
-    beside = np.abs(panel.astype(int) - np.array(video_style.PAPER)).sum(axis=2) > 0
-    row = beside[24:34].any(axis=0)
-    assert 0 < filled.sum() < 200
-    # Between the end of the bar and the first letter there is some paper.
-    assert not row[20 + 14 + 1 : 20 + 14 + 5].any()
-    assert row[20 + 14 + 6 : 20 + 14 + 14].any()
-
-
-def test_words_are_cut_to_fit_and_may_lie_partly_outside():
-    assert video_style.fitted("short", 12, 200) == "short"
-    cut = video_style.fitted("a rather long story about walls", 12, 80)
-    assert cut.endswith("…")
-    assert video_style.width_of(cut, 12) <= 80
-    image = np.zeros((20, 40, 3), dtype=np.uint8)
-    for place in ((-30, 10), (30, 10), (10, -50), (10, 200), (500, 10)):
-        video_style.write(image, "wall", place, 14, (255, 255, 255), anchor="centre")
-    assert image.any()
-
-
 # What is said.
 
 
-def test_what_happens_for_the_first_time_is_explained_once():
-    narrator = Narrator(5.0)
-    start = narrator.hear(frame_with())
-    assert start[0].caption.headline == LESSONS["start"].headline
-    assert start[0].pause > 2.0
-    assert start[-1].pause == 0.0
-    view = hough_view(np.zeros((3, 2)), np.ones((1, 2)), np.zeros((1, 2, 2)), np.zeros(3), time=1.0, side="left")
-    explained = []
-    # One event of each kind at each moment: the explanations come one at a time, with some of the run in between.
-    for step in range(400):
-        time = 0.2 * (step + 1)
-        frame = frame_with(
-            time=time, poses=[(time, 0.0, 0.0)], hough=replace(view, time=time), events=[Event("new", 1)]
-        )
-        told = narrator.hear(frame)
-        assert len(told) <= 2
-        explained += [(time, moment.caption) for moment in told[:-1]]
-    assert [caption.headline for _, caption in explained] == [
-        LESSONS[kind].headline for kind in ("drive", "hough", "new")
-    ]
-    assert explained[2][1].event == Event("new", 1)
-    assert (np.diff([0.0, *(time for time, _ in explained)]) > 5.0 * 3.9).all()
-
-
-def test_a_loop_is_explained_at_once():
-    narrator = Narrator(5.0)
-    narrator.hear(frame_with())
-    told = narrator.hear(frame_with(time=0.2, events=[Event("loop", 2, 1)]))
-    assert [moment.caption.headline for moment in told[:-1]] == [LESSONS["loop"].headline]
-
-
 def test_a_status_that_is_not_ok_is_told():
-    narrator = Narrator(5.0, explain=False)
+    narrator = Narrator()
     narrator.hear(frame_with())
     reason = "lost: 9 of 90 readings contradict the map"
     said = [narrator.hear(frame_with(time=0.2 * step, warning=reason))[-1].caption for step in range(1, 30)]
     assert f"The estimate is {reason}." in {caption.headline for caption in said}
 
 
-def test_a_caption_gives_way_when_nothing_more_happens():
-    narrator = Narrator(5.0, explain=False)
-    narrator.hear(frame_with())
-    said = [
-        narrator.hear(frame_with(time=0.2 * step, events=[Event("new", 1)] if step == 1 else []))[-1].caption.headline
-        for step in range(1, 150)
-    ]
-    assert said[30].startswith("Add")
-    assert said[-1].startswith("Predict and collect")
-    # Four seconds of the film are twenty of the run.
-    assert sum(words.startswith("Add") for words in said) == pytest.approx(100, abs=2)
-
-
-def test_without_explanations_nothing_stands_still():
-    narrator = Narrator(5.0, explain=False)
-    for time in (0.0, 0.2):
-        told = narrator.hear(frame_with(time=time, events=[Event("new", 1)]))
-        assert [moment.pause for moment in told] == [0.0]
-
-
 def test_a_caption_stays_until_it_could_be_read_but_a_loop_comes_sooner():
-    narrator = Narrator(5.0, explain=False)
+    narrator = Narrator()
     narrator.hear(frame_with())
     captions = []
     for step in range(1, 200):
@@ -344,13 +195,12 @@ def test_a_caption_stays_until_it_could_be_read_but_a_loop_comes_sooner():
 
 
 def test_the_list_of_events_names_robots_and_counts_what_is_repeated():
-    narrator = Narrator(5.0)
+    narrator = Narrator()
     two = [(0.0, 0.0, 0.0), (1.0, 0.0, 0.0)]
-    goals = [np.array([2.0, 0.0]), None]
-    narrator.hear(frame_with(poses=two, goals=goals))
+    narrator.hear(frame_with(poses=two, new_goals=[0]))
     for time in (0.2, 0.4, 0.6):
-        narrator.hear(frame_with(time=time, poses=two, goals=goals, events=[Event("again", 3, robot=1)]))
-    narrator.hear(frame_with(time=0.8, poses=two, goals=goals, events=[Event("loop", 5, 3)]))
+        narrator.hear(frame_with(time=time, poses=two, events=[Event("again", 3, robot=1)]))
+    narrator.hear(frame_with(time=0.8, poses=two, events=[Event("loop", 5, 3)]))
     assert narrator.hear(frame_with(time=9.0, poses=two))[-1].caption.headline.startswith("Close the loop: wall 5 is")
     assert [words for _, _, words in narrator.log] == [
         "loop closed: 5 = 3", "robot 2: wall 3 seen again, 3 times", "robot 1: drives to a frontier",
@@ -360,8 +210,7 @@ def test_the_list_of_events_names_robots_and_counts_what_is_repeated():
 # The frame and the film.
 
 
-@pytest.mark.parametrize("robots", [1, 2, 8])
-@pytest.mark.parametrize("aspect", [0.2, 0.6, 1.0, 1.3, 1.7, 2.5, 6.0])
+@pytest.mark.parametrize(("aspect", "robots"), [(0.2, 1), (1.0, 2), (1.7, 8), (6.0, 1)])
 def test_the_parts_of_a_frame_fit_and_do_not_overlap(aspect, robots):
     layout = layout_for(aspect, robots)
     boxes = [layout.truth, layout.belief, layout.buffers, layout.hough, layout.log]
@@ -377,7 +226,7 @@ def test_the_parts_of_a_frame_fit_and_do_not_overlap(aspect, robots):
     assert layout.truth[2] / layout.truth[3] == pytest.approx(aspect, rel=0.06)
 
 
-@pytest.mark.parametrize("name", ["env1", "env2", "env3"])
+@pytest.mark.parametrize("name", ["env2"])
 def test_both_halves_show_the_same_place_at_the_same_scale(name):
     world = load_world(name)
     robot = RobotSpec()
@@ -392,6 +241,7 @@ def test_both_halves_show_the_same_place_at_the_same_scale(name):
     belief = replace(
         belief, segments=world.edges, lines=np.array([lines.through(edge[:2], edge[2:]) for edge in world.edges]),
         line_covariances=np.zeros((len(world.edges), 2, 2)), unsure=frozenset(range(1, len(world.edges) + 1)),
+        numbers=tuple(range(1, len(world.edges) + 1)),
     )  # fmt: skip
     drawn = draw_belief(belief, (width, height), window)
     walls = is_dark(cropped)
@@ -452,64 +302,18 @@ def test_a_film_has_a_frame_every_fifth_of_a_second_and_pauses_to_explain():
         assert not (image == np.array([255, 0, 0])).all(axis=2).any()
 
 
-@pytest.mark.parametrize(("speed", "frames"), [(1.0, 51), (2.0, 26), (2.5, 21), (5.0, 11), (10.0, 6)])
-def test_a_film_is_as_fast_as_it_is_asked_to_be(speed, frames):
-    collector = Collector()
-    film = Film(collector, np.zeros(2), np.array([4.0, 4.0]), explain=False, speed=speed)
-    for step in range(21):
-        if film.is_due(0.1 * step):
-            film.add(truth_picture(), frame_with(time=0.1 * step))
-    assert sum(max(round(hold * FPS), 1) for _, hold in collector.frames) == frames
-
-
-def extraction(time, count):
-    line = np.array([0.8, 0.3])
-    points = on_line(*line, np.linspace(0.2, 1.2, count))
-    return hough_view(points, line[None], points[None, [0, -1]], np.zeros(3), time=time, side="left", threshold=8)
-
-
-def test_the_votes_stay_those_that_the_caption_speaks_of(monkeypatch):
-    shown = []
-    page = np.zeros((HEIGHT, WIDTH, 3), dtype=np.uint8)
-    monkeypatch.setattr(film_module, "compose", lambda _truth, frame, scene: shown.append((frame, scene)) or page)
-    film = Film(Collector(), np.zeros(2), np.array([4.0, 4.0]), explain=False, speed=5.0)
-    votes = [extraction(time=1.0 + 2.0 * number, count=20 + number) for number in range(3)]
-    for step in range(60):
-        seen = [each for each in votes if each.time <= 0.2 * step]
-        film.add(truth_picture(), replace(frame_with(time=0.2 * step), hough=seen[-1] if seen else None))
-    spoken = [(frame, scene) for frame, scene in shown if "buffer was full" in scene.caption.headline]
-    assert len(spoken) > 10
-    for frame, scene in spoken:
-        assert f"Its {len(frame.hough.points)} points voted" in scene.caption.explanation
-    # Newer votes do not replace the votes of a caption that still stands.
-    assert any(frame.hough is votes[1] and frame.time > votes[2].time for frame, _ in spoken)
-
-
-@pytest.mark.parametrize("speed", [0.0, 0.9, 101.0, np.nan])
-def test_a_film_that_cannot_be_so_slow_or_so_fast_is_refused(speed):
-    with pytest.raises(ValueError, match=r"must be 1 to 100 times"):
-        Film(Collector(), np.zeros(2), np.ones(2), speed=speed)
-
-
-def test_readings_that_outlive_an_extraction_are_not_counted_as_new():
-    points = np.zeros((36, 2))
-    assert BufferView(0, "left", points, 12).words == "left 36/12"
-    assert BufferView(0, "left", points, 12, 5).words == "left 5/12 + 31 kept"
-    assert BufferView(0, "left", points[:5], 12, 5).words == "left 5/12"
-
-
-def test_a_film_of_nothing_ends_quietly():
-    collector = Collector()
-    Film(collector, np.zeros(2), np.ones(2)).finish("nothing happened")
-    assert collector.frames == []
-
-
 def test_several_robots_and_a_wide_world_fit_in_a_frame():
     truth = np.full((300, 700, 3), 230, dtype=np.uint8)
     poses = [(0.3 * number, 0.0, 0.0) for number in range(8)]
-    buffers = [BufferView(robot, side, np.zeros((9, 2)), 30) for robot in range(8) for side in ("left", "right")]
+    buffers = [PendingPoints(robot, side, np.zeros((9, 2)), 30) for robot in range(8) for side in ("left", "right")]
     frame = frame_with(poses=poses, buffers=buffers, time=3599.94, plans=[np.zeros((0, 2))] * 8, goals=[None] * 8)
-    scene = Scene(Caption((0,), "Headline", "Explanation"), "t" * 300, [(float(n), "new", "w" * 90) for n in range(30)])
+    scene = Scene(
+        Caption((0,), "Headline", "Explanation"),
+        "t" * 300,
+        [(float(n), "new", "w" * 90) for n in range(30)],
+        0.5,
+        WINDOW,
+    )
     assert compose(truth, frame, scene).shape == (HEIGHT, WIDTH, 3)
 
 
@@ -535,7 +339,7 @@ def decoded(path):
 def test_an_mp4_holds_the_frames_and_their_colours(tmp_path):
     pytest.importorskip("imageio_ffmpeg")
     path = tmp_path / "film.mp4"
-    with VideoWriter(path, FPS) as writer:
+    with video_file(path, FPS) as writer:
         for number in range(10):
             writer.write(moving(number))
         writer.write(moving(10), hold=0.4)
@@ -555,7 +359,7 @@ def test_an_mp4_holds_the_frames_and_their_colours(tmp_path):
 
 def test_a_gif_plays_at_the_speed_of_the_frames(tmp_path):
     path = tmp_path / "deep" / "film.gif"
-    with VideoWriter(path, 25) as writer:
+    with video_file(path, 25) as writer:
         for number in range(50):
             writer.write(moving(number))
         writer.write(moving(50), hold=3.0)
@@ -572,55 +376,19 @@ def test_a_gif_plays_at_the_speed_of_the_frames(tmp_path):
     assert tuple(last[60, 210]) == (205, 48, 66)
 
 
-def test_a_long_gif_keeps_its_time_and_loses_frames(tmp_path, monkeypatch):
-    monkeypatch.setattr(video, "_GIF_FRAMES", 12)
-    path = tmp_path / "film.gif"
-    with VideoWriter(path, 10) as writer:
-        for number in range(60):
-            writer.write(moving(number), hold=1.0 if number == 30 else 0.0)
-    with Pictures.open(path) as gif:
-        count, total = gif.n_frames, 0
-        for number in range(count):
-            gif.seek(number)
-            total += gif.info["duration"]
-    assert count <= 13
-    assert total == pytest.approx(59 * 100 + 1000, rel=0.1)
-
-
-def test_a_large_frame_becomes_a_smaller_one_in_a_gif(tmp_path):
-    with VideoWriter(tmp_path / "film.gif", 5) as writer:
-        writer.write(np.zeros((720, 1280, 3), dtype=np.uint8))
-    with Pictures.open(tmp_path / "film.gif") as gif:
-        assert gif.size == (960, 540)
-
-
-@pytest.mark.parametrize(("name", "words"), [("film.avi", ".mp4 or .gif"), ("film", ".mp4 or .gif")])
-def test_an_unknown_kind_of_file_is_refused_at_once(tmp_path, name, words):
-    with pytest.raises(VideoError, match=words) as refused:
-        VideoWriter(tmp_path / name, FPS)
-    assert "\n" not in str(refused.value)
-    assert isinstance(refused.value, ValueError)
-
-
 def test_a_file_that_is_there_is_only_replaced_by_force(tmp_path):
     path = tmp_path / "film.gif"
     path.write_text("old")
-    with pytest.raises(VideoError, match="--force"):
-        VideoWriter(path, FPS)
+    with pytest.raises(VideoError, match="--force"), video_file(path, FPS):
+        pass
     folder = tmp_path / "folder.gif"
     folder.mkdir()
-    with pytest.raises(VideoError, match="folder"):
-        VideoWriter(folder, FPS, force=True)
-    with VideoWriter(path, FPS, force=True) as writer:
+    with pytest.raises(VideoError, match="folder"), video_file(folder, FPS, force=True):
+        pass
+    with video_file(path, FPS, force=True) as writer:
         writer.write(moving(0))
         assert path.read_text() == "old"
     assert path.read_bytes().startswith(b"GIF8")
-
-
-@pytest.mark.parametrize("fps", [0.0, -1.0, math.nan, 1e4])
-def test_a_rate_that_nobody_can_play_is_refused(tmp_path, fps):
-    with pytest.raises(VideoError, match="per second"):
-        VideoWriter(tmp_path / "film.gif", fps)
 
 
 def test_without_an_encoder_an_mp4_is_refused_with_what_to_install(tmp_path, monkeypatch):
@@ -628,16 +396,15 @@ def test_without_an_encoder_an_mp4_is_refused_with_what_to_install(tmp_path, mon
         raise ImportError(name)
 
     monkeypatch.setattr(video.importlib, "import_module", missing)
-    with pytest.raises(VideoError, match=r"pip install 'limslam\[video\]'"):
-        VideoWriter(tmp_path / "film.mp4", FPS)
-    VideoWriter(tmp_path / "film.gif", FPS)
+    with pytest.raises(VideoError, match=r"pip install 'limslam\[video\]'"), video_file(tmp_path / "film.mp4", FPS):
+        pass
 
 
 def film(path, frames, failure=None):
     """Write frames, and fail then."""
     if path.suffix == ".mp4":
         pytest.importorskip("imageio_ffmpeg")
-    with VideoWriter(path, FPS) as writer:
+    with video_file(path, FPS) as writer:
         for frame in frames:
             writer.write(frame)
         if failure is not None:
@@ -653,7 +420,7 @@ def test_nothing_is_left_of_a_run_that_was_stopped(tmp_path, suffix, failure):
 
 
 def test_a_video_without_a_frame_is_none(tmp_path):
-    with pytest.raises(VideoError, match="there are no frames"), VideoWriter(tmp_path / "film.gif", FPS):
+    with pytest.raises(VideoError, match="there are no frames"), video_file(tmp_path / "film.gif", FPS):
         pass
     assert list(tmp_path.iterdir()) == []
 
@@ -665,8 +432,6 @@ def test_frames_must_be_frames_of_one_size(tmp_path, suffix):
         film(path, [moving(0), moving(0, width=322)])
     with pytest.raises(VideoError, match="even sides"):
         film(path, [moving(0, width=321)])
-    with pytest.raises(VideoError, match="within"):
-        VideoWriter(path, FPS).write(moving(0))
     assert list(tmp_path.iterdir()) == []
 
 
@@ -678,9 +443,3 @@ def test_an_encoder_that_fails_says_why(tmp_path, monkeypatch):
     with pytest.raises(VideoError, match="no space for films"):
         film(tmp_path / "film.mp4", [moving(number % 20, 1280, 720) for number in range(40)])
     assert [one.name for one in tmp_path.iterdir()] == ["ffmpeg"]
-
-
-def test_a_place_that_cannot_be_written_to_is_refused_on_entering(tmp_path):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(OSError, match="file"), VideoWriter(tmp_path / "file" / "film.gif", 5):
-        pass

@@ -13,8 +13,6 @@ from limslam_agent.config.presets import GridConfig, PolicyConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.policies.learned.learned import (
     ONLY_REMNANTS,
-    SHIPPED,
-    WEIGHTS,
     FinishConfig,
     LearnedPolicy,
     own_part,
@@ -137,28 +135,6 @@ def test_the_way_to_a_frontier_goes_round_walls_and_is_dear_beside_them():
     assert np.isinf(away[0]).all()
 
 
-def test_a_large_unknown_region_is_nearer_than_a_small_remnant():
-    walls = ["#" * 42, *["#" + "." * 40 + "#"] * 16, "#" * 42]
-    # In the middle, a pocket of 3 x 4 cells at one end and a region of 12 x 12 cells at the other end are unknown.
-    for row, columns in [(8, (2, 6)), (9, (2, 6)), (10, (2, 6))] + [(row, (29, 41)) for row in range(3, 15)]:
-        walls[row] = walls[row][: columns[0]] + " " * (columns[1] - columns[0]) + walls[row][columns[1] :]
-    away = frontier_distance(grid_of("\n".join(walls)))[8]
-    # The frontier of the large region costs nothing more: its neighbours are one cell away.
-    assert away[28] == 0.0
-    assert away[24] == pytest.approx(0.4)
-    # The cell beside the pocket is 0.1 m away from it, and the detour is larger than half of the way to the region.
-    assert away[7] > 1.0
-    assert np.isfinite(away[7])
-    assert away[7] <= away[24] + 0.1 * (24 - 7) + 1e-9
-
-
-def test_a_map_without_frontiers_has_no_way():
-    closed = grid_of("######\n#....#\n#....#\n#....#\n######")
-    told = observe(closed, np.array([0.3, 0.25, 0.0]), np.full(6, 1.5), ROBOT, VIEW)
-    assert told[-2:].tolist() == [1.0, 0.0]
-    assert (told[2 * VIEW.rings * VIEW.directions : CHANNELS * VIEW.rings * VIEW.directions] == -1.0).all()
-
-
 def test_the_view_turns_with_the_robot():
     pose = np.array([1.03, 0.35, 0.0])
     size = VIEW.rings * VIEW.directions
@@ -189,45 +165,6 @@ def test_driving_ahead_shows_what_the_beams_at_the_sides_will_see():
     assert far[6] == 0.0
 
 
-def test_nothing_is_seen_through_walls_and_nothing_new_where_all_is_known():
-    closed = grid_of("\n".join(["#" * 12, *["#" + "." * 10 + "#"] * 8, "#" * 12]))
-    assert (ahead_of(closed, [0.6, 0.5, 0.3]) == 0.0).all()
-
-
-def test_a_cell_counts_once_however_many_beams_cross_it():
-    unknown = grid_of(" " * 3)
-    # A drive of 0.3 m past unknown cells sweeps less than a half circle with the reach of the beams, and the way.
-    cells = ahead_of(unknown, [0.15, 0.05, 0.0])[0] * FULL[0]
-    assert (cells > 20.0).all()
-    assert (cells < 0.5 * math.pi * 17**2 + 6 * 17).all()
-
-
-def test_the_frontier_explorer_that_finishes_begins_with_large_frontiers():
-    # A frontier of 4 cells near the robot, on the left, and one of 14 cells far from it, on the right.
-    rows = ["#" * 60, *["#" + "." * 59] * 14, "#" * 60]
-    for row in range(6, 10):
-        rows[row] = " " + rows[row][1:]
-    grid = grid_of("\n".join(rows))
-    goals = []
-    for large in (3, 8):
-        finish = FinishConfig(farthest=0.0, large_frontier=large)
-        policy = LearnedPolicy(ROBOT, PolicyConfig(), network(ViewConfig()), finish=finish)
-        policy.act(belief([1.5, 0.75, 0.0], grid))
-        goals.append(policy.goal[0])
-    assert goals[0] < 1.0
-    assert goals[1] > 5.0
-
-
-def test_where_there_is_little_to_see_the_frontier_explorer_drives_and_ends_the_exploration():
-    closed = grid_of("\n".join(["#" * 12, *["#" + "." * 10 + "#"] * 8, "#" * 12]))
-    policy = LearnedPolicy(ROBOT, PolicyConfig(), network(ViewConfig()))
-    np.testing.assert_array_equal(policy.act(belief([0.6, 0.5, 0.0], closed, 0.4)), np.zeros(2))
-    assert policy.stop_reason == "explored: no frontier is left"
-    # In another frame of the map it begins again.
-    assert policy.act(replace(belief([1.0, 0.35, 0.0]), frame=1)).any()
-    assert policy.stop_reason is None
-
-
 @pytest.mark.parametrize(("large", "is_over"), [(20, True), (1, False)])
 def test_the_exploration_is_over_when_the_map_does_not_grow_and_only_remnants_are_left(large, is_over):
     finish = FinishConfig(window=1.0, farthest=0.0, large_frontier=large)
@@ -237,30 +174,6 @@ def test_the_exploration_is_over_when_the_map_does_not_grow_and_only_remnants_ar
         if step == 8:
             assert policy.stop_reason is None, "the map may still have grown in the last second"
     assert (policy.stop_reason == ONLY_REMNANTS) is is_over
-
-
-def test_in_a_map_that_was_moved_the_frontier_explorer_knows_what_it_has_given_up():
-    policy, seen = LearnedPolicy(ROBOT), belief((1.0, 1.0, 0.0))
-    memory = policy._finisher._memory
-    for moved in (seen, replace(seen, frame=1)):
-        policy.act(moved)
-        assert policy._finisher._memory is memory
-    policy.act(replace(seen, frame=2, map_number=1))
-    assert policy._finisher._memory is not memory
-
-
-def test_the_network_drives_while_the_map_grows():
-    policy = LearnedPolicy(ROBOT, PolicyConfig(), network(ViewConfig()), finish=FinishConfig(window=1.0, farthest=5.0))
-    drivers = []
-    for step in range(30):
-        grown = replace(HALL, values=HALL.values.copy())
-        # 10 cells a step become known again, up to half of the time.
-        grown.values.flat[10 * min(step + 1, 14) :] *= 0
-        grown.values[3, 10:12] = 5
-        policy.act(belief([1.05, 0.35, 0.0], grown))
-        drivers.append(len(policy.plan) > 0 or policy.goal is not None)
-    assert not any(drivers[:15])
-    assert drivers[-1]
 
 
 def test_what_is_nearer_to_a_teammate_is_left_to_it():
@@ -290,20 +203,6 @@ def test_it_drives_where_the_network_says(turn):
     assert turned == pytest.approx({0: 0.0, 6: math.pi / 2, 18: -math.pi / 2}[turn], abs=0.35)
     if turn == 0:
         assert pose[0] == pytest.approx(1.15)
-
-
-def test_the_same_seed_draws_the_same_directions():
-    def actions(seed):
-        policy = LearnedPolicy(ROBOT, PolicyConfig(), network(ViewConfig()), seed=seed, temperature=50.0)
-        return np.array([policy.act(belief([1.0, 0.35, 0.0])) for _ in range(50)])
-
-    np.testing.assert_array_equal(actions(1), actions(1))
-    assert not np.array_equal(actions(1), actions(2))
-
-
-def test_the_shipped_weights_are_light():
-    assert (WEIGHTS / SHIPPED).stat().st_size < 2_000_000
-    assert load_network(WEIGHTS / SHIPPED).view == ViewConfig()
 
 
 @pytest.mark.parametrize("policy", ["learned", "learned_true_pose"])

@@ -1,0 +1,138 @@
+"""The connection of a session to a robot: messages instead of the lines of a transport."""
+
+import math
+import time
+from collections.abc import Callable
+from typing import Protocol
+
+from limslam_agent.live.protocol import VERSION, BadLineError, Command, Greeting, Hello, Message, decode, encode
+from limslam_agent.live.transports import Transport
+
+POLL = 0.02
+"""Longest wait for a message before something else is done, s."""
+
+_ASK_AGAIN = 0.5  # s, between two greetings to a robot that is not heard
+
+
+class NoRobotError(ValueError):
+    """No robot that can be driven has answered."""
+
+
+class Connection(Protocol):
+    """A connection to a robot, for a session.
+
+    Attributes
+    ----------
+    clock
+        The host's clock, s.
+    bad_lines
+        Number of lines, or messages, that could not be read.
+    late, doubled
+        Numbers of measurements that the connection itself has left out, because they came after a later one, or twice.
+    """
+
+    clock: Callable[[], float]
+
+    @property
+    def bad_lines(self) -> int: ...  # noqa: D102 (the class describes it)
+
+    @property
+    def late(self) -> int: ...  # noqa: D102
+
+    @property
+    def doubled(self) -> int: ...  # noqa: D102
+
+    def first_hello(self, patience: float) -> Hello:
+        """Wait for the robot. Raises a :class:`NoRobotError` if there is none after ``patience`` s."""
+        ...
+
+    def receive(self, timeout: float) -> list[Message]:
+        """The messages that have arrived. Waits for the first one, at most ``timeout`` s."""
+        ...
+
+    def next_seq(self) -> int:
+        """A sequence number for the next command."""
+        ...
+
+    def send(self, command: Command) -> None:
+        """Send a command. It is lost if there is no connection."""
+        ...
+
+    def greet(self) -> None:
+        """Ask the robot to say hello."""
+        ...
+
+
+class Link:
+    """Messages instead of lines, over a transport.
+
+    Parameters
+    ----------
+    transport
+        Where lines come from and go to.
+    clock
+        The host's clock, s.
+
+    Attributes
+    ----------
+    bad_lines
+        Number of lines that were no messages.
+    late, doubled
+        Always 0. Such lines are found by their sequence numbers, in the recording.
+    """
+
+    late = doubled = 0
+
+    def __init__(self, transport: Transport, clock: Callable[[], float] = time.monotonic) -> None:
+        self.transport, self.clock, self.bad_lines = transport, clock, 0
+        self._seq, self._greeted = 0, -math.inf
+
+    def receive(self, timeout: float) -> list[Message]:
+        """The messages that have arrived. Lines that are no messages are counted."""
+        messages = []
+        for line in self.transport.receive(timeout):
+            try:
+                messages.append(decode(line))
+            except BadLineError:
+                self.bad_lines += 1
+        return messages
+
+    def next_seq(self) -> int:
+        """A sequence number for the next command."""
+        self._seq = (self._seq + 1) % (1 << 32)
+        return self._seq
+
+    def send(self, command: Command) -> None:
+        """Send a command."""
+        self.transport.send(encode(command))
+
+    def greet(self) -> None:
+        """Ask the robot to say hello and to send telemetry, at most twice a second."""
+        if self.clock() - self._greeted >= _ASK_AGAIN:
+            self._greeted = self.clock()
+            self.send(Greeting(VERSION, self._seq))
+
+    def first_hello(self, patience: float) -> Hello:
+        """Wait for the robot.
+
+        Raises
+        ------
+        NoRobotError
+            If none has said hello after ``patience`` s, or if it speaks another version of the protocol.
+        """
+        begin = self.clock()
+        while self.clock() - begin <= patience:
+            self.greet()
+            for message in self.receive(POLL):
+                if isinstance(message, Hello):
+                    return _checked(message)
+        lines = f"; {self.bad_lines} lines were not readable" if self.bad_lines else ""
+        raise NoRobotError(f"no robot has answered within {patience:g} s{lines}")
+
+
+def _checked(hello: Hello) -> Hello:
+    if hello.version != VERSION:
+        raise NoRobotError(
+            f"the robot {hello.name} speaks version {hello.version} of the protocol, and this program version {VERSION}"
+        )
+    return hello
