@@ -28,11 +28,10 @@ from limslam_agent.kernels.tables import (
     USED,
     Walls,
 )
-from limslam_agent.slam.consistent.filter_access import (
+from limslam_agent.slam.consistent.clone_filter import (
     add_line,
     compare,
     end_points,
-    extract_lines,
     keep_clones,
     line_of,
     lines_near,
@@ -47,6 +46,7 @@ from limslam_agent.slam.consistent.limits import (
     FAR_GATE,
     FIRST_ITERATIONS,
     GAP_AHEAD,
+    HUBER,
     ITERATIONS,
     LEAST_LENGTH,
     LENGTH_IF_COMPLETE,
@@ -67,6 +67,7 @@ from limslam_agent.slam.consistent.merging import (
 )
 from limslam_agent.slam.consistent.pending_readings import AHEAD, CLONE, DRIVEN_THEN, FRESH, SIDES, WAITING, readings_of
 from limslam_agent.slam.consistent.step_settings import StepSettings
+from limslam_agent.slam.core.hough import line_parts
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _NUM_SIDES = len(SIDES)
@@ -120,7 +121,7 @@ def process(
     points = end_points(ekf, places, readings, math.nan)
     # Beams ahead meet a wall at points far apart, with nothing in between.
     max_gap = GAP_AHEAD if row % _NUM_SIDES == AHEAD else settings.segment_gap
-    owner, lines, ends = extract_lines(
+    owner, lines, ends = line_parts(
         points, max_gap, settings.min_votes, settings.r_step, settings.theta_step, settings.near_line,
         settings.segment_length, settings.only_best,
     )  # fmt: skip
@@ -252,7 +253,7 @@ def update(
     ekf: Any, walls: Walls, piece: Piece, index: int, settings: StepSettings, iterations: int, listener: Listener | None
 ) -> None:
     """Update filter and map by a piece of a landmark, and merge the landmark with others that are the same wall."""
-    observe(ekf, piece.places, piece.readings, index, piece.variances, iterations)
+    observe(ekf, piece.places, piece.readings, index, piece.variances, iterations, HUBER)
     points = end_points(ekf, piece.places, piece.readings, line_of(ekf, index)[1])
     count_hits(walls, index, along_line(ekf, index, points), side_of(ekf, piece.places, piece.readings, index))
     if listener is not None:

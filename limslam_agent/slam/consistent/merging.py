@@ -10,7 +10,7 @@ import numpy as np
 
 from limslam_agent.kernels.extents import merge_walls, moved_along
 from limslam_agent.kernels.tables import IS_KNOWN, NUMBER, Walls
-from limslam_agent.slam.consistent.filter_access import anchor_of, difference, line_of, lines_near, merge, num_lines
+from limslam_agent.slam.consistent.clone_filter import anchor_of, difference, line_of, lines_near, merge, num_lines
 from limslam_agent.slam.consistent.limits import MAX_ANGLE, MAX_OFFSET, MIN_OVERLAP, ONE_WALL_GATE, STRAIGHTNESS
 from limslam_agent.slam.consistent.step_settings import StepSettings
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, board_evidence, board_odds, is_wall

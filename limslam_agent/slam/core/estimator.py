@@ -1,11 +1,12 @@
 """The interface of the estimators, which compute poses and walls from motions and readings."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Comparison, Extraction, PendingPoints
-from limslam_agent.slam.core.ekf import POSE, LineEKF
+from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import Motion, OdometryCalibration
@@ -40,7 +41,7 @@ class Estimator:
         comparisons are only collected if this is set.
     """
 
-    def __init__(self, robot: RobotSpec, belief: LineEKF) -> None:
+    def __init__(self, robot: RobotSpec, belief: Any) -> None:
         self.robot, self._belief = robot, belief
         self.closures: list[Closure] = []
         self.last_extraction: Extraction | None = None
