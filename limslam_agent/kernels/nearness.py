@@ -4,7 +4,7 @@ import math
 
 from limslam_agent.kernels.compilation import compiled, lean_entry
 from limslam_agent.kernels.tables import ANGLE, FARTHEST, FROM_X, FROM_Y, TOO_FAR, TOO_NEAR, TOWARDS_X, TOWARDS_Y
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray
 
 
 @compiled

@@ -14,7 +14,6 @@ from limslam_agent.slam.batch.state import Spec, spec_of
 from limslam_agent.slam.consistent.consistent import ConsistentEstimator
 from limslam_agent.slam.consistent.pending_readings import BEAM, CLONE, RANGE, TAKEN_AT, WAITING
 from limslam_agent.slam.slam import LineSlam
-from limslam_env.geometry import FloatArray
 from limslam_env.interface import NominalNoise, Observation
 
 Kernel = TypeVar("Kernel", bound=Callable[..., Any])

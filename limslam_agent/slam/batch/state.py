@@ -18,7 +18,7 @@ from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 
 STEP, REFUSED = range(5, 7)
-"""Places in ``Filter.counts`` after those of a single filter: the step, and the number of readings that were skipped."""
+"""Places in ``Filter.counts`` after those of a single filter: the step, and how many readings were skipped."""
 
 PERIOD = 8
 """The column of ``Spec.beams`` after those of ``RobotSpec.beam_table``: steps between two measurements of a beam."""

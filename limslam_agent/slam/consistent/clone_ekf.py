@@ -71,7 +71,7 @@ class CloneEKF:
         return self.arrays.x[: size_of(self.arrays)]
 
     @property
-    def P(self) -> FloatArray:
+    def P(self) -> FloatArray:  # noqa: N802 (the literature's letter)
         """Its covariance (n, n), a view."""
         size = size_of(self.arrays)
         return self.arrays.P[:size, :size]
@@ -271,7 +271,7 @@ class CloneEKF:
         return index
 
     def differences(self, pairs: list[tuple[int, int]]) -> tuple[FloatArray, FloatArray]:
-        """Differences of n pairs of lines (2 n,), as of ``clone_filter.difference``, and their covariance (2 n, 2 n)."""
+        """Differences of n pairs of lines (2 n,), as of ``clone_filter.difference``, and their covariance."""
         off, H = np.zeros(2 * len(pairs)), np.zeros((2 * len(pairs), len(self.x)))
         for row, pair in enumerate(pairs):
             off[2 * row : 2 * row + 2], own, columns = equality(self.arrays, *pair)

@@ -24,6 +24,7 @@ LINE_PRIOR = (10.0**2, 3.0**2)
 EQUALITY_NOISE = (1e-4**2, 1e-5**2)
 """Variances, m^2 and rad^2, of the constraint that two merged lines are equal: small, but P stays regular."""
 
+
 def num_lines(ekf: Filter) -> int:
     """How many lines the filter holds."""
     return int(ekf.counts[LINES])

@@ -50,7 +50,7 @@ class SeparateBias:
         return gain - float(np.linalg.slogdet(narrowed)[1])
 
     def learn(self, by_errors: FloatArray, innovation: FloatArray) -> None:
-        """The filter was updated: derivative (m, k) of the measurements by the errors, and innovation (m,), whitened."""
+        """The filter was updated by measurements: derivative (m, k) by the errors, and innovation (m,), whitened."""
         self._information += by_errors.T @ by_errors
         self._score += by_errors.T @ innovation
 

@@ -579,7 +579,7 @@ def test_landmarks_seen_from_opposite_sides_are_merged_if_they_are_a_board(
     behind: float, std: float, opposite: bool, is_one: bool
 ) -> None:
     slam = two_landmarks(behind, std, (POSITIVE, NEGATIVE if opposite else POSITIVE))
-    assert closes_loop(slam.belief, slam.walls, 0, 1, slam.settings, 1, None) == is_one
+    assert closes_loop(slam.belief.arrays, slam.walls, 0, 1, slam.settings, 1, None) == is_one
     # The length of a board, and that of a wall whose thickness is known.
     boards, walls = kinds(slam)
     assert boards == pytest.approx(2.0 if is_one and opposite else 0.0)
@@ -601,4 +601,4 @@ def test_boards_that_are_known_let_vague_landmarks_merge() -> None:
     add_wall(slam.walls, other)
     for side in (POSITIVE, NEGATIVE):
         count_hits(slam.walls, other, np.linspace(-3.0, 3.0, 20), side)
-    assert closes_loop(slam.belief, slam.walls, 0, 1, slam.settings, 1, None)
+    assert closes_loop(slam.belief.arrays, slam.walls, 0, 1, slam.settings, 1, None)

@@ -255,7 +255,7 @@ def test_a_correction_keeps_what_is_reported_of_the_turns() -> None:
 def test_turned_beams_lower_no_gate_of_the_noise(departure: dict[str, Any], is_taken: bool) -> None:
     """Evidence of 8 to 20 is enough for a further change of the noise, and too little for its first change."""
     stated, config = RangeSensor(NOISE), RangeErrorConfig()
-    sensor, errors = AssumedSensor(stated, 1.5, config), RangeErrors(3, config.stds(6))
+    sensor, errors = AssumedSensor(stated, 1.5, config), RangeErrors(config.stds(6))
     sensor.assume(stated._replace(**departure))
     generator = np.random.default_rng(0)
     while not 9.0 < sensor._noise.estimate.evidence < 19.0:
@@ -267,7 +267,7 @@ def test_turned_beams_lower_no_gate_of_the_noise(departure: dict[str, Any], is_t
 def test_less_noise_than_specified_makes_no_turned_beams(std: float, is_turned: bool) -> None:
     """Walls that are not straight and clocks that are late look like turned beams, and not like noise."""
     stated, config = RangeSensor(NOISE), RangeErrorConfig()
-    sensor, errors = AssumedSensor(stated, 1.5, config), RangeErrors(3, config.stds(6))
+    sensor, errors = AssumedSensor(stated, 1.5, config), RangeErrors(config.stds(6))
     sensor.assume(stated._replace(std=std))
     errors._information[TURNS, TURNS], errors._score[TURNS] = 4000.0 * np.eye(6), 4000.0 * 0.05
     assert (sensor._turned(errors) is not None) == is_turned
@@ -276,7 +276,7 @@ def test_less_noise_than_specified_makes_no_turned_beams(std: float, is_turned: 
 @pytest.mark.parametrize(("bias", "is_corrected"), [(-0.05, True), (0.0, False)])
 def test_beside_an_opening_angle_only_a_known_bias_is_corrected(bias: float, is_corrected: bool) -> None:
     stated, config = RangeSensor(NOISE), RangeErrorConfig()
-    sensor, errors = AssumedSensor(stated, 1.5, config), RangeErrors(3, config.stds(6))
+    sensor, errors = AssumedSensor(stated, 1.5, config), RangeErrors(config.stds(6))
     sensor.assume(stated._replace(cone=0.01, bias=bias))
     sensor._is_counted = True
     errors._information[0, 0], errors._score[0] = 1e6, 1e6 * 0.04
@@ -289,8 +289,10 @@ def test_what_is_unknown_of_turned_beams_is_in_the_covariance() -> None:
     slam, turns = with_turned_beams(100)
     ekf = slam._estimator._filter
     errors, by_filter, before = ekf.range_errors, ekf.P[:3, :3].copy(), slam.covariance
-    by_turns = errors.by_errors[:3, TURNS]
-    np.testing.assert_allclose(before - by_filter, by_turns @ errors.estimate[1][TURNS, TURNS] @ by_turns.T)
+    by_turns = ekf.by_errors[:3, -errors.count :][:, TURNS]
+    np.testing.assert_allclose(
+        before - by_filter, by_turns @ errors.estimate_of(slice(None))[1][TURNS, TURNS] @ by_turns.T
+    )
     assert np.linalg.eigvalsh(before - by_filter)[-1] > 1e-8
     # A correction begins to estimate anew, and keeps what is unknown.
     slam.assume(slam.range_sensor._replace(turns=(turns[0] + 0.001, *turns[1:])))

@@ -292,7 +292,7 @@ def test_the_walls_of_two_landmarks_made_one_lie_end_to_end(turned: bool) -> Non
         belief.add_line(theta + (math.pi if turned and index else 0.0), unit + place * tangent)
         walls.add_known(at(line, own))
     assert len(walls.segments) == 2
-    merge_landmarks(belief, walls.arrays, 0, 1, 1, None)
+    merge_landmarks(belief.arrays, walls.arrays, 0, 1, 1, None)
     (segment,) = walls.segments
     np.testing.assert_allclose(np.sort(segment.reshape(2, 2) @ tangent), [-0.99, 1.46], atol=1e-6)
     (only,) = walls.walls
