@@ -42,9 +42,9 @@ from limslam_agent.slam.batch.compiled_steps import (
     size_of,
     slip,
     slip_covariance,
+    wheel_motion,
 )
 from limslam_agent.slam.batch.grid import CropArray, crop, update
-from limslam_agent.slam.batch.motion import motion_from_wheels
 from limslam_agent.slam.batch.state import (
     PERIOD,
     REFUSED,
@@ -310,7 +310,7 @@ def accept(
         ekf.counts[REFUSED] += not is_number
         measured[beam] = is_number and ekf.counts[STEP] % int(beams[beam, PERIOD]) == 0
         hits[beam] = measured[beam] and beams[beam, TOO_NEAR] < ranges[beam] < beams[beam, TOO_FAR]
-    increment, covariance = motion_from_wheels(wheels, settings)
+    increment, covariance = wheel_motion(wheels, settings.axle, settings.wheel_variance)
     angles, too_near, radius = beams[:, ANGLE], beams[:, TOO_NEAR], settings.radius
     variance, angle, _ = slip(state.contact, ranges, measured, increment[0], angles, too_near, radius, settings.std)
     if variance:

@@ -9,7 +9,7 @@ from limslam_agent.kernels.extents import clear_along_beams
 from limslam_agent.slam.batch import hough
 from limslam_agent.slam.batch.compilation import algebra
 from limslam_agent.slam.consistent import association, clone_filter, pending_readings, separate_bias
-from limslam_agent.slam.core import contact
+from limslam_agent.slam.core import contact, motion
 from limslam_agent.slam.core.hough import line_parts
 
 
@@ -36,7 +36,7 @@ def compiled_step(function: Any) -> Any:
     names = dict(function.__globals__)
     for name in function.__code__.co_names:
         used = names.get(name)
-        if hasattr(used, "py_func") or (isinstance(used, FunctionType) and used.__module__.startswith("limslam_agent")):
+        if hasattr(used, "py_func") or (isinstance(used, FunctionType) and used.__module__.startswith("limslam_")):
             names[name] = compiled_step(used)
     return algebra(FunctionType(function.__code__, names, function.__name__))
 
@@ -48,3 +48,4 @@ slip, slip_covariance = compiled_step(contact.slip), compiled_step(contact.slip_
 new_memory = compiled_step(contact.new_memory)
 clone, size_of = compiled_step(clone_filter.clone), compiled_step(clone_filter.size_of)
 move, clear = compiled_step(move_pose), compiled_step(clear_along_beams)
+wheel_motion = compiled_step(motion.wheel_motion)

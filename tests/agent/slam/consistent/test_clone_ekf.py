@@ -17,7 +17,7 @@ from limslam_agent.kernels.tables import LINES_FROM
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.clone_filter import begins_of, difference, merge
 from limslam_agent.slam.consistent.pending_readings import places_of
-from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import direction, nearest_form, normal, normalise
 from limslam_env.geometry.se2 import compose, compose_jacobians
 from limslam_env.interface import RobotSpec
@@ -439,10 +439,6 @@ def apart(state: FloatArray, ekf: CloneEKF, older: int, younger: int, turned: bo
     angle = theta - phi
     angle -= 2.0 * math.pi * np.round((np.real(angle) + (math.pi if turned else 0.0)) / (2.0 * math.pi))
     return np.array([-moved - e, angle + math.pi]) if turned else np.array([moved - e, angle])
-
-
-def pair_of(older: int, younger: int) -> IntArray:
-    return np.array([3 + 2 * older, 4 + 2 * older, 3 + 2 * younger, 4 + 2 * younger])
 
 
 @pytest.mark.parametrize("theta", [0.3, 3.1])

@@ -14,7 +14,7 @@ from support.readings import Readings, expected_ranges, expected_rows
 
 from limslam_agent.config.consistent import ConsistentConfig, RangeErrorConfig
 from limslam_agent.config.presets import AgentConfig, preset
-from limslam_agent.mapper import MOST_RESTARTS, Mapper
+from limslam_agent.mapper import Mapper
 from limslam_agent.output.summary import record_summary, turn_records
 from limslam_agent.slam.consistent.assumed_sensor import AssumedSensor
 from limslam_agent.slam.consistent.range_noise import RangeNoise
@@ -158,17 +158,6 @@ def test_ranges_without_any_noise_are_refused_in_one_line() -> None:
         replace(config_of(), min_range_std=0.0)
 
 
-def test_what_is_known_of_the_sensor_holds_for_a_copy_of_an_earlier_moment() -> None:
-    observations, _ = observed(CONE, 0)
-    mapper, _, _ = mapped(observations, config_of())
-    found, copy = mapper.slam.sensor, mapper.slam.copied()
-    assert found is not None
-    copy.assume(found._replace(cone=0.5 * found.cone))
-    assert copy.sensor == found._replace(cone=0.5 * found.cone)
-    assert mapper.slam.sensor == found
-    assert np.isfinite(copy.pose).all()
-
-
 def test_an_unknown_opening_angle_is_found_and_corrects_the_drive() -> None:
     observations, true = observed(CONE, 0)
     mapper, poses, _ = mapped(observations, config_of())
@@ -177,13 +166,6 @@ def test_an_unknown_opening_angle_is_found_and_corrects_the_drive() -> None:
     assert len(poses) == len(true)
     _, without, _ = mapped(observations, config_of(enabled=False))
     assert position_error(poses, true) < position_error(without, true)
-
-
-def test_larger_noise_than_specified_is_found() -> None:
-    sensor = mapped(observed(0.0, 1, noise=0.045)[0], config_of())[0].slam.sensor
-    assert sensor is not None
-    assert sensor.stds(np.array([0.5]))[0] == pytest.approx(0.045, rel=0.25)
-    assert sensor.cone == 0.0
 
 
 def test_a_bias_is_no_opening_angle() -> None:
@@ -204,31 +186,6 @@ def test_turned_beams_are_found_and_named() -> None:
     assert re.search(r"^turned .*the beam at 45 deg by [345]\.\d \+- 0\.\d deg to the right, ", line)
     assert "turned" not in "".join(record_summary({**result, "metrics": {"status": "lost"}}))
     assert mapper.slam.mounted.beam_angles == pytest.approx(ROBOT.beam_angles + found[:, 0], abs=math.radians(1.0))
-
-
-def test_later_turns_correct_the_state_and_reach_monitors_and_grid() -> None:
-    observations, _ = observed(0.0, 0)
-    mapper, _, _ = mapped(observations[:200], config_of())
-    monitor, drawer, before = mapper._present.monitors[0], mapper._present.drawers[0], mapper.slam.pose
-    mapper.slam.assume(RangeSensor(NOISE, turns=(0.05, 0.0, 0.0, 0.0, 0.0, 0.0)))
-    assert np.abs(mapper.slam.pose - before).max() > 0.0
-    mapper._present.process((observations[200],), 0)
-    assert mapper._present.monitors[0] is not monitor
-    assert mapper._present.drawers[0] is not drawer
-
-
-def test_further_turns_reach_all_parts_of_the_mapper_and_keep_its_doubts() -> None:
-    observations, _ = observed(0.0, 0)
-    mapper, _, _ = mapped(observations[:200], config_of())
-    mapper._restarts = MOST_RESTARTS
-    further = 0.0, 0.0, 0.05, 0.0, 0.0, 0.0
-    for step, turns in enumerate(((0.05, *further[1:]), further), start=200):
-        mapper.slam.assume(RangeSensor(NOISE, turns=turns))
-        monitor = mapper._present.monitors[0]
-        mapper.step(observations[step])
-    assert mapper._present.monitors[0] is monitor
-    assert mapper.slam.mounted.beam_angles == pytest.approx(ROBOT.beam_angles + further)
-    assert monitor.sensor == mapper.slam.range_sensor
 
 
 def with_turned_beams(steps: int) -> tuple[LineSlam, tuple[float, ...]]:
@@ -298,12 +255,6 @@ def test_what_is_unknown_of_turned_beams_is_in_the_covariance() -> None:
     slam.assume(slam.range_sensor._replace(turns=(turns[0] + 0.001, *turns[1:])))
     np.testing.assert_allclose(ekf.P[:3, :3], before, rtol=0.01, atol=1e-9)
     np.testing.assert_allclose(slam.covariance, ekf.P[:3, :3])
-
-
-def test_each_beam_keeps_its_side_when_it_is_turned() -> None:
-    turned = RangeSensor(NOISE, turns=(0.0, 0.0, math.radians(10.0), 0.0, 0.0, 0.0)).mounted(ROBOT)
-    assert turned.beams[2] == replace(ROBOT.beams[2], angle=ROBOT.beams[2].angle + math.radians(10.0))
-    assert RangeSensor(NOISE).mounted(ROBOT) is ROBOT
 
 
 def test_a_stated_opening_angle_keeps_the_filter_consistent() -> None:
