@@ -10,7 +10,7 @@ import math
 import numpy as np
 
 from limslam_agent.kernels.algebra import wrapped
-from limslam_agent.kernels.compilation import algebra, entry, lean_entry
+from limslam_agent.kernels.compilation import algebra, compiled, entry, lean_entry
 from limslam_agent.kernels.measurement import fill_transport
 from limslam_agent.kernels.tables import POSE
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -19,15 +19,24 @@ _TOGETHER = 8
 """Rows of P that are copied at once: the numbers of one line of a processor's cache."""
 
 
+@compiled
+def mirror_pose(P: FloatArray, size: int, at: int) -> None:
+    """Set the columns of P of the pose that begins at the index ``at`` to its rows."""
+    for j in range(size):
+        for i in range(POSE):
+            P[j, at + i] = P[at + i, j]
+
+
 @lean_entry
 def move_pose(
     x: FloatArray, P: FloatArray, size: int, at: int, increment: FloatArray, covariance: FloatArray,
-    by_pose: FloatArray, by_increment: FloatArray,
+    by_pose: FloatArray, by_increment: FloatArray, is_whole: bool,
 ) -> None:  # fmt: skip
     """Move a pose, which begins in the state at the index ``at``, by an increment (3,) in its frame, m, m, rad.
 
     The increment's covariance (3, 3) is added. ``by_pose`` and ``by_increment`` (3, 3), which hold zeros, are set to
-    the derivatives of the new pose.
+    the derivatives of the new pose. If not ``is_whole``, only the pose's rows of P are changed. Its columns, whose
+    numbers lie far apart in memory, have to be set by :func:`mirror_pose` before they are read.
     """
     cos, sin = math.cos(x[at + 2]), math.sin(x[at + 2])
     ahead, left = cos * increment[0] - sin * increment[1], sin * increment[0] + cos * increment[1]
@@ -48,32 +57,38 @@ def move_pose(
             for k in range(POSE):
                 for m in range(POSE):
                     P[at + i, at + j] += by_increment[i, k] * covariance[k, m] * by_increment[j, m]
-    for j in range(size):
-        for i in range(POSE):
-            P[j, at + i] = P[at + i, j]
+    if is_whole:
+        mirror_pose(P, size, at)
 
 
 @lean_entry
 def keep_states(x: FloatArray, P: FloatArray, by_errors: FloatArray, is_kept: BoolArray, kept: IntArray) -> None:
     """Marginalise all states (n,) but those to keep, in place. The derivatives by constant errors have n rows.
 
-    ``kept`` (n,) is scratch.
+    ``kept`` (2, n) is scratch: where each state was, and where the stretch of states ends that move together.
     """
     size, first = 0, len(is_kept)
     for place in range(len(is_kept)):
         if is_kept[place]:
-            kept[size] = place
+            kept[0, size] = place
             size += 1
         else:
             first = min(first, place)
+    for new in range(size - 1, -1, -1):
+        is_last = new + 1 == size or kept[0, new + 1] > kept[0, new] + 1
+        kept[1, new] = new + 1 if is_last else kept[1, new + 1]
     for new in range(size):
-        old = kept[new]
+        old = kept[0, new]
         if old != new:
             x[new] = x[old]
             for j in range(by_errors.shape[1]):
                 by_errors[new, j] = by_errors[old, j]
-        for j in range(first if new < first else 0, size):
-            P[new, j] = P[old, kept[j]]
+        begin = first if new < first else 0
+        while begin < size:
+            end, shift = kept[1, begin], kept[0, begin] - begin
+            for j in range(begin, end):
+                P[new, j] = P[old, j + shift]
+            begin = end
 
 
 @algebra
@@ -141,14 +156,21 @@ def transport_rows(
 def add_products(P: FloatArray, left: FloatArray, right: FloatArray) -> None:
     """P += left^T right, both (rank, size), which is symmetric; ``rank`` is a multiple of four."""
     rank, size = left.shape
-    for i in range(size):
-        row = P[i]
-        for k in range(0, rank, 4):
-            a, b, c, d = left[k, i], left[k + 1, i], left[k + 2, i], left[k + 3, i]
-            for j in range(i + 1):
-                row[j] += a * right[k, j] + b * right[k + 1, j] + c * right[k + 2, j] + d * right[k + 3, j]
-    for first in range(0, size, _TOGETHER):
+    if size % 2:
+        for k in range(rank):
+            P[0, 0] += left[k, 0] * right[k, 0]
+    for first in range(size % 2, size, _TOGETHER):
         last = min(first + _TOGETHER, size)
+        # Two rows at once, so that what is loaded of ``right`` is used twice.
+        for i in range(first, last, 2):
+            row, other = P[i], P[i + 1]
+            for k in range(0, rank, 4):
+                a, b, c, d = left[k, i], left[k + 1, i], left[k + 2, i], left[k + 3, i]
+                e, f, g, h = left[k, i + 1], left[k + 1, i + 1], left[k + 2, i + 1], left[k + 3, i + 1]
+                for j in range(i + 2):
+                    one, two, three, four = right[k, j], right[k + 1, j], right[k + 2, j], right[k + 3, j]
+                    row[j] += a * one + b * two + c * three + d * four
+                    other[j] += e * one + f * two + g * three + h * four
         for j in range(last):
             for i in range(max(first, j + 1), last):
                 P[j, i] = P[i, j]

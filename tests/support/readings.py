@@ -86,7 +86,7 @@ def hit_points(poses: FloatArray, readings: Readings) -> FloatArray:
 
 def columns_of(ekf: CloneEKF, clones: IntArray) -> IntArray:
     """Indices (n, 3) of clones in the state."""
-    first = clone_filter.clones_from(ekf.arrays)
+    first = clone_filter.clones_from(ekf.arrays.counts)
     return np.asarray(first + 3 * places_of(ekf.arrays, clones)[:, None] + np.arange(3))
 
 

@@ -68,18 +68,18 @@ class CloneEKF:
     @property
     def x(self) -> FloatArray:
         """The state (n,), a view."""
-        return self.arrays.x[: size_of(self.arrays)]
+        return self.arrays.x[: size_of(self.arrays.counts)]
 
     @property
     def P(self) -> FloatArray:  # noqa: N802 (the literature's letter)
         """Its covariance (n, n), a view."""
-        size = size_of(self.arrays)
+        size = size_of(self.arrays.counts)
         return self.arrays.P[:size, :size]
 
     @property
     def by_errors(self) -> FloatArray:
         """Derivative (n, k) of the state by the constant errors that it takes to be zero, a view."""
-        return self.arrays.by_errors[: size_of(self.arrays)]
+        return self.arrays.by_errors[: size_of(self.arrays.counts)]
 
     @property
     def num_lines(self) -> int:
@@ -115,7 +115,7 @@ class CloneEKF:
     @property
     def anchored(self) -> FloatArray:
         """The lines (N, 2) as (d, theta) about their anchors, a copy."""
-        return np.array(self.x[self._lines_from : clones_from(self.arrays)].reshape(-1, 2))
+        return np.array(self.x[self._lines_from : clones_from(self.arrays.counts)].reshape(-1, 2))
 
     @property
     def anchors(self) -> FloatArray:
@@ -195,9 +195,9 @@ class CloneEKF:
         by_calibration
             Derivative (3, 3) of the increment by the odometry's calibration, where that is estimated.
         """
-        arrays, at, size = self.arrays, POSE * robot, size_of(self.arrays)
+        arrays, at, size = self.arrays, POSE * robot, size_of(self.arrays.counts)
         by_pose, by_increment, moved = np.zeros((POSE, POSE)), np.zeros((POSE, POSE)), slice(at, at + POSE)
-        move_pose(arrays.x, arrays.P, size, at, increment, covariance, by_pose, by_increment)
+        move_pose(arrays.x, arrays.P, size, at, increment, covariance, by_pose, by_increment, True)  # noqa: FBT003
         if arrays.by_errors.shape[1]:
             arrays.by_errors[moved] = by_pose @ arrays.by_errors[moved]
         if by_calibration is None:
@@ -235,7 +235,7 @@ class CloneEKF:
 
     def make_room(self, lines: int = 0, clones: int = 0) -> None:
         """Make room in the arrays for so many further lines and clones."""
-        arrays, size, count = self.arrays, size_of(self.arrays), self.num_clones
+        arrays, size, count = self.arrays, size_of(self.arrays.counts), self.num_clones
         lines, clones = self.num_lines + lines, count + clones
         wanted = self._lines_from + 2 * lines + POSE * clones
         if wanted > len(arrays.x) or lines > len(arrays.anchors) or clones > len(arrays.clones):
@@ -280,7 +280,7 @@ class CloneEKF:
 
     def marginal(self) -> FloatArray:
         """Joint covariance of the poses and all lines, without the calibration of the odometry and without clones."""
-        kept = np.r_[: self._poses_end, self._lines_from : clones_from(self.arrays)]
+        kept = np.r_[: self._poses_end, self._lines_from : clones_from(self.arrays.counts)]
         return np.array(self.P[np.ix_(kept, kept)])
 
     def restart(self, poses: FloatArray, lines: FloatArray, anchors: FloatArray, covariance: FloatArray) -> None:
@@ -326,7 +326,7 @@ class CloneEKF:
         return int(self.arrays.counts[LINES_FROM])
 
     def _part(self, index: int) -> slice:
-        first = line_at(self.arrays, index)
+        first = line_at(self.arrays.counts, index)
         return slice(first, first + 2)
 
     def _calibration_part(self, robot: int) -> slice:
@@ -359,7 +359,7 @@ class CloneEKF:
         """Add a correction (n,) to the state, and transport the error of P to the new state."""
         arrays, size = self.arrays, len(change)
         moved = correct_state(
-            arrays.x, arrays.P, size, begins_of(arrays), arrays.anchors, self.num_lines, np.zeros((size, POSE)),
+            arrays.x, arrays.P, size, begins_of(arrays.counts), arrays.anchors, self.num_lines, np.zeros((size, POSE)),
             np.zeros((0, size)), change,
         )  # fmt: skip
         self.by_errors[:] += moved @ self.by_errors[:POSE]

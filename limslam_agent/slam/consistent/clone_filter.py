@@ -30,29 +30,32 @@ def num_lines(ekf: Filter) -> int:
     return int(ekf.counts[LINES])
 
 
-def line_at(ekf: Filter, index: int) -> int:
+# What is called all the time takes the counts only: compiled code counts references to each array that it hands on.
+
+
+def line_at(counts: IntArray, index: int) -> int:
     """Index in the state at which a line begins."""
-    return int(ekf.counts[LINES_FROM] + 2 * index)
+    return int(counts[LINES_FROM] + 2 * index)
 
 
-def clones_from(ekf: Filter) -> int:
+def clones_from(counts: IntArray) -> int:
     """Index in the state at which the clones begin."""
-    return line_at(ekf, ekf.counts[LINES])
+    return int(counts[LINES_FROM] + 2 * counts[LINES])
 
 
-def size_of(ekf: Filter) -> int:
+def size_of(counts: IntArray) -> int:
     """Length of the state."""
-    return int(clones_from(ekf) + POSE * ekf.counts[CLONES])
+    return int(counts[LINES_FROM] + 2 * counts[LINES] + POSE * counts[CLONES])
 
 
-def begins_of(ekf: Filter) -> tuple[int, int, int]:
+def begins_of(counts: IntArray) -> tuple[int, int, int]:
     """Where the poses end in the state, and where lines and clones begin."""
-    return int(ekf.counts[POSES_END]), int(ekf.counts[LINES_FROM]), clones_from(ekf)
+    return int(counts[POSES_END]), int(counts[LINES_FROM]), clones_from(counts)
 
 
 def line_of(ekf: Filter, index: int) -> tuple[float, float]:
     """A line as (d, theta) about its anchor, m and rad."""
-    at = line_at(ekf, index)
+    at = line_at(ekf.counts, index)
     return float(ekf.x[at]), float(ekf.x[at + 1])
 
 
@@ -63,8 +66,8 @@ def anchor_of(ekf: Filter, index: int) -> tuple[float, float]:
 
 def lines_near(ekf: Filter, theta: float, x: float, y: float, angle: float, offset: float) -> IntArray:
     """Lines (k,) with a direction within ``angle``, rad, that pass a point, m, at less than ``offset``, m."""
-    d, own = ekf.x[ekf.counts[LINES_FROM] : clones_from(ekf) : 2], ekf.x[line_at(ekf, 0) + 1 : clones_from(ekf) : 2]
-    anchors = ekf.anchors[: ekf.counts[LINES]]
+    first, end, anchors = line_at(ekf.counts, 0), clones_from(ekf.counts), ekf.anchors[: ekf.counts[LINES]]
+    d, own = ekf.x[first:end:2], ekf.x[first + 1 : end : 2]
     turn = np.abs((own - theta + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
     off = np.abs((x - anchors[:, 0]) * np.cos(own) + (y - anchors[:, 1]) * np.sin(own) - d)
     return np.flatnonzero((turn < angle) & (off < offset))
@@ -72,7 +75,7 @@ def lines_near(ekf: Filter, theta: float, x: float, y: float, angle: float, offs
 
 def end_points(ekf: Filter, places: IntArray, readings: FloatArray, theta: float) -> FloatArray:
     """End points (n, 2), m, of readings on a wall with its normal at ``theta``, rad; on the middle of beams if NaN."""
-    return ends_of_beams(ekf.x, clones_from(ekf), places, readings, theta)
+    return ends_of_beams(ekf.x, clones_from(ekf.counts), places, readings, theta)
 
 
 def straight_segments(
@@ -80,7 +83,7 @@ def straight_segments(
     std: float, variances: FloatArray,
 ) -> tuple[FloatArray, IntArray, FloatArray]:  # fmt: skip
     """Cut readings near one line into straight segments: ``kernels.segments.cut_at_bends``."""
-    start = clones_from(ekf)
+    start = clones_from(ekf.counts)
     return cut_at_bends(ekf.x, ekf.P, start, places, readings, points, members, line, std, variances)
 
 
@@ -88,23 +91,24 @@ def compare(
     ekf: Filter, places: IntArray, readings: FloatArray, index: int, variances: FloatArray
 ) -> tuple[float, float, int, float, float]:
     """How badly readings fit a line: ``kernels.updates.compare_readings``."""
-    line, anchor = line_at(ekf, index), anchor_of(ekf, index)
-    return compare_readings(ekf.x, ekf.P, clones_from(ekf), places, readings, line, anchor, variances)
+    line, anchor = line_at(ekf.counts, index), anchor_of(ekf, index)
+    return compare_readings(ekf.x, ekf.P, clones_from(ekf.counts), places, readings, line, anchor, variances)
 
 
 def side_of(ekf: Filter, places: IntArray, readings: FloatArray, index: int) -> int:
     """From which side readings hit a line: ``POSITIVE`` or ``NEGATIVE``."""
-    headings = ekf.x[clones_from(ekf) + POSE * places + 2] + readings[:, 2]
+    headings = ekf.x[clones_from(ekf.counts) + POSE * places + 2] + readings[:, 2]
     return POSITIVE if np.cos(headings - line_of(ekf, index)[1]).sum() < 0.0 else NEGATIVE
 
 
 def clone(ekf: Filter, robot: int) -> int:
     """Add a copy of a robot's pose to the state, which must have room for it, and return the copy's number."""
-    at, old, number = POSE * robot, size_of(ekf), ekf.counts[NEXT_CLONE]
+    at, old, number = POSE * robot, size_of(ekf.counts), ekf.counts[NEXT_CLONE]
     new = old + POSE
     ekf.x[old:new], ekf.by_errors[old:new] = ekf.x[at : at + POSE], ekf.by_errors[at : at + POSE]
     ekf.P[old:new, :old] = ekf.P[at : at + POSE, :old]
-    ekf.P[:new, old:new] = ekf.P[:new, at : at + POSE]
+    ekf.P[:old, old:new] = ekf.P[at : at + POSE, :old].T
+    ekf.P[old:new, old:new] = ekf.P[at : at + POSE, at : at + POSE]
     ekf.clones[ekf.counts[CLONES]] = number
     ekf.counts[CLONES] += 1
     ekf.counts[NEXT_CLONE] += 1
@@ -113,7 +117,7 @@ def clone(ekf: Filter, robot: int) -> int:
 
 def keep(ekf: Filter, is_kept: BoolArray) -> None:
     """Marginalise all of the state (n,) but those to keep. The caller updates the counts."""
-    keep_states(ekf.x, ekf.P, ekf.by_errors, is_kept, np.empty(len(is_kept), dtype=np.int64))
+    keep_states(ekf.x, ekf.P, ekf.by_errors, is_kept, np.empty((2, len(is_kept)), dtype=np.int64))
 
 
 def keep_clones(ekf: Filter, wanted: FloatArray) -> None:
@@ -122,8 +126,8 @@ def keep_clones(ekf: Filter, wanted: FloatArray) -> None:
     is_wanted[np.searchsorted(clones, wanted.astype(np.int64))] = True
     if is_wanted.all():
         return
-    is_kept = np.ones(size_of(ekf), dtype=np.bool_)
-    is_kept[clones_from(ekf) :] = np.repeat(is_wanted, POSE)
+    is_kept = np.ones(size_of(ekf.counts), dtype=np.bool_)
+    is_kept[clones_from(ekf.counts) :] = np.repeat(is_wanted, POSE)
     keep(ekf, is_kept)
     left = clones[is_wanted]
     ekf.clones[: len(left)], ekf.counts[CLONES] = left, len(left)
@@ -134,7 +138,7 @@ def add_line(ekf: Filter, theta: float, x: float, y: float) -> int:
 
     It goes through its anchor (x, y), m, with its normal at ``theta``, rad.
     """
-    at, old, index = clones_from(ekf), size_of(ekf), num_lines(ekf)
+    at, old, index = clones_from(ekf.counts), size_of(ekf.counts), num_lines(ekf)
     after, new = at + 2, old + 2
     ekf.x[after:new], ekf.by_errors[after:new] = ekf.x[at:old].copy(), ekf.by_errors[at:old].copy()
     ekf.P[after:new, :old] = ekf.P[at:old, :old].copy()
@@ -165,11 +169,12 @@ def observe(
         Residuals larger than so many standard deviations are down-weighted (P. Huber, "Robust estimation of a
         location parameter", 1964); 0 for no weights.
     """
+    counts = ekf.counts
     found = update_by_readings(
-        ekf.x, ekf.P, size_of(ekf), begins_of(ekf), ekf.anchors, num_lines(ekf), index, places, readings, variances,
-        iterations, huber,
+        ekf.x, ekf.P, size_of(counts), begins_of(counts), ekf.anchors, counts[LINES], index, places, readings,
+        variances, iterations, huber,
     )  # fmt: skip
-    note_readings(ekf, found, places, readings, line_of(ekf, index)[1], clones_from(ekf))
+    note_readings(ekf, found, places, readings, line_of(ekf, index)[1], clones_from(ekf.counts))
 
 
 def equality(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatArray, IntArray]:
@@ -189,7 +194,7 @@ def equality(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatAr
     for k in range(POSE):
         columns[k] = k
     for k in range(2):
-        columns[POSE + k], columns[POSE + 2 + k] = line_at(ekf, older) + k, line_at(ekf, younger) + k
+        columns[POSE + k], columns[POSE + 2 + k] = line_at(ekf.counts, older) + k, line_at(ekf.counts, younger) + k
     by_pose, variance = by_carried_anchor(x - ekf.x[0], y - ekf.x[1], theta, other, sign), 0.0
     for i in range(POSE):
         for j in range(POSE):
@@ -215,7 +220,7 @@ def merge(ekf: Filter, older: int, younger: int, iterations: int) -> None:
     With more than one iteration, the constraint is linearised where the lines are equal. A common rotation of all
     lines and poses then changes nothing in it, so that many merges say nothing about the global heading.
     """
-    size, begins, count = size_of(ekf), begins_of(ekf), num_lines(ekf)
+    size, begins, count = size_of(ekf.counts), begins_of(ekf.counts), num_lines(ekf)
     start, change = ekf.x[:size].copy(), np.zeros(size)
     at_first = error_transport(ekf.x, size, begins, ekf.anchors, count)
     pose = ekf.P[:POSE, :size].copy()
@@ -242,7 +247,7 @@ def merge(ekf: Filter, older: int, younger: int, iterations: int) -> None:
     again = correct_state(ekf.x, ekf.P, size, begins, ekf.anchors, count, moved, W, change)
     note_update(ekf, H, columns, innovation, factor, W, moved, again, None)
     is_kept = np.ones(size, dtype=np.bool_)
-    is_kept[line_at(ekf, younger) : line_at(ekf, younger) + 2] = False
+    is_kept[line_at(ekf.counts, younger) : line_at(ekf.counts, younger) + 2] = False
     keep(ekf, is_kept)
     ekf.anchors[younger : count - 1] = ekf.anchors[younger + 1 : count].copy()
     ekf.counts[LINES] -= 1

@@ -68,7 +68,7 @@ def all_readings(estimator: ConsistentEstimator) -> list[Readings]:
 def involved(ekf: CloneEKF, readings: Readings, index: int) -> tuple[Expected, FloatArray, IntArray]:
     """Predicted ranges, H and its columns in the state."""
     own, places = np.unique(readings.clones, return_inverse=True)
-    line = line_at(ekf.arrays, index)
+    line = line_at(ekf.arrays.counts, index)
     columns = np.append(columns_of(ekf, own).ravel(), [line, line + 1])
     poses = ekf.x[columns[:-2]].reshape(-1, POSE)[places]
     expected = expected_ranges(poses, readings, ekf.x[columns[-2:]], ekf.anchors[index])
@@ -86,7 +86,7 @@ def clear(ekf: CloneEKF, readings: Readings, index: int) -> Readings:
 
 def transport_of(ekf: CloneEKF) -> FloatArray:
     arrays = ekf.arrays
-    return error_transport(arrays.x, len(ekf.x), begins_of(arrays), arrays.anchors, ekf.num_lines)
+    return error_transport(arrays.x, len(ekf.x), begins_of(arrays.counts), arrays.anchors, ekf.num_lines)
 
 
 def transported(covariance: FloatArray, moved: FloatArray) -> FloatArray:
@@ -196,7 +196,7 @@ def test_fits(recorded: ConsistentEstimator, shape: str, seed: int) -> None:
     basis = np.linalg.qr(by_line)[0]
     left = beside(basis, off)
     start, segment, along_found, are_loose = (
-        clones_from(ekf.arrays),
+        clones_from(ekf.arrays.counts),
         np.empty(8),
         np.empty(40),
         np.zeros(40, dtype=bool),

@@ -497,7 +497,9 @@ def test_an_iterated_merge_teaches_nothing_of_how_the_whole_world_lies_and_is_tu
 def test_a_robot_that_is_metres_unsure_learns_nothing_of_its_place_by_merging_two_lines(turned: bool) -> None:
     ekf = seen_twice(0.3, turned, 2)
     _, relative = difference(ekf.arrays, 0, 2)
-    by_world = error_transport(ekf.arrays.x, len(ekf.x), begins_of(ekf.arrays), ekf.arrays.anchors, ekf.num_lines)
+    by_world = error_transport(
+        ekf.arrays.x, len(ekf.x), begins_of(ekf.arrays.counts), ekf.arrays.anchors, ekf.num_lines
+    )
     ekf.P[:] += by_world @ np.diag([2.0**2, 2.0**2, 0.1**2]) @ by_world.T
     # The lines are 0.02 rad from parallel: 2 m along them would change their offset by 4 cm.
     np.testing.assert_allclose(difference(ekf.arrays, 0, 2)[1], relative, rtol=0.01, atol=1e-6)

@@ -58,7 +58,7 @@ class Corridor:
             clone = ekf.clone()
             if ekf.num_lines <= side:
                 line = ekf.add_line(float(WALLS[side, 1]), np.array([0.0, WALLS[side, 0]]))
-                part = slice(line_at(ekf.arrays, line), line_at(ekf.arrays, line) + 2)
+                part = slice(line_at(ekf.arrays.counts, line), line_at(ekf.arrays.counts, line) + 2)
                 ekf.P[part, part] = SMALL**2 * np.eye(2)
             sources = np.array([[0, beam] for beam in SIDES[side]])
             readings = Readings(
