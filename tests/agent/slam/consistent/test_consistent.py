@@ -85,17 +85,6 @@ def check_each_reading_is_used_once(records: Sequence[AssociationRecord]) -> Non
     assert len(np.unique(used, axis=0)) == len(used)
 
 
-@pytest.mark.parametrize("end", [0.8, 1.1])
-def test_the_last_readings_of_a_wall_are_used(end: float) -> None:
-    # No more than the votes of one line may be left over, never a whole stretch of the wall.
-    wall = np.array([[-1.0, -0.4, end, -0.4]])
-    observations, _ = drive(wall, np.zeros(3), straight(2.5))
-    _, records = slam_after(observations, CONFIG, np.zeros(3))
-    used = max(int(record.readings[:, 0].max()) for record in records)
-    seen = max(step for step, each in enumerate(observations) if each["ranges"][-1] < 1.0)
-    assert seen - used <= SETTINGS.hough.min_votes
-
-
 @pytest.mark.parametrize("place", STARTS)
 def test_a_straight_corridor_becomes_its_two_walls(place: tuple[float, float, float]) -> None:
     start = np.array(place)
@@ -378,25 +367,6 @@ def test_the_run_goes_on_with_faulty_beams(fault: str) -> None:
         assert len(slam.landmarks) == len(ROOM)
 
 
-def test_a_robot_that_stands_still_for_ever_costs_nothing_and_knows_no_wall() -> None:
-    reading = np.full(6, 0.6, dtype=np.float32)
-    still = Observation(ranges=reading, wheels=np.zeros(2, dtype=np.float32))
-    observations, poses = rounds()
-    aside = np.array([1.5, 0.1, 0.3])
-    slam, records = LineSlam(ROBOT, NOISY, np.array([[0.0, 0.0, 0.0], aside])), list[AssociationRecord]()
-    slam.on_association = records.append
-    for observation in observations:
-        # The other robot's place is on nobody's way in this test: it has eyes only.
-        slam.step(observation, still)
-    for _ in range(600):
-        slam.step(still, still)
-    check_covariance(slam)
-    assert not any(record.robot == 1 for record in records)
-    np.testing.assert_allclose(slam.poses[1], aside, atol=1e-3)
-    np.testing.assert_allclose(slam.poses[0][:2], poses[-1, :2], atol=0.1)
-    assert len(slam._estimator._belief.x) < 6 + 2 * 20 + 3 * 2 * SETTINGS.pending.max_clones
-
-
 @pytest.mark.parametrize(("robot", "milliseconds"), [(ring(360), 30.0), (four_beam_drone(), 10.0)])
 def test_other_robots_map_a_room_in_bounded_time(robot: RobotSpec, milliseconds: float) -> None:
     observations, poses = drive(ROOM, np.zeros(3), along(LOOP, robot=robot), robot, noise=0.02)
@@ -490,12 +460,3 @@ def test_landmarks_seen_from_opposite_sides_are_merged_if_they_are_a_board(
     boards, walls = kinds(slam)
     assert boards == pytest.approx(2.0 if is_one and opposite else 0.0)
     assert walls == pytest.approx(2.0 if opposite and std < 0.05 < behind else 0.0)
-
-
-def test_walls_of_an_earlier_map_say_nothing_about_boards() -> None:
-    slam = two_landmarks(0.15, 0.08, (POSITIVE, NEGATIVE))
-    before = kinds(slam)
-    wall = Landmark(9.0, 0.0, 1e-4 * np.eye(2), np.array([[9.0, -3.0], [9.0, 3.0]]), 1, segments=(0,))
-    slam.know([wall], np.array([[9.0, -3.0, 9.0, 3.0]]))
-    assert kinds(slam) == before
-    assert len(slam._map) == 3

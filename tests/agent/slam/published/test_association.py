@@ -133,23 +133,6 @@ def test_a_wall_seen_again_passes_all_four(scene: str, place: tuple[float, float
 
 
 @pytest.mark.parametrize("place", PLACES)
-def test_a_line_observed_in_its_other_form_is_the_same(place: tuple[float, float, float]) -> None:
-    pose = np.array(place)
-    turned = replace(WALL_AHEAD, line=np.array([-WALL_AHEAD.line[0], WALL_AHEAD.line[1] + math.pi]))
-    lines, segments = landmarks(pose, (0.0, 0.5, 0.6, 0.5), (0.05, 0.35, 0.55, 0.64))
-    assert matched(turned, pose, lines, segments) == [0]
-
-
-@pytest.mark.parametrize("place", PLACES)
-def test_two_walls_on_one_line_with_a_door_between_stay_apart(place: tuple[float, float, float]) -> None:
-    pose = np.array(place)
-    lines, segments = landmarks(pose, (-1.0, 0.5, -0.4, 0.5), (0.4, 0.5, 1.0, 0.5))
-    left, right = observed((-0.9, 0.5), (-0.4, 0.5)), observed((0.4, 0.5), (0.9, 0.5))
-    assert matched(left, pose, lines, segments) == [0]
-    assert matched(right, pose, lines, segments) == [1]
-
-
-@pytest.mark.parametrize("place", PLACES)
 def test_the_nearest_landmark_comes_first_and_the_gate_ends_the_list(place: tuple[float, float, float]) -> None:
     pose = np.array(place)
     walls = [(0.0, 0.5 + offset, 0.6, 0.5 + offset) for offset in (0.11, 0.02, -0.08, -0.3)]
@@ -180,34 +163,6 @@ def test_most_beams_must_see_the_landmark(place: tuple[float, float, float]) -> 
         scene = ObservedLine(np.array([0.5, 0.5 * math.pi]), np.eye(2), points[:2], np.zeros((10, 2)), points)
         assert visible(scene, pose, segments, 1.2, 0.0).tolist() == [expected]
         assert visible(scene, pose, segments, 0.9, 0.0).tolist() == [False]
-
-
-@pytest.mark.parametrize("place", PLACES)
-def test_a_landmark_is_seen_as_far_past_its_ends_as_the_slack(place: tuple[float, float, float]) -> None:
-    pose = np.array(place)
-    # Beams straight up at x = 0; the walls end before it or begin after it.
-    gaps = (-0.1, 0.2, 0.3)
-    _, segments = landmarks(
-        pose, *[(gap, 1.0, 1.0, 1.0) for gap in gaps], *[(-1.0, 1.0, -gap, 1.0) for gap in gaps]
-    )  # fmt: skip
-    points = np.tile([0.0, 0.5], (4, 1))
-    scene = ObservedLine(np.array([0.5, 0.5 * math.pi]), np.eye(2), points[:2], np.zeros((4, 2)), points)
-    for form in (segments, segments[:, [2, 3, 0, 1]]):
-        assert visible(scene, pose, form, 1.2, 0.25).tolist() == [True, True, False] * 2
-        assert visible(scene, pose, form, 1.2, 0.0).tolist() == [True, False, False] * 2
-        assert visible(scene, pose, form, 1.2, 0.35).tolist() == [True, True, True] * 2
-
-
-NEARER, FARTHER = (0.0, 0.5, 0.6, 0.5), (0.0, 0.7, 0.6, 0.7)
-
-
-@pytest.mark.parametrize("place", PLACES)
-def test_a_landmark_in_front_of_where_the_beams_ended_is_not_hidden(place: tuple[float, float, float]) -> None:
-    # The farther wall was observed; the nearer one is in the way, and its place may be wrong.
-    pose = np.array(place)
-    both = landmarks(pose, NEARER, FARTHER)
-    observation = observed((0.0, 0.7), (0.6, 0.7))
-    assert set(matched(observation, pose, *both)) == {0, 1}
 
 
 @pytest.mark.parametrize("degrees", range(-180, 181, 90))

@@ -79,31 +79,7 @@ def test_a_wall_that_has_ended_is_handed_on_after_the_gap_and_not_before() -> No
     assert len(buffer.scan) == 0
 
 
-def test_each_measurement_starts_the_gap_anew_also_when_no_point_is_taken() -> None:
-    # min_distance is so long that only the first point is taken; the beams see the wall at every other step.
-    buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25, min_distance=10.0, min_turn=10.0))
-    buffer.add(RANGES, ALL, only(0), 0)
-    for step in range(1, 40):
-        buffer.move(STRAIGHT)
-        assert buffer.add(RANGES, ALL, only(0) if step % 2 else NOTHING, step) == []
-    assert len(buffer.scan) == 1
-
-
 LONG_STEP = np.array([0.4, 0.0, 0.0])
-
-
-def test_a_long_step_to_a_miss_ends_the_wall_at_the_miss() -> None:
-    buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
-    buffer.add(RANGES, ALL, only(0), 0)
-    buffer.move(LONG_STEP)
-    (scan,) = buffer.add(RANGES, ALL, NOTHING, 1)
-    assert scan.readings.tolist() == [[0, 0]]
-    assert len(buffer.scan) == 0
-    # It is handed on once only.
-    buffer.move(LONG_STEP)
-    assert buffer.add(RANGES, ALL, NOTHING, 2) == []
-    assert buffer.add(RANGES, ALL, only(0), 3) == []
-    assert buffer.scan.readings.tolist() == [[3, 0]]
 
 
 @pytest.mark.parametrize("between", ["a long step", "steps without a measurement"])
@@ -123,17 +99,6 @@ def test_a_miss_before_the_distance_ends_the_wall_before_the_hit_that_comes_afte
     # Once, and the new hit is none of the old wall's points.
     assert [scan.readings.tolist() for scan in handed_on] == [[[0, 0]]]
     assert buffer.scan.readings.tolist() == [[2, 0]]
-
-
-def test_events_without_a_measurement_are_no_miss() -> None:
-    buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
-    buffer.add(RANGES, ALL, only(0), 0)
-    for step in range(1, 40):
-        buffer.move(STRAIGHT)
-        assert buffer.add(RANGES, NOTHING, NOTHING, step) == []
-    buffer.move(STRAIGHT)
-    assert buffer.add(RANGES, ALL, only(0), 40) == []
-    assert buffer.scan.readings[:, 0].tolist() == [0, 40]
 
 
 @pytest.mark.parametrize(("measuring", "ends"), [((2, 3, 4, 5), False), ((0,), True), ((1, 5), True)])
@@ -170,17 +135,6 @@ def test_creeping_adds_a_point_once_it_adds_up_to_the_least_distance() -> None:
         buffer.move(np.array([0.003, 0.0, 0.0]))
         buffer.add(RANGES, ALL, only(0), step)
     assert buffer.scan.readings[:, 0].tolist() == [0, 4, 8]
-
-
-def test_the_readings_name_the_step_and_the_beam_of_each_point() -> None:
-    buffer = ScanBuffer(ROBOT, "right", BufferConfig(size=100))
-    for step, beam in ((7, 4), (8, 5), (12, 4)):
-        buffer.move(STRAIGHT)
-        buffer.add(RANGES, ALL, only(beam), step)
-    scan = buffer.scan
-    assert scan.readings.tolist() == [[7, 4], [8, 5], [12, 4]]
-    lengths = np.linalg.norm(scan.points - scan.origins, axis=1)
-    np.testing.assert_allclose(lengths, RANGES[[4, 5, 4]], atol=1e-12)
 
 
 @pytest.mark.parametrize("side", ["left", "right"])
