@@ -62,6 +62,23 @@ def move_pose(
 
 
 @lean_entry
+def copy_pose(x: FloatArray, P: FloatArray, by_errors: FloatArray, size: int, at: int) -> None:
+    """Append a copy of the pose that begins at the index ``at`` to a state of a size; only the pose's rows are read."""
+    for k in range(POSE):
+        x[size + k] = x[at + k]
+        for j in range(by_errors.shape[1]):
+            by_errors[size + k, j] = by_errors[at + k, j]
+        for j in range(size):
+            P[size + k, j] = P[at + k, j]
+    for j in range(size):
+        for k in range(POSE):
+            P[j, size + k] = P[size + k, j]
+    for i in range(POSE):
+        for k in range(POSE):
+            P[size + i, size + k] = P[at + i, at + k]
+
+
+@lean_entry
 def keep_states(x: FloatArray, P: FloatArray, by_errors: FloatArray, is_kept: BoolArray, kept: IntArray) -> None:
     """Marginalise all states (n,) but those to keep, in place. The derivatives by constant errors have n rows.
 

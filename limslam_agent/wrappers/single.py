@@ -152,7 +152,7 @@ def crop(grid: GridView, pose: FloatArray, size: int) -> NDArray[np.uint8]:
     column = np.floor((ahead * cos - left * sin + x) / grid.cell).astype(int)
     is_known = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
     values = np.where(is_known, grid.values[row.clip(0, rows - 1), column.clip(0, columns - 1)], 0)
-    return np.array([OCCUPIED, UNKNOWN, FREE], dtype=np.uint8)[np.sign(values) + 1]
+    return np.asarray(np.array([OCCUPIED, UNKNOWN, FREE], dtype=np.uint8)[np.sign(values) + 1])
 
 
 def observed_pose(start: FloatArray, pose: FloatArray) -> NDArray[np.float32]:

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from limslam_agent.kernels.covariance import correct_state, keep_states
+from limslam_agent.kernels.covariance import copy_pose, correct_state, keep_states
 from limslam_agent.kernels.measurement import ends_of_beams, error_transport
 from limslam_agent.kernels.segments import cut_at_bends
 from limslam_agent.kernels.tables import CLONES, LINES, LINES_FROM, NEXT_CLONE, POSE, POSES_END, Filter
@@ -103,12 +103,8 @@ def side_of(ekf: Filter, places: IntArray, readings: FloatArray, index: int) -> 
 
 def clone(ekf: Filter, robot: int) -> int:
     """Add a copy of a robot's pose to the state, which must have room for it, and return the copy's number."""
-    at, old, number = POSE * robot, size_of(ekf.counts), ekf.counts[NEXT_CLONE]
-    new = old + POSE
-    ekf.x[old:new], ekf.by_errors[old:new] = ekf.x[at : at + POSE], ekf.by_errors[at : at + POSE]
-    ekf.P[old:new, :old] = ekf.P[at : at + POSE, :old]
-    ekf.P[:old, old:new] = ekf.P[at : at + POSE, :old].T
-    ekf.P[old:new, old:new] = ekf.P[at : at + POSE, at : at + POSE]
+    number = ekf.counts[NEXT_CLONE]
+    copy_pose(ekf.x, ekf.P, ekf.by_errors, size_of(ekf.counts), POSE * robot)
     ekf.clones[ekf.counts[CLONES]] = number
     ekf.counts[CLONES] += 1
     ekf.counts[NEXT_CLONE] += 1

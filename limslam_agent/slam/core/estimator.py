@@ -57,12 +57,12 @@ class Estimator:
     @property
     def poses(self) -> FloatArray:
         """Estimated poses of all robots (n, 3), m, m, rad."""
-        return self._belief.poses
+        return np.asarray(self._belief.poses)
 
     @property
     def joint_covariance(self) -> FloatArray:
         """Covariance of all poses together (3 n, 3 n)."""
-        return self._belief.joint_pose_covariance
+        return np.asarray(self._belief.joint_pose_covariance)
 
     @property
     def covariances(self) -> FloatArray:

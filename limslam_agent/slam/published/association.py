@@ -89,8 +89,8 @@ def associate(
             off, covariance = innovation(observed.line, observed.covariance, index)
             squared = float(off @ np.linalg.solve(covariance, off))
             excluded = "gate" if squared > config.gate else ""
-        numbers = (float(each[index]) for each in (angles, offsets, gaps))
-        tests.append(CandidateTest(index, excluded, *numbers, squared))
+        angle, offset, gap = float(angles[index]), float(offsets[index]), float(gaps[index])
+        tests.append(CandidateTest(index, excluded, angle, offset, gap, squared))
     return tests
 
 

@@ -183,4 +183,5 @@ class PublishedEstimator(Estimator):
 
     def _distance(self, older: int, younger: int) -> float:
         floor = np.array([self._config.closing.floor_distance, self._config.closing.floor_angle])
-        return squared_distance(*self._belief.difference(older, younger), floor)
+        difference, covariance = self._belief.difference(older, younger)
+        return squared_distance(difference, covariance, floor)
