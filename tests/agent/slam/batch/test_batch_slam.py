@@ -306,15 +306,6 @@ def test_bad_input_is_refused_in_one_line(change: Callable[[], Any], message: st
     assert "\n" not in str(refusal.value)
 
 
-def test_a_refused_step_takes_nothing_in() -> None:
-    batch, other = batch_of(2), batch_of(2)
-    with pytest.raises(ValueError, match="wheel travel"):
-        batch.step(np.ones((2, 6)), np.array([[0.1, 0.1], [np.nan, 0.0]]))
-    for each in (batch, other):
-        beliefs = each.step(np.ones((2, 6)), np.full((2, 2), 0.01))
-    np.testing.assert_array_equal(beliefs.pose, batch.step(np.ones((2, 6)), np.zeros((2, 2))).pose)
-
-
 @pytest.mark.parametrize("copied", [copy.deepcopy, lambda batch: pickle.loads(pickle.dumps(batch))])  # noqa: S301 (our own)
 def test_a_copy_goes_on_alike_with_threads_of_its_own(copied: Callable[[BatchSlam], BatchSlam]) -> None:
     batch, driven = BatchSlam(ROBOT, num_envs=4, num_threads=2, size=8), np.full((4, 2), 0.01)
@@ -377,17 +368,6 @@ def test_the_vector_tells_what_single_wrappers_tell(mode: AutoresetMode) -> None
                     seen = one.reset()[0]
             same(told, seen, row)
     env.close()
-
-
-def test_a_reset_by_hand_of_some() -> None:
-    env = SlamVectorObservation(vector(AutoresetMode.DISABLED), config_of(0.02), size=8)
-    env.reset(seed=100)
-    for _ in range(15):
-        before = env.step(np.full((3, 2), 0.7, dtype=np.float32))[0]
-    after, _ = env.reset(options={"reset_mask": np.array([True, False, False])})
-    np.testing.assert_array_equal(after["pose"][0], np.zeros(3))
-    for key in ("pose", "covariance", "grid"):
-        np.testing.assert_array_equal(after[key][1:], before[key][1:])
 
 
 def test_closing_ends_the_threads() -> None:

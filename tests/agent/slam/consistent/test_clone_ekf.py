@@ -28,7 +28,6 @@ MOTION = np.diag([2e-6, 5e-7, 4e-5])
 STEP = np.array([0.05, 0.002, 0.02])
 STD = 0.02
 WALL = np.array([0.6, 0.5 * math.pi])  # to the left of a robot that sets out along x
-FIRST = (10.0**2, 3.0**2)  # variances of a line that nothing is known of
 places = st.floats(-4.0, 4.0)
 angles = st.floats(-math.pi, math.pi)
 
@@ -190,20 +189,6 @@ def test_a_clone_equals_its_pose_with_full_correlation_and_leaves_the_rest_alone
     np.testing.assert_array_equal(between @ ekf.P @ between.T, 0.0)
 
 
-def test_a_motion_leaves_clones_and_lines_alone() -> None:
-    ekf, _ = driven(2, clones=3)
-    with_line(ekf, np.array([0.1, 1.5]), np.array([0.3, 0.6]), 1)
-    state, covariance = ekf.x.copy(), ekf.P.copy()
-    ekf.predict(STEP, MOTION)
-    np.testing.assert_array_equal(ekf.x[3:], state[3:])
-    np.testing.assert_array_equal(ekf.P[3:, 3:], covariance[3:, 3:])
-    np.testing.assert_allclose(ekf.pose, compose(state[:3], STEP), atol=1e-15)
-    moved = np.eye(len(state))
-    moved[:3, :3] = compose_jacobians(state[:3], STEP)[0]
-    np.testing.assert_allclose(ekf.P[:3, 3:], (moved @ covariance @ moved.T)[:3, 3:], atol=1e-15)
-    assert np.trace(ekf.P[:3, :3]) > np.trace(covariance[:3, :3])
-
-
 def test_letting_go_of_clones_is_to_strike_out_their_rows() -> None:
     ekf, _ = driven(1, clones=6)
     with_line(ekf, np.array([0.1, 1.5]), np.array([0.3, 0.6]), 1)
@@ -298,21 +283,6 @@ def test_the_birth_of_a_line_equals_least_squares_over_poses_and_line(seed: int)
     np.testing.assert_allclose(ekf.joint_pose_covariance[1, 1], np.linalg.inv(information)[1, 1], rtol=0.2)
 
 
-def test_a_new_line_is_known_as_well_as_its_prior_says_and_uncorrelated() -> None:
-    ekf, _ = driven(0, clones=2)
-    state, covariance = ekf.x.copy(), ekf.P.copy()
-    index = ekf.add_line(0.4, np.array([1.0, 2.0]))
-    assert (index, ekf.num_lines, ekf.num_clones) == (0, 1, 2)
-    np.testing.assert_array_equal(ekf.anchored, [[0.0, 0.4]])
-    np.testing.assert_array_equal(ekf.anchors, [[1.0, 2.0]])
-    np.testing.assert_array_equal(np.delete(ekf.x, [3, 4]), state)
-    np.testing.assert_allclose(np.delete(np.delete(ekf.P, [3, 4], 0), [3, 4], 1), covariance, atol=1e-18)
-    np.testing.assert_array_equal(ekf.P[3:5], np.insert(np.zeros((2, 9)), 3, np.diag(FIRST), axis=1))
-    assert ekf.add_line(1.0, np.array([0.0, 2.0])) == 1
-    np.testing.assert_array_equal(ekf.x[3:7], [0.0, 0.4, 0.0, 1.0])
-    np.testing.assert_array_equal(clone_poses(ekf, np.array([0, 1])), state[3:].reshape(2, 3))
-
-
 def known_of_the_world(ekf: CloneEKF) -> FloatArray:
     """Information (3, 3) on where the whole world lies and how it is turned."""
     directions = with_the_world(ekf.x, ekf)
@@ -334,27 +304,6 @@ def test_readings_teach_nothing_of_how_the_whole_world_lies_and_is_turned(headin
         observe(ekf, measured(ekf, readings, seed % 2, seed), seed % 2, STD, iterations, 0.0)
     assert np.abs(ekf.x - moved).max() > 0.05
     np.testing.assert_allclose(known_of_the_world(ekf), known, rtol=1e-6, atol=1e-6 * np.abs(known).max())
-
-
-@pytest.mark.parametrize(
-    ("anchor", "beams"),
-    [
-        pytest.param((1.0, 0.0), [0, 5, 0, 5], id="along the wall"),
-        pytest.param((-1.0, 0.0), [1, 2, 3, 4], id="away from the wall"),
-    ],
-)
-def test_readings_that_graze_the_line_or_look_away_from_it_count_nothing(
-    anchor: tuple[float, float], beams: list[int]
-) -> None:
-    ekf = CloneEKF(np.zeros(3))
-    index = with_line(ekf, np.array([0.0, math.radians(2.0)]), np.array(anchor), 1)
-    clone = ekf.clone()
-    state, covariance = ekf.x.copy(), ekf.P.copy()
-    astray = readings_of([clone] * 4, beams, np.full(4, 0.5))
-    observe(ekf, astray, index, STD, 2, 1.5)
-    np.testing.assert_array_equal(ekf.x, state)
-    np.testing.assert_array_equal(ekf.P, covariance)
-    assert compared(ekf, astray, index, STD) is None
 
 
 # Whether readings are of a line.

@@ -3,7 +3,6 @@
 import math
 import re
 from dataclasses import asdict, replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -16,9 +15,8 @@ from limslam_agent.config.consistent import ConsistentConfig, RangeErrorConfig
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.mapper import Mapper
 from limslam_agent.output.summary import record_summary, turn_records
-from limslam_agent.slam.consistent.assumed_sensor import AssumedSensor
 from limslam_agent.slam.consistent.range_noise import RangeNoise
-from limslam_agent.slam.consistent.separate_bias import TURNS, RangeErrors, by_range_errors
+from limslam_agent.slam.consistent.separate_bias import TURNS, by_range_errors
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
@@ -153,11 +151,6 @@ def test_a_sensor_as_specified_keeps_its_drive_to_the_bit() -> None:
     np.testing.assert_array_equal(covariances, spread)
 
 
-def test_ranges_without_any_noise_are_refused_in_one_line() -> None:
-    with pytest.raises(ValueError, match="min_range_std"):
-        replace(config_of(), min_range_std=0.0)
-
-
 def test_an_unknown_opening_angle_is_found_and_corrects_the_drive() -> None:
     observations, true = observed(CONE, 0)
     mapper, poses, _ = mapped(observations, config_of())
@@ -206,40 +199,6 @@ def test_a_correction_keeps_what_is_reported_of_the_turns() -> None:
     assert slam.beam_turns == pytest.approx(before)
     slam.assume(sensor._replace(turns=(sensor.turns[0] + 0.01, *sensor.turns[1:])))
     assert slam.beam_turns == pytest.approx(before, abs=1e-3)  # the prior is about the assumed turns
-
-
-@pytest.mark.parametrize(("departure", "is_taken"), [({"turns": (0.05,) * 6}, False), ({"std": 0.021}, True)])
-def test_turned_beams_lower_no_gate_of_the_noise(departure: dict[str, Any], is_taken: bool) -> None:
-    """Evidence of 8 to 20 is enough for a further change of the noise, and too little for its first change."""
-    stated, config = RangeSensor(NOISE), RangeErrorConfig()
-    sensor, errors = AssumedSensor(stated, 1.5, config), RangeErrors(config.stds(6))
-    sensor.assume(stated._replace(**departure))
-    generator = np.random.default_rng(0)
-    while not 9.0 < sensor._noise.estimate.evidence < 19.0:
-        sensor.count(1.4 * generator.standard_normal(10), np.full(10, 0.7))
-    assert (sensor.correction(errors) is not None) == is_taken
-
-
-@pytest.mark.parametrize(("std", "is_turned"), [(NOISE, True), (0.5 * NOISE, False), (2.0 * NOISE, True)])
-def test_less_noise_than_specified_makes_no_turned_beams(std: float, is_turned: bool) -> None:
-    """Walls that are not straight and clocks that are late look like turned beams, and not like noise."""
-    stated, config = RangeSensor(NOISE), RangeErrorConfig()
-    sensor, errors = AssumedSensor(stated, 1.5, config), RangeErrors(config.stds(6))
-    sensor.assume(stated._replace(std=std))
-    errors._information[TURNS, TURNS], errors._score[TURNS] = 4000.0 * np.eye(6), 4000.0 * 0.05
-    assert (sensor._turned(errors) is not None) == is_turned
-
-
-@pytest.mark.parametrize(("bias", "is_corrected"), [(-0.05, True), (0.0, False)])
-def test_beside_an_opening_angle_only_a_known_bias_is_corrected(bias: float, is_corrected: bool) -> None:
-    stated, config = RangeSensor(NOISE), RangeErrorConfig()
-    sensor, errors = AssumedSensor(stated, 1.5, config), RangeErrors(config.stds(6))
-    sensor.assume(stated._replace(cone=0.01, bias=bias))
-    sensor._is_counted = True
-    errors._information[0, 0], errors._score[0] = 1e6, 1e6 * 0.04
-    found = sensor.correction(errors)
-    assert (found is not None) == is_corrected
-    assert found is None or found.bias == pytest.approx(bias + 0.04, abs=1e-3)
 
 
 def test_what_is_unknown_of_turned_beams_is_in_the_covariance() -> None:

@@ -118,15 +118,6 @@ def test_a_beam_that_passes_beyond_the_ends_says_nothing(along: float) -> None:
     assert len(extent.intervals(GAP, 0.0)) == 1
 
 
-def test_a_wall_that_never_was_vanishes() -> None:
-    extent = hit_at(wall(0.0, 1.0))
-    extent.hit(np.array([-0.04, 1.04]))
-    passed(extent, 0.0, 1.0, 2)
-    pieces = extent.intervals(GAP, TOLERANCE)
-    # But for its outermost bins, beyond which nothing counts.
-    np.testing.assert_allclose(pieces, [[-0.04, -0.04], [1.04, 1.04]])
-
-
 # Two landmarks that turn out to be one wall.
 
 
@@ -217,16 +208,6 @@ def test_beams_that_end_at_the_wall_or_within_what_is_unsure_or_look_away_do_not
         beams_from(walls, at(line, along) - 0.5 * normal(line), line[1] + math.pi, 1.2)
         beams_from(walls, at(line, along), line[1] + 0.5 * math.pi, 1.2)
     assert lengths(walls.segments) == pytest.approx([1.95])
-
-
-def test_landmarks_read_too_little_or_too_short_are_not_drawn() -> None:
-    walls, _ = wall_map(config=ExtentConfig(min_readings=41))
-    assert walls.segments.shape == (0, 4)
-    assert walls.landmarks == []
-    count_hits(walls.arrays, 0, np.zeros(1), 0)
-    assert len(walls.segments) == len(walls.landmarks) == 1
-    short, _ = wall_map(config=ExtentConfig(min_length=1.96))
-    assert short.segments.shape == (0, 4)
 
 
 @pytest.mark.parametrize("turned", [False, True])
