@@ -12,7 +12,6 @@ from limslam_agent.kernels.algebra import dot, factorise, solve_factored, whiten
 from limslam_agent.kernels.compilation import algebra, entry
 from limslam_agent.kernels.covariance import (
     change_of_transport,
-    correct_state,
     dense_block,
     dense_rows,
     transport_pose,
@@ -248,12 +247,12 @@ def update_by_readings(
 ) -> tuple[
     FloatArray, FloatArray, FloatArray, FloatArray, IntArray, FloatArray, FloatArray, FloatArray, IntArray
 ]:  # fmt: skip
-    """Update the state and its covariance, in place, by readings of one line; nothing changes if none meets the line.
+    """Find an update by readings of one line, for ``correct_state`` to finish; there is none if none meets the line.
 
     Returns
     -------
-    moved, moved_again
-        Transports of the error before and after ``W`` is subtracted.
+    moved, change
+        As of :func:`iterate`.
     expected, jacobian, columns
         What ``predict_ranges`` fills (m, 7), and H (m, k) for these states (k,).
     factor, W, innovation
@@ -268,5 +267,4 @@ def update_by_readings(
         x, P, size, begins_of, anchors, num_lines, columns, begins, places, readings, chosen, index,
         gathered(variances, chosen), iterations if len(chosen) else 0, huber,
     )  # fmt: skip
-    again = correct_state(x, P, size, begins_of, anchors, num_lines, moved, W, change) if len(chosen) else moved
-    return moved, again, H, with_zeros(H, begins, len(columns)), columns, factor, W, off, chosen
+    return moved, change, H, with_zeros(H, begins, len(columns)), columns, factor, W, off, chosen

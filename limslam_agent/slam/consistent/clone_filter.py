@@ -170,7 +170,11 @@ def observe(
         ekf.x, ekf.P, size_of(counts), begins_of(counts), ekf.anchors, counts[LINES], index, places, readings,
         variances, iterations, huber,
     )  # fmt: skip
-    note_readings(ekf, found, places, readings, line_of(ekf, index)[1], clones_from(ekf.counts))
+    moved, change, _, _, _, _, W, _, chosen = found
+    if not len(chosen):
+        return
+    again = correct_state(ekf.x, ekf.P, len(change), begins_of(counts), ekf.anchors, counts[LINES], moved, W, change)
+    note_readings(ekf, found, again, places, readings, line_of(ekf, index)[1], clones_from(counts))
 
 
 def equality(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatArray, IntArray]:

@@ -234,12 +234,11 @@ def note_update(
 
 
 def note_readings(
-    ekf: Any, found: tuple[Any, ...], places: IntArray, readings: FloatArray, theta: float, clones_from: int
-) -> None:
-    """The same after ``kernels.updates.update_by_readings`` of a line with its normal at ``theta``, rad."""
-    moved, moved_again, expected, jacobian, columns, factor, whitened, innovation, chosen = found
-    if not len(chosen):
-        return
+    ekf: Any, found: tuple[Any, ...], moved_again: FloatArray, places: IntArray, readings: FloatArray, theta: float,
+    clones_from: int,
+) -> None:  # fmt: skip
+    """The same after what ``kernels.updates.update_by_readings`` has found for a line, whose normal is at ``theta``."""
+    moved, _, expected, jacobian, columns, factor, whitened, innovation, chosen = found
     direct, ranges = None, ekf.errors.ranges
     if ranges is not None:
         headings = ekf.x[clones_from + POSE * places[chosen] + 2]
