@@ -327,8 +327,9 @@ def test_importing_the_agent_loads_no_simulator():
     compiled += [
         "limslam_agent.policies.learned.look_ahead",
         "limslam_agent.slam.consistent.association",
+        "limslam_agent.slam.consistent.clone_ekf",
+        "limslam_agent.slam.consistent.clone_filter",
         "limslam_agent.slam.consistent.merging",
-        "limslam_agent.wrappers.crop",
         "limslam_agent.wrappers.vector",
         *PLACES["limslam_agent.slam.merging"],
         *PLACES["limslam_agent.slam.online_graph"],

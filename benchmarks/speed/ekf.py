@@ -11,6 +11,9 @@ import numpy as np
 from filterpy.kalman import ExtendedKalmanFilter
 
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
+from limslam_agent.slam.consistent.clone_filter import keep_clones, observe
+from limslam_agent.slam.consistent.limits import HUBER
+from limslam_agent.slam.consistent.pending_readings import places_of
 from limslam_agent.slam.core.ekf import POSE, LineEKF
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import to_frame, to_frame_jacobians
@@ -106,13 +109,13 @@ def clone_filter(landmarks: int) -> CloneEKF:
     """The consistent filter with that many lines around the robot, each correlated with the pose and all others."""
     generator = np.random.default_rng(landmarks)
     ekf = CloneEKF(np.zeros(POSE))
-    ekf.P = 1e-4 * np.eye(POSE)
+    ekf.P[:] = 1e-4 * np.eye(POSE)
     for _ in range(landmarks):
         towards = generator.uniform(-math.pi, math.pi)
         away = generator.uniform(0.5, 5.0) * np.array([math.cos(towards), math.sin(towards)])
         index, clone = ekf.add_line(towards, away), ekf.clone()
         _observe(ekf, [clone] * 3, away, towards + np.array([-0.3, 0.0, 0.3]), index)
-        ekf.keep_clones(set())
+        keep_clones(ekf.arrays, np.zeros(0))
     return ekf
 
 
@@ -121,7 +124,8 @@ def _observe(ekf: CloneEKF, clones: list[int], away: FloatArray, headings: Float
     readings = np.zeros((len(clones), 6))
     readings[:, 2] = headings
     readings[:, 3] = math.hypot(*away) / np.cos(headings - math.atan2(away[1], away[0]))
-    ekf.observe(ekf.places(np.array(clones)), readings, index, np.full(len(clones), RANGE_STD**2), 2)
+    places, variances = places_of(ekf.arrays, np.array(clones)), np.full(len(clones), RANGE_STD**2)
+    observe(ekf.arrays, places, readings, index, variances, 2, HUBER)
 
 
 def time_clone_filter(ekf: CloneEKF, repetitions: int) -> FloatArray:
@@ -138,7 +142,8 @@ def time_clone_filter(ekf: CloneEKF, repetitions: int) -> FloatArray:
             away, towards = line[0] * np.array([math.cos(line[1]), math.sin(line[1])]), float(line[1])
             headings = np.tile(towards + np.array([-0.3, 0.0, 0.3]), BATCH)
             _observe(ekf, np.repeat(clones, 3).tolist(), away, headings, index)
-            ekf.keep_clones(set(clones := []))
+            keep_clones(ekf.arrays, np.zeros(0))
+            clones = []
         durations[number] = time.thread_time() - begun
     return durations
 

@@ -45,9 +45,8 @@ def frontier_cells(
 
 def group_of(frontier: BoolArray, cell: IntArray) -> IntArray:
     """The cells (n, 2) of the group that a cell (2,), row and column, belongs to."""
-    from limslam_agent.kernels.regions import group_around
-
-    return np.argwhere(group_around(frontier, int(cell[0]), int(cell[1]), corners=True))
+    labels, _ = ndimage.label(frontier, structure=_ALL_AROUND)
+    return np.argwhere(labels == labels[tuple(cell)])
 
 
 def group_places(grid: GridView, frontier: BoolArray) -> FloatArray:

@@ -7,6 +7,7 @@ of the map is drawn there.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
 
 from limslam_agent.grid.occupancy import GridView
 from limslam_env.geometry import BoolArray, FloatArray
@@ -65,11 +66,11 @@ def border_faces(grid: GridView, ground: BoolArray) -> Faces:
 
 def reachable_ground(grid: GridView, place: FloatArray) -> BoolArray:
     """Free cells (rows, columns) that are connected to the cell of a place (2,), m. All free cells, if it has none."""
-    from limslam_agent.kernels.regions import group_around
-
     free, (row, column) = grid.free, grid.cells(place[None])[0].tolist()
-    inside = 0 <= row < free.shape[0] and 0 <= column < free.shape[1]
-    return group_around(free, row, column, corners=False) if inside and free[row, column] else free
+    if not (0 <= row < free.shape[0] and 0 <= column < free.shape[1] and free[row, column]):
+        return free
+    labels, _ = ndimage.label(free)
+    return np.asarray(labels == labels[row, column])
 
 
 def unfinished_faces(faces: Faces, segments: FloatArray, cell: float) -> BoolArray:

@@ -51,16 +51,6 @@ def ray_angle(reading: FloatArray, heading: float, theta: float) -> float:
 
 
 @algebra
-def towards(x: FloatArray, start: int, places: IntArray, readings: FloatArray, theta: float) -> FloatArray:
-    """The rays (n, 6) that measure a line with its normal at ``theta``, rad, as the beams do."""
-    rays = readings.copy()
-    for i in range(len(places)):
-        rays[i, 2] = ray_angle(readings[i], x[start + POSE * places[i] + 2], theta)
-        rays[i, 4] = 0.0
-    return rays
-
-
-@algebra
 def predict_ranges(
     x: FloatArray, start: int, places: IntArray, readings: FloatArray, chosen: IntArray, line: tuple[float, float],
     anchor: tuple[float, float], out: FloatArray,
@@ -111,15 +101,6 @@ def end_of_beam(x: FloatArray, at: int, reading: FloatArray, angle: float, reach
 
 
 @algebra
-def hit_points(x: FloatArray, start: int, places: IntArray, readings: FloatArray, ranges: FloatArray) -> FloatArray:
-    """End points (n, 2) in the world, m, of beams with given ranges (n,), m."""
-    points = np.empty((len(places), 2))
-    for i in range(len(places)):
-        points[i] = end_of_beam(x, start + POSE * places[i], readings[i], readings[i, 2], ranges[i])
-    return points
-
-
-@algebra
 def fill_transport(
     x: FloatArray, size: int, begins: tuple[int, int, int], anchors: FloatArray, num_lines: int, out: FloatArray
 ) -> None:
@@ -154,15 +135,22 @@ def fill_transport(
 
 
 @entry
-def error_transport(x: FloatArray, begins: tuple[int, int, int], anchors: FloatArray) -> FloatArray:
-    """:func:`fill_transport` of a whole state x (n,) with the lines' anchors (k, 2), as Python calls it: (n, 3)."""
-    moved = np.empty((len(x), POSE))
-    fill_transport(x, len(x), begins, anchors, len(anchors), moved)
+def error_transport(
+    x: FloatArray, size: int, begins: tuple[int, int, int], anchors: FloatArray, num_lines: int
+) -> FloatArray:
+    """What :func:`fill_transport` fills (size, 3), as Python calls it."""
+    moved = np.empty((size, POSE))
+    fill_transport(x, size, begins, anchors, num_lines, moved)
     return moved
 
 
 @entry
 def ends_of_beams(x: FloatArray, start: int, places: IntArray, readings: FloatArray, theta: float) -> FloatArray:
     """End points (n, 2), m, of readings on a line with its normal at ``theta``, rad; of the middle of beams if NaN."""
-    rays = readings if math.isnan(theta) else towards(x, start, places, readings, theta)
-    return hit_points(x, start, places, rays, readings[:, 3])
+    points = np.empty((len(places), 2))
+    for i in range(len(places)):
+        at, angle = start + POSE * places[i], readings[i, 2]
+        if not math.isnan(theta):
+            angle = ray_angle(readings[i], x[at + 2], theta)
+        points[i] = end_of_beam(x, at, readings[i], angle, readings[i, 3])
+    return points

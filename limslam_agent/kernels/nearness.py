@@ -4,7 +4,7 @@ import math
 
 from limslam_agent.kernels.compilation import compiled, lean_entry
 from limslam_agent.kernels.tables import ANGLE, FARTHEST, FROM_X, FROM_Y, TOO_FAR, TOO_NEAR, TOWARDS_X, TOWARDS_Y
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray
 
 
 @compiled
@@ -139,37 +139,6 @@ def count_on_walls(pose: FloatArray, ranges: FloatArray, beams: FloatArray, segm
             if math.sqrt((away_x - along * span_x) ** 2 + (away_y - along * span_y) ** 2) < near:
                 count += 1
                 break
-    return count
-
-
-@lean_entry
-def lines_near(
-    lines: FloatArray, anchors: FloatArray, theta: float, point: tuple[float, float], angle: float, offset: float,
-    found: IntArray,
-) -> int:  # fmt: skip
-    """Find the lines that have about a direction and pass near a point; their number m.
-
-    Parameters
-    ----------
-    lines, anchors
-        The lines (k, 2) as distance, m, and angle, rad, about anchors (k, 2), m.
-    theta, point
-        Direction of a normal, rad, and a point, m.
-    angle, offset
-        The normal of a line that is found differs by less than this angle, rad, and the line passes the point at less
-        than this distance, m.
-    found
-        The first m entries (k,) are set to the numbers of the lines.
-    """
-    count = 0
-    for line in range(len(lines)):
-        turn = abs((lines[line, 1] - theta + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
-        if not turn < angle:
-            continue
-        away_x, away_y = point[0] - anchors[line, 0], point[1] - anchors[line, 1]
-        if abs(away_x * math.cos(lines[line, 1]) + away_y * math.sin(lines[line, 1]) - lines[line, 0]) < offset:
-            found[count] = line
-            count += 1
     return count
 
 

@@ -1,9 +1,9 @@
-"""Regions of a grid: groups of cells that touch, frontiers, and stretches of faces where free ground ends."""
+"""Frontiers of a grid, in groups of cells that touch, and stretches of faces where free ground ends."""
 
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.kernels.compilation import compiled, entry, lean_entry
+from limslam_agent.kernels.compilation import compiled, lean_entry
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 
@@ -89,25 +89,6 @@ def mark_frontier(
     for row in range(rows):
         for column in range(columns):
             chosen[row, column] = beside[row, column] and has_group(beside, row, column, least, found)
-
-
-@entry
-def group_around(cells: BoolArray, row: int, column: int, corners: bool) -> BoolArray:
-    """The group of the cells (rows, columns) that one of them belongs to; ``corners`` says whether corners touch."""
-    rows, columns = cells.shape
-    group, stack = np.zeros((rows, columns), dtype=np.bool_), np.empty((rows * columns, 2), dtype=np.int64)
-    group[row, column], stack[0, 0], stack[0, 1], size = True, row, column, 1
-    while size:
-        size -= 1
-        at_row, at_column = stack[size, 0], stack[size, 1]
-        for down in range(max(at_row - 1, 0), min(at_row + 2, rows)):
-            for right in range(max(at_column - 1, 0), min(at_column + 2, columns)):
-                touches = corners or down == at_row or right == at_column
-                if touches and cells[down, right] and not group[down, right]:
-                    group[down, right] = True
-                    stack[size, 0], stack[size, 1] = down, right
-                    size += 1
-    return group
 
 
 _SLIGHTLY_MORE = 1.0 + 1e-9

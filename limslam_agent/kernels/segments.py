@@ -11,6 +11,7 @@ import numpy as np
 
 from limslam_agent.kernels.algebra import dot, factorise, leave_beside, orthonormalise, quantile, sort_with, whiten
 from limslam_agent.kernels.compilation import algebra, entry
+from limslam_agent.kernels.covariance import dense_block
 from limslam_agent.kernels.lines import fit_line
 from limslam_agent.kernels.measurement import end_of_beam, predict_ranges, ray_angle
 from limslam_agent.kernels.tables import (
@@ -37,7 +38,7 @@ from limslam_agent.kernels.tables import (
     THETA,
     R,
 )
-from limslam_agent.kernels.updates import covariance_of, dense_block, gathered, involved
+from limslam_agent.kernels.updates import covariance_of, gathered, involved
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 
@@ -282,19 +283,19 @@ def cut_part(
     return 1 if firm < number else 0
 
 
-@algebra
+@entry
 def cut_at_bends(
-    x: FloatArray, start: int, block: FloatArray, begins: IntArray, places: IntArray, readings: FloatArray,
-    points: FloatArray, members: IntArray, line: FloatArray, std: float, variances: FloatArray,
+    x: FloatArray, P: FloatArray, start: int, places: IntArray, readings: FloatArray, points: FloatArray,
+    members: IntArray, line: FloatArray, std: float, variances: FloatArray,
 ) -> tuple[FloatArray, IntArray, FloatArray]:  # fmt: skip
     """Cut readings near one line into straight segments: at bends, and at ends that bend away.
 
     Parameters
     ----------
-    x, start, places, readings, points
+    x, P
+        The state and its covariance.
+    start, places, readings, points
         As of :func:`fit_segment`.
-    block, begins
-        Covariance of all clones that the members were taken from, and where each member's clone begins in it (n,).
     members, line
         Indices (n,) of the readings, and the line (2,) as (r, theta), as the Hough transform found it.
     std, variances
@@ -309,7 +310,8 @@ def cut_at_bends(
     residuals
         Residuals of the members (n,), in standard deviations; infinite where a member grazes its segment.
     """
-    size, count, waiting = len(members), 0, int(len(members) >= FEWEST)
+    columns, begins = involved(places, members, (len(x) - start) // POSE, start, -1)
+    block, size, count, waiting = dense_block(P, columns), len(members), 0, int(len(members) >= FEWEST)
     segments, ends, owner, residuals = np.empty((2**DEEPEST, 8)), np.empty((2, 2)), np.full(size, -1), np.empty(size)
     along, loose, order = np.empty(size), np.empty(size, dtype=np.bool_), np.arange(size)
     rest = np.empty((2, 2), dtype=np.int64)
@@ -345,15 +347,3 @@ def cut_at_bends(
                 residuals[these[clear[i]]] = left[i]
             count += 1
     return segments[:count], owner, residuals
-
-
-@entry
-def straight_segments(
-    x: FloatArray, P: FloatArray, start: int, places: IntArray, readings: FloatArray, points: FloatArray,
-    members: IntArray, line: FloatArray, std: float, variances: FloatArray,
-) -> tuple[FloatArray, IntArray, FloatArray]:  # fmt: skip
-    """:func:`cut_at_bends` with a whole covariance P, as Python calls it."""
-    columns, begins = involved(places, members, (len(x) - start) // POSE, start, -1)
-    return cut_at_bends(
-        x, start, dense_block(P, columns), begins, places, readings, points, members, line, std, variances
-    )

@@ -1,7 +1,7 @@
 """Constants and arrays that plain and compiled functions share. This module does not load numba."""
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -142,3 +142,34 @@ def empty_walls(landmarks: int, bins: int, *maps: int) -> Walls:
         behind=np.zeros((*maps, landmarks)),
         tally=np.zeros((*maps, 3), dtype=np.int64),
     )
+
+
+POSES_END, LINES_FROM, LINES, CLONES, NEXT_CLONE = range(5)
+"""Places in ``Filter.counts``: where the poses end in the state and where the lines begin, how many lines and clones it
+holds, and the number of the next clone. Clones are numbered in the order in which they are made."""
+
+
+class Filter(NamedTuple):
+    """A state of poses, lines and clones, in this order. For the n filters of a batch, each array has one more axis.
+
+    Attributes
+    ----------
+    x, P
+        State (s,) and covariance (s, s).
+    by_errors
+        Derivative (s, k) of the state by the constant errors that it takes to be zero; k is 0 in a batch.
+    anchors, clones
+        Of the lines (l, 2), m, and the numbers of the clones (c,), in order.
+    counts
+        (5 or more,), whose places are named above.
+    errors
+        What is known of the constant errors: see ``separate_bias``; 0 in a batch.
+    """
+
+    x: FloatArray
+    P: FloatArray
+    by_errors: FloatArray
+    anchors: FloatArray
+    clones: IntArray
+    counts: IntArray
+    errors: Any = 0

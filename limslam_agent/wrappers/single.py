@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from limslam_agent.belief import Belief
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent.grid.occupancy import GridView
 from limslam_agent.mapper import Mapper
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import between
@@ -23,6 +24,9 @@ FARTHEST = 1000.0
 
 LARGEST_COVARIANCE = 1e6
 """Bound of the numbers of an observed covariance, m^2, m rad, rad^2."""
+
+UNKNOWN, FREE, OCCUPIED = 0, 127, 255
+"""Values of an observed grid's cells."""
 
 _UPPER = np.triu_indices(3)
 _FARTHEST = np.array([FARTHEST, FARTHEST, np.pi + 1e-6], dtype=np.float32)
@@ -131,15 +135,24 @@ def observed_belief(belief: Belief, start: FloatArray, ranges: NDArray[Any], siz
     size
         Side of the observed grid in cells.
     """
-    # A kernel. Who imports this module need not wait for numba.
-    from limslam_agent.wrappers.crop import crop
-
     return {
         "pose": observed_pose(start, belief.pose),
         "covariance": observed_covariance(belief.covariance),
         "grid": crop(belief.grid, belief.pose, size)[None],
         "ranges": np.array(ranges),
     }
+
+
+def crop(grid: GridView, pose: FloatArray, size: int) -> NDArray[np.uint8]:
+    """The grid (size, size) around a robot at ``pose`` (3,), m and rad, which is in the middle and looks up."""
+    (rows, columns), (cos, sin) = grid.values.shape, (np.cos(pose[2]), np.sin(pose[2]))
+    away = (0.5 * (size - 1) - np.arange(size)) * grid.cell
+    ahead, left, (x, y) = away[:, None], away[None], pose[:2] - grid.low
+    row = np.floor((ahead * sin + left * cos + y) / grid.cell).astype(int)
+    column = np.floor((ahead * cos - left * sin + x) / grid.cell).astype(int)
+    is_known = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    values = np.where(is_known, grid.values[row.clip(0, rows - 1), column.clip(0, columns - 1)], 0)
+    return np.asarray(np.array([OCCUPIED, UNKNOWN, FREE], dtype=np.uint8)[np.sign(values) + 1])
 
 
 def observed_pose(start: FloatArray, pose: FloatArray) -> NDArray[np.float32]:

@@ -6,8 +6,9 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.kernels.measurement import predict_ranges
+from limslam_agent.slam.consistent import clone_filter
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
-from limslam_agent.slam.consistent.filter_access import compare, end_points
+from limslam_agent.slam.consistent.pending_readings import places_of
 from limslam_env.geometry import FloatArray, IntArray
 
 
@@ -85,7 +86,8 @@ def hit_points(poses: FloatArray, readings: Readings) -> FloatArray:
 
 def columns_of(ekf: CloneEKF, clones: IntArray) -> IntArray:
     """Indices (n, 3) of clones in the state."""
-    return np.asarray(ekf.clones_from + 3 * ekf.places(clones)[:, None] + np.arange(3))
+    first = clone_filter.clones_from(ekf.arrays.counts)
+    return np.asarray(first + 3 * places_of(ekf.arrays, clones)[:, None] + np.arange(3))
 
 
 def clone_poses(ekf: CloneEKF, clones: IntArray) -> FloatArray:
@@ -97,15 +99,20 @@ def clone_covariance(ekf: CloneEKF, clones: IntArray) -> FloatArray:
     return np.asarray(ekf.P[np.ix_(columns, columns)])
 
 
+def keep_clones(ekf: CloneEKF, wanted: set[int]) -> None:
+    clone_filter.keep_clones(ekf.arrays, np.array(sorted(wanted), dtype=float))
+
+
 def points_of(ekf: CloneEKF, readings: Readings, theta: float = math.nan) -> FloatArray:
-    return end_points(ekf, ekf.places(readings.clones), readings.rows, theta)
+    return clone_filter.end_points(ekf.arrays, places_of(ekf.arrays, readings.clones), readings.rows, theta)
 
 
 def observe(ekf: CloneEKF, readings: Readings, index: int, std: float, iterations: int, huber: float) -> None:
-    places = ekf.places(readings.clones)
-    ekf.observe(places, readings.rows, index, readings.variances(std), iterations, huber)
+    places, variances = places_of(ekf.arrays, readings.clones), readings.variances(std)
+    clone_filter.observe(ekf.arrays, places, readings.rows, index, variances, iterations, huber)
 
 
 def compared(ekf: CloneEKF, readings: Readings, index: int, std: float) -> Disagreement | None:
-    told = compare(ekf, ekf.places(readings.clones), readings.rows, index, readings.variances(std))
+    places, variances = places_of(ekf.arrays, readings.clones), readings.variances(std)
+    told = clone_filter.compare(ekf.arrays, places, readings.rows, index, variances)
     return Disagreement(*told) if told[2] else None

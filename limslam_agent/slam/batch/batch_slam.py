@@ -11,32 +11,46 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from limslam_agent.config.presets import AgentConfig, ConsistentConfig, preset
-from limslam_agent.kernels.extents import clear_along_beams
-from limslam_agent.kernels.tables import ANGLE, CLOSURES, LENGTH, LOW, OVERFLOWS, READINGS, TOO_FAR, TOO_NEAR, Walls
+from limslam_agent.kernels.covariance import mirror_pose
+from limslam_agent.kernels.tables import (
+    ANGLE,
+    CLONES,
+    CLOSURES,
+    LENGTH,
+    LINES,
+    LINES_FROM,
+    LOW,
+    OVERFLOWS,
+    POSES_END,
+    READINGS,
+    TOO_FAR,
+    TOO_NEAR,
+    Filter,
+    Walls,
+)
 from limslam_agent.readings import as_readings
-from limslam_agent.slam.batch.clone_ekf import clone, predict
 from limslam_agent.slam.batch.compilation import algebra, entry
 from limslam_agent.slam.batch.compiled_steps import (
+    clear,
+    clone,
     collect,
-    compiled_step,
     has_ended,
     is_due,
+    move,
     new_memory,
     process,
     prune,
+    size_of,
     slip,
     slip_covariance,
+    wheel_motion,
 )
 from limslam_agent.slam.batch.grid import CropArray, crop, update
-from limslam_agent.slam.batch.motion import motion_from_wheels
 from limslam_agent.slam.batch.state import (
-    CLONES,
-    LINES,
     PERIOD,
     REFUSED,
     STEP,
     Capacity,
-    Filter,
     Spec,
     States,
     spec_of,
@@ -53,8 +67,6 @@ from limslam_env.geometry.segment import lengths
 from limslam_env.interface import RobotSpec
 
 _NUM_SIDES = len(SIDES)
-
-clear = compiled_step(clear_along_beams)
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,7 +251,7 @@ class BatchSlam:
     def bytes_per_env(self) -> int:
         """Memory of one robot's arrays, bytes. The system provides it when it is first used."""
         states = self._states
-        return sum(each.nbytes for each in (*states.filter, *states.walls, *states[2:])) // self.num_envs
+        return sum(each.nbytes for each in (*states.filter[:-1], *states.walls, *states[2:])) // self.num_envs
 
     def _chosen(self, mask: ArrayLike | None) -> IntArray:
         if mask is None:
@@ -274,8 +286,8 @@ def state_of(states: States, number: int) -> States:
     ekf, walls = states.filter, states.walls
     return States(
         Filter(
-            ekf.x[number], ekf.top[number], ekf.rest[number], ekf.anchors[number], ekf.clones[number],
-            ekf.counts[number],
+            ekf.x[number], ekf.P[number], ekf.by_errors[number], ekf.anchors[number], ekf.clones[number],
+            ekf.counts[number], ekf.errors,
         ),
         Walls(
             walls.table[number], walls.counted[number], walls.reached[number], walls.ends[number], walls.seen[number],
@@ -299,20 +311,23 @@ def accept(
         ekf.counts[REFUSED] += not is_number
         measured[beam] = is_number and ekf.counts[STEP] % int(beams[beam, PERIOD]) == 0
         hits[beam] = measured[beam] and beams[beam, TOO_NEAR] < ranges[beam] < beams[beam, TOO_FAR]
-    increment, covariance = motion_from_wheels(wheels, settings)
+    increment, covariance = wheel_motion(wheels, settings.axle, settings.wheel_variance)
     angles, too_near, radius = beams[:, ANGLE], beams[:, TOO_NEAR], settings.radius
     variance, angle, _ = slip(state.contact, ranges, measured, increment[0], angles, too_near, radius, settings.std)
-    predict(ekf, increment, covariance + slip_covariance(variance, angle) if variance else covariance)
+    if variance:
+        covariance = covariance + slip_covariance(variance, angle)
+    by_pose, by_increment = np.zeros((POSE, POSE)), np.zeros((POSE, POSE))
+    move(ekf.x, ekf.P, size_of(ekf.counts), 0, increment, covariance, by_pose, by_increment, False)  # noqa: FBT003
     travel[DRIVEN] += math.hypot(increment[0], increment[1])
     travel[TURNED] += abs(increment[2])
     lines = ekf.x[POSE : POSE + 2 * ekf.counts[LINES]].reshape(ekf.counts[LINES], 2)
-    unsure, noise = (ekf.top[0, 0] + ekf.top[1, 1], ekf.top[2, 2]), (settings.std, settings.growth)
+    unsure, noise = (ekf.P[0, 0] + ekf.P[1, 1], ekf.P[2, 2]), (settings.std, settings.growth)
     clear(walls, lines, ekf.anchors, ekf.x[:POSE], unsure, ranges, measured, beams, noise, np.empty((len(ranges), 6)))
     if is_due(travel, hits, spec.sides, settings):
         if ekf.counts[CLONES] == len(ekf.clones):
             walls.tally[OVERFLOWS] += 1
             prune(ekf, state.pending, state.fill, len(ekf.clones) - 1)
-        collect(travel, state.pending, state.fill, ekf.counts[STEP], ranges, hits, spec.sides, clone(ekf))
+        collect(travel, state.pending, state.fill, ekf.counts[STEP], ranges, hits, spec.sides, clone(ekf, 0))
 
 
 @entry
@@ -344,12 +359,13 @@ def step_some(
         for side in range(_NUM_SIDES):
             is_over = has_ended(travel, state.fill, side, WALL_END)
             if state.fill[side, FRESH] >= settings.batch or is_over:
+                mirror_pose(ekf.P, size_of(ekf.counts), 0)
                 process(
                     ekf, state.walls, state.pending, state.fill, side, travel[DRIVEN], settings, spec.beams, is_over,
                     None,
                 )  # fmt: skip
         pose[number] = ekf.x[:POSE]
-        covariance[number] = ekf.top[:, :POSE]
+        covariance[number] = ekf.P[:POSE, :POSE]
         update(
             pose[number], state.grid, state.window, ranges[number], measured, settings, spec.beams, stamps, place + 1
         )  # fmt: skip
@@ -363,9 +379,9 @@ def begin(state: States, start: FloatArray, cell: float) -> None:
     """Reset one robot to a known pose (3,), m, m, rad, with empty maps."""
     ekf = state.filter
     ekf.counts[:] = 0
-    ekf.counts[STEP] = -1
+    ekf.counts[POSES_END], ekf.counts[LINES_FROM], ekf.counts[STEP] = POSE, POSE, -1
     ekf.x[:POSE] = start
-    ekf.top[:, :POSE] = 0.0
+    ekf.P[:POSE, :POSE] = 0.0
     state.travel[:] = 0.0
     state.fill[:] = 0
     state.walls.tally[:] = 0

@@ -1,30 +1,42 @@
-"""The decisions of a step, compiled: the functions of the single estimator with the batch's filter."""
+"""The decisions of a step, compiled: the functions of the single estimator, with what the filter asks of its arrays."""
 
 import functools
 from types import FunctionType
 from typing import Any
 
-from limslam_agent.slam.batch import clone_ekf
+from limslam_agent.kernels.covariance import move_pose
+from limslam_agent.kernels.extents import clear_along_beams
+from limslam_agent.slam.batch import hough
 from limslam_agent.slam.batch.compilation import algebra
-from limslam_agent.slam.consistent import association, filter_access, pending_readings
-from limslam_agent.slam.core import contact
+from limslam_agent.slam.consistent import association, clone_filter, pending_readings, separate_bias
+from limslam_agent.slam.core import contact, motion
+from limslam_agent.slam.core.hough import line_parts
+
+
+@algebra
+def note_nothing(*_: Any) -> None:
+    """A batch estimates no constant errors beside its filters."""
+
+
+_INSTEAD = {
+    line_parts: hough.extract_lines,
+    separate_bias.note_update: note_nothing,
+    separate_bias.note_readings: note_nothing,
+}
+"""What takes the place of plain functions that cannot be compiled."""
 
 
 @functools.cache
 def compiled_step(function: Any) -> Any:
-    """The compiled counterpart of a plain function, with all that it calls.
-
-    Functions that ask the filter are replaced by those of ``batch.clone_ekf`` of the same names, and kernels that
-    Python calls by the functions that they are made of.
-    """
-    if getattr(function, "__module__", "") == filter_access.__name__:
-        return getattr(clone_ekf, function.__name__)
+    """The compiled counterpart of a plain function, with all that it calls, or of a kernel that Python calls."""
+    if function in _INSTEAD:
+        return _INSTEAD[function]
     if hasattr(function, "py_func"):
         return algebra(function.py_func)
     names = dict(function.__globals__)
     for name in function.__code__.co_names:
         used = names.get(name)
-        if hasattr(used, "py_func") or (isinstance(used, FunctionType) and used.__module__.startswith("limslam_agent")):
+        if hasattr(used, "py_func") or (isinstance(used, FunctionType) and used.__module__.startswith("limslam_")):
             names[name] = compiled_step(used)
     return algebra(FunctionType(function.__code__, names, function.__name__))
 
@@ -34,3 +46,6 @@ is_due, collect = compiled_step(pending_readings.is_due), compiled_step(pending_
 has_ended = compiled_step(pending_readings.has_ended)
 slip, slip_covariance = compiled_step(contact.slip), compiled_step(contact.slip_covariance)
 new_memory = compiled_step(contact.new_memory)
+clone, size_of = compiled_step(clone_filter.clone), compiled_step(clone_filter.size_of)
+move, clear = compiled_step(move_pose), compiled_step(clear_along_beams)
+wheel_motion = compiled_step(motion.wheel_motion)

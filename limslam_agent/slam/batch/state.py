@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig
-from limslam_agent.kernels.tables import Walls, empty_walls
+from limslam_agent.kernels.tables import Filter, Walls, empty_walls
 from limslam_agent.slam.consistent.pending_readings import SIDES, most_clones, sides_of
 from limslam_agent.slam.consistent.step_settings import step_settings
 from limslam_agent.slam.core.contact import new_memory
@@ -17,8 +17,9 @@ from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 
-# Places in ``Filter.counts``.
-LINES, CLONES, NEXT_CLONE, STEP, REFUSED = range(5)
+STEP, REFUSED = range(5, 7)
+"""Places in ``Filter.counts`` after those of a single filter: the step, and how many readings were skipped."""
+
 PERIOD = 8
 """The column of ``Spec.beams`` after those of ``RobotSpec.beam_table``: steps between two measurements of a beam."""
 
@@ -55,32 +56,6 @@ class Capacity:
         for name, least in (("landmarks", 1), ("clones", 0), ("bins", 1), ("cells", 1)):
             if getattr(self, name) < least:
                 raise ValueError(f"a capacity's {name} must be {least} or more, not {getattr(self, name)}")
-
-
-class Filter(NamedTuple):
-    """The state of ``CloneEKF`` for n robots: pose, lines and clones. For one robot, the first axis is missing.
-
-    P is stored without its redundant half: the pose's rows in ``top``, and the lower triangle in ``rest``. A prediction
-    changes only ``top``, which is short, and a clone appends to the end of ``rest``.
-
-    Attributes
-    ----------
-    x, top, rest
-        State (n, s) and covariance: (n, 3, s), and (n, s (s + 1) / 2) in which row i begins at i (i + 1) / 2.
-    anchors
-        Of the lines (n, landmarks, 2), m.
-    clones
-        Numbers of the clones (n, clones), in order.
-    counts
-        (n, 5), numbers of lines, clones and so on, whose places are named above.
-    """
-
-    x: FloatArray
-    top: FloatArray
-    rest: FloatArray
-    anchors: FloatArray
-    clones: IntArray
-    counts: IntArray
 
 
 class States(NamedTuple):
@@ -148,11 +123,11 @@ def states_for(robot: RobotSpec, config: ConsistentConfig, num_envs: int, capaci
     widest = min(max(sum(beam.side == side for beam in robot.beams) for side in SIDES), config.pending.beams)
     belief = Filter(
         x=np.zeros((num_envs, size)),
-        top=np.zeros((num_envs, POSE, size)),
-        rest=np.zeros((num_envs, size * (size + 1) // 2)),
+        P=np.zeros((num_envs, size, size)),
+        by_errors=np.zeros((num_envs, size, 0)),
         anchors=np.zeros((num_envs, capacity.landmarks, 2)),
         clones=np.zeros((num_envs, clones), dtype=np.int64),
-        counts=np.zeros((num_envs, 5), dtype=np.int64),
+        counts=np.zeros((num_envs, 7), dtype=np.int64),
     )
     return States(
         filter=belief,

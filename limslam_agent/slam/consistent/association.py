@@ -6,7 +6,7 @@ What a listener is told is left out of compiled code, where the listener is None
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -26,13 +26,13 @@ from limslam_agent.kernels.tables import (
     THETA,
     TURN_SIGMAS,
     USED,
+    Filter,
     Walls,
 )
-from limslam_agent.slam.consistent.filter_access import (
+from limslam_agent.slam.consistent.clone_filter import (
     add_line,
     compare,
     end_points,
-    extract_lines,
     keep_clones,
     line_of,
     lines_near,
@@ -47,6 +47,7 @@ from limslam_agent.slam.consistent.limits import (
     FAR_GATE,
     FIRST_ITERATIONS,
     GAP_AHEAD,
+    HUBER,
     ITERATIONS,
     LEAST_LENGTH,
     LENGTH_IF_COMPLETE,
@@ -58,7 +59,6 @@ from limslam_agent.slam.consistent.limits import (
     SHORTEST,
 )
 from limslam_agent.slam.consistent.merging import (
-    Listener,
     along_line,
     close_loops_of,
     closes_loop,
@@ -67,7 +67,11 @@ from limslam_agent.slam.consistent.merging import (
 )
 from limslam_agent.slam.consistent.pending_readings import AHEAD, CLONE, DRIVEN_THEN, FRESH, SIDES, WAITING, readings_of
 from limslam_agent.slam.consistent.step_settings import StepSettings
+from limslam_agent.slam.core.hough import line_parts
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from limslam_agent.slam.consistent.reports import StepReports
 
 _NUM_SIDES = len(SIDES)
 
@@ -93,8 +97,8 @@ class Piece(NamedTuple):
 
 
 def process(
-    ekf: Any, walls: Walls, pending: FloatArray, fill: IntArray, row: int, driven: float, settings: StepSettings,
-    beams: FloatArray, is_over: bool, listener: Listener | None,
+    ekf: Filter, walls: Walls, pending: FloatArray, fill: IntArray, row: int, driven: float, settings: StepSettings,
+    beams: FloatArray, is_over: bool, listener: "StepReports | None",
 ) -> None:  # fmt: skip
     """Find straight pieces in the pending readings of a side, use them, and drop what is consumed or too old.
 
@@ -120,7 +124,7 @@ def process(
     points = end_points(ekf, places, readings, math.nan)
     # Beams ahead meet a wall at points far apart, with nothing in between.
     max_gap = GAP_AHEAD if row % _NUM_SIDES == AHEAD else settings.segment_gap
-    owner, lines, ends = extract_lines(
+    owner, lines, ends = line_parts(
         points, max_gap, settings.min_votes, settings.r_step, settings.theta_step, settings.near_line,
         settings.segment_length, settings.only_best,
     )  # fmt: skip
@@ -154,7 +158,7 @@ def discard(pending: FloatArray, fill: IntArray, row: int, is_kept: BoolArray) -
     pending[row, : len(kept)], fill[row, WAITING] = kept, len(kept)
 
 
-def prune(ekf: Any, pending: FloatArray, fill: IntArray, most: int) -> None:
+def prune(ekf: Filter, pending: FloatArray, fill: IntArray, most: int) -> None:
     """Marginalise clones without pending readings, and the oldest clones if there are more than ``most``."""
     every = np.zeros(fill[:, WAITING].sum())
     size = 0
@@ -170,7 +174,7 @@ def prune(ekf: Any, pending: FloatArray, fill: IntArray, most: int) -> None:
 
 
 def is_used(
-    ekf: Any, walls: Walls, piece: Piece, settings: StepSettings, is_complete: bool, listener: Listener | None
+    ekf: Filter, walls: Walls, piece: Piece, settings: StepSettings, is_complete: bool, listener: "StepReports | None"
 ) -> bool:
     """Associate a piece of wall with a known landmark, or add a new one; whether it was used."""
     found = candidates(ekf, walls, piece, settings)
@@ -206,7 +210,7 @@ def is_used(
     return True
 
 
-def candidates(ekf: Any, walls: Walls, piece: Piece, settings: StepSettings) -> FloatArray:
+def candidates(ekf: Filter, walls: Walls, piece: Piece, settings: StepSettings) -> FloatArray:
     """Landmarks (k, 4) that a piece may show, best first."""
     segment = piece.segment
     loose = 2.0 * math.atan2(2.0 * settings.usual_std, max(segment[EXTENT], SHORTEST))
@@ -226,7 +230,7 @@ def candidates(ekf: Any, walls: Walls, piece: Piece, settings: StepSettings) -> 
 
 
 def may_show(
-    ekf: Any, walls: Walls, piece: Piece, index: int, along: FloatArray, offset: float, variance: float
+    ekf: Filter, walls: Walls, piece: Piece, index: int, along: FloatArray, offset: float, variance: float
 ) -> bool:
     """Whether a landmark was seen from the side of a piece near it, or it is a board and not another face of a wall."""
     side, seen = side_of(ekf, piece.places, piece.readings, index), walls.seen[index]
@@ -238,7 +242,7 @@ def may_show(
     return is_board(walls, num_lines(ekf), 1 - side, offset, variance)[0]
 
 
-def fits(ekf: Any, piece: Piece, index: int, left: float, used: float) -> bool:
+def fits(ekf: Filter, piece: Piece, index: int, left: float, used: float) -> bool:
     """Whether a piece of a known landmark is good enough to update by."""
     free, segment = max(used - 2.0, 1.0), piece.segment
     if left > free + RESIDUAL_SIGMAS * math.sqrt(2.0 * free) + 2.0 or segment[EXTENT] < LEAST_LENGTH:
@@ -249,10 +253,16 @@ def fits(ekf: Any, piece: Piece, index: int, left: float, used: float) -> bool:
 
 
 def update(
-    ekf: Any, walls: Walls, piece: Piece, index: int, settings: StepSettings, iterations: int, listener: Listener | None
+    ekf: Filter,
+    walls: Walls,
+    piece: Piece,
+    index: int,
+    settings: StepSettings,
+    iterations: int,
+    listener: "StepReports | None",
 ) -> None:
     """Update filter and map by a piece of a landmark, and merge the landmark with others that are the same wall."""
-    observe(ekf, piece.places, piece.readings, index, piece.variances, iterations)
+    observe(ekf, piece.places, piece.readings, index, piece.variances, iterations, HUBER)
     points = end_points(ekf, piece.places, piece.readings, line_of(ekf, index)[1])
     count_hits(walls, index, along_line(ekf, index, points), side_of(ekf, piece.places, piece.readings, index))
     if listener is not None:

@@ -7,6 +7,7 @@ them and it is clear which wall the line is. Then each reading updates the filte
 import math
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -14,8 +15,6 @@ from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.kernels.tables import Walls
 from limslam_agent.slam.consistent import limits
 from limslam_agent.slam.consistent.assumed_sensor import AssumedSensor
-from limslam_agent.slam.consistent.clone_ekf import CloneEKF
-from limslam_agent.slam.consistent.filter_access import end_points
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.pending_readings import (
     DRIVEN,
@@ -45,6 +44,9 @@ from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.segment import sample
 from limslam_env.interface import RobotSpec
+
+if TYPE_CHECKING:
+    from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 
 RENEWAL_ITERATIONS = 3
 """Iterations of each merge when a map is renewed, since that merges all walls of the map at once."""
@@ -83,6 +85,9 @@ class ConsistentEstimator(Estimator):
         start: FloatArray,
         sensor: RangeSensor | None = None,
     ) -> None:
+        # Kernels. Who imports this module need not wait for numba.
+        from limslam_agent.slam.consistent.clone_ekf import CloneEKF
+
         calibration, errors = config.self_calibration, config.range_errors
         stds = errors.stds(len(robot.beams) if len(start) == 1 else 0) if errors.enabled else None
         self._filter = CloneEKF(start, None if calibration.calibrate == "never" else calibration.covariance, stds)
@@ -103,7 +108,7 @@ class ConsistentEstimator(Estimator):
         self._map = WallMap(self._filter, config.extents)
 
     @property
-    def belief(self) -> CloneEKF:
+    def belief(self) -> "CloneEKF":
         """The filter."""
         return self._filter
 
@@ -187,7 +192,7 @@ class ConsistentEstimator(Estimator):
             places = np.flatnonzero(self._map.numbers == number)
             if len(places):
                 index = int(places[0])
-                close_loops_of(self._filter, self.walls, index, self.settings, RENEWAL_ITERATIONS, reports)
+                close_loops_of(self._filter.arrays, self.walls, index, self.settings, RENEWAL_ITERATIONS, reports)
         self._fill[:] = 0
 
     def predict(self, motion: Motion, robot: int) -> None:
@@ -222,12 +227,14 @@ class ConsistentEstimator(Estimator):
 
     def pending_points(self, fronts: Sequence[FrontEnd]) -> list[PendingPoints]:
         """End points of the pending readings, by robot and side."""
+        from limslam_agent.slam.consistent.clone_filter import end_points
+
         del fronts
         found, table = [], self._mounted.beam_table
         for row, (waiting, fresh) in enumerate(self._fill.tolist()):
-            places, readings, _ = readings_of(self._filter, self._pending[row, :waiting], table, self.settings)
+            places, readings, _ = readings_of(self._filter.arrays, self._pending[row, :waiting], table, self.settings)
             number, side = divmod(row, len(SIDES))
-            points = end_points(self._filter, places, readings, math.nan)
+            points = end_points(self._filter.arrays, places, readings, math.nan)
             found.append(PendingPoints(number, SIDES[side], points, self.settings.batch, fresh))
         return found
 
@@ -281,9 +288,11 @@ class ConsistentEstimator(Estimator):
         from limslam_agent.slam.consistent.association import process
 
         row = number * len(SIDES) + side
-        self._map.make_room(1 + int(self._fill[row, WAITING]) // self.settings.min_votes)
+        lines = 1 + int(self._fill[row, WAITING]) // self.settings.min_votes
+        self._map.make_room(lines)
+        self._filter.make_room(lines=lines)
         process(
-            self._filter, self.walls, self._pending, self._fill, row, float(self._travel[number, DRIVEN]),
+            self._filter.arrays, self.walls, self._pending, self._fill, row, float(self._travel[number, DRIVEN]),
             self.settings, self._mounted.beam_table, is_over, StepReports(self, number, step),
         )  # fmt: skip
 
@@ -300,4 +309,4 @@ class ConsistentEstimator(Estimator):
         agreeing = [pairs[chosen] for chosen in self._map.agreeing(pairs, limits.ONE_WALL_GATE)]
         # The younger landmark is removed: the last ones first, so that the others keep their places.
         for older, younger in sorted(agreeing, key=lambda pair: -pair[1]):
-            merge_landmarks(self._filter, self.walls, older, younger, RENEWAL_ITERATIONS, reports)
+            merge_landmarks(self._filter.arrays, self.walls, older, younger, RENEWAL_ITERATIONS, reports)

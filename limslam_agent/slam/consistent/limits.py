@@ -56,7 +56,7 @@ MAX_ANGLE_STD = math.radians(3.0)
 
 # Two landmarks are one wall, and are merged.
 ONE_WALL_GATE = 16.0
-"""Largest chi-square (two degrees of freedom) of the difference of the two landmarks."""
+"""Largest chi-square of the difference of two landmarks, or of the poses of a loop: four standard deviations."""
 
 MIN_OVERLAP = 0.15
 """Least length of wall that both landmarks cover."""

@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from limslam_agent.slam.consistent.limits import ONE_WALL_GATE
 from limslam_agent.slam.consistent.wall_map import Wall
 from limslam_agent.slam.core.ekf import POSE
 from limslam_env.geometry import FloatArray
@@ -14,7 +15,6 @@ _AT_WALL = 0.2  # m: a reading that ends farther from a wall says nothing of it
 _AROUND = 0.5  # m: lines that are nearer count alike for the motion around an anchor
 _ALIKE = np.deg2rad(0.5)  # rad: lines whose directions are known so well, relative to each other, count alike, too
 _LEAST_SEEN = 1e-3  # share of the best determined direction below which the walls do not determine a direction
-_EXPLAINED = 16.0  # squared Mahalanobis distance: a robot that is found farther from where it believed has not drifted
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,7 +100,7 @@ class MapState:
         determined = by_walls @ lines_moved_with((x, y), self.lines, self.anchors)
         joint = by_state @ self.covariance
         stated = joint @ by_state.T + covariance
-        if not np.allclose(determined, np.eye(POSE)) or off @ np.linalg.solve(stated, off) > _EXPLAINED:
+        if not np.allclose(determined, np.eye(POSE)) or off @ np.linalg.solve(stated, off) > ONE_WALL_GATE:
             return None
         gain = np.linalg.solve(stated, joint).T
         change = -gain @ off

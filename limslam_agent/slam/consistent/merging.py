@@ -4,40 +4,24 @@ These functions are plain, as those of ``association`` are.
 """
 
 import math
-from typing import Any, Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from limslam_agent.kernels.extents import merge_walls, moved_along
-from limslam_agent.kernels.tables import IS_KNOWN, NUMBER, Walls
-from limslam_agent.slam.consistent.filter_access import anchor_of, difference, line_of, lines_near, merge, num_lines
+from limslam_agent.kernels.tables import IS_KNOWN, NUMBER, Filter, Walls
+from limslam_agent.slam.consistent.clone_filter import anchor_of, difference, line_of, lines_near, merge, num_lines
 from limslam_agent.slam.consistent.limits import MAX_ANGLE, MAX_OFFSET, MIN_OVERLAP, ONE_WALL_GATE, STRAIGHTNESS
 from limslam_agent.slam.consistent.step_settings import StepSettings
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, board_evidence, board_odds, is_wall
-from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry import FloatArray
 
-
-class Listener(Protocol):
-    """What is told of each decision."""
-
-    def extracted(self, row: int, points: FloatArray, owner: IntArray) -> None:
-        """The lines that were found in the pending readings of a side."""
-
-    def considered(self, waiting: FloatArray, residuals: FloatArray) -> None:
-        """A piece's rows of ``pending`` and the residuals of its readings, before anything is decided about it."""
-
-    def compared(self, piece: Any, candidates: FloatArray, gate: float) -> None:
-        """The landmarks that the piece was compared with, and the gate."""
-
-    def updated(self, number: int, is_new: bool) -> None:
-        """The piece has corrected a landmark."""
-
-    def merged(self, older: int, younger: int, squared: float, offset: float) -> None:
-        """Two landmarks, by number, were merged: their squared Mahalanobis distance, and their offset, m."""
+if TYPE_CHECKING:
+    from limslam_agent.slam.consistent.reports import StepReports
 
 
 def close_loops_of(
-    ekf: Any, walls: Walls, index: int, settings: StepSettings, iterations: int, listener: Listener | None
+    ekf: Filter, walls: Walls, index: int, settings: StepSettings, iterations: int, listener: "StepReports | None"
 ) -> None:
     """Merge a landmark that has just changed with all landmarks that are the same wall."""
     found = True
@@ -54,7 +38,13 @@ def close_loops_of(
 
 
 def closes_loop(
-    ekf: Any, walls: Walls, first: int, second: int, settings: StepSettings, iterations: int, listener: Listener | None
+    ekf: Filter,
+    walls: Walls,
+    first: int,
+    second: int,
+    settings: StepSettings,
+    iterations: int,
+    listener: "StepReports | None",
 ) -> bool:
     """Whether two landmarks are one wall; then they are merged, and the younger one is removed."""
     older, younger = min(first, second), max(first, second)
@@ -71,7 +61,7 @@ def closes_loop(
 
 
 def merge_landmarks(
-    ekf: Any, walls: Walls, older: int, younger: int, iterations: int, listener: Listener | None
+    ekf: Filter, walls: Walls, older: int, younger: int, iterations: int, listener: "StepReports | None"
 ) -> None:
     """Merge two landmarks, and remove the younger one."""
     theta, (x, y), count = line_of(ekf, younger)[1], anchor_of(ekf, younger), num_lines(ekf)
@@ -86,7 +76,7 @@ def merge_landmarks(
     merge_walls(walls, older, younger, factor, along_point(ekf, older, x, y), count)
 
 
-def is_one_line(ekf: Any, walls: Walls, older: int, younger: int, off: FloatArray, covariance: FloatArray) -> bool:
+def is_one_line(ekf: Filter, walls: Walls, older: int, younger: int, off: FloatArray, covariance: FloatArray) -> bool:
     """Whether two landmarks share a stretch that is seen from one side, or are a board.
 
     Their difference (2,) has a covariance (2, 2). It is noted if they are the two faces of a wall.
@@ -135,7 +125,7 @@ def shared(first: FloatArray, second: FloatArray) -> float:
     return float(min(first[1], second[1]) - max(first[0], second[0]))
 
 
-def separation(ekf: Any, walls: Walls, older: int, younger: int) -> tuple[float, float]:
+def separation(ekf: Filter, walls: Walls, older: int, younger: int) -> tuple[float, float]:
     """Length, m, that two landmarks share along the older one, and the distance, m, of the younger's middle from it."""
     (d, theta), (x, y), middle = line_of(ekf, younger), anchor_of(ekf, younger), 0.5 * walls.ends[younger].sum()
     cos, sin = math.cos(theta), math.sin(theta)
@@ -159,13 +149,13 @@ def turn_between(theta: float, other: float) -> float:
     return abs((theta - other + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
 
 
-def along_line(ekf: Any, index: int, points: FloatArray) -> FloatArray:
+def along_line(ekf: Filter, index: int, points: FloatArray) -> FloatArray:
     """Positions (n,) of points (n, 2) along a landmark, m from its anchor."""
     (x, y), theta = anchor_of(ekf, index), line_of(ekf, index)[1]
     return (points[:, 1] - y) * math.cos(theta) - (points[:, 0] - x) * math.sin(theta)
 
 
-def along_point(ekf: Any, index: int, x: float, y: float) -> float:
+def along_point(ekf: Filter, index: int, x: float, y: float) -> float:
     """Position of one point along a landmark, m from its anchor."""
     (from_x, from_y), theta = anchor_of(ekf, index), line_of(ekf, index)[1]
     return (y - from_y) * math.cos(theta) - (x - from_x) * math.sin(theta)

@@ -8,12 +8,9 @@ them. For each robot, ``travel`` (7,) has the places that are named below, and f
 5) has a row for each reading, and ``fill`` (2,) says how many of its rows are used and how many of these are fresh.
 """
 
-from typing import Any
-
 import numpy as np
 
-from limslam_agent.kernels.tables import ANGLE, FROM_X, FROM_Y
-from limslam_agent.slam.consistent.filter_access import places_of
+from limslam_agent.kernels.tables import ANGLE, CLONES, FROM_X, FROM_Y, Filter
 from limslam_agent.slam.consistent.step_settings import StepSettings
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec, Side
@@ -86,8 +83,13 @@ def has_ended(travel: FloatArray, fill: IntArray, side: int, gap: float) -> bool
     return bool(fill[side, WAITING] > 0 and travel[DRIVEN] - travel[LAST_HIT + side] > gap)
 
 
+def places_of(ekf: Filter, clones: FloatArray) -> IntArray:
+    """Places (n,) of clones (n,) in the state."""
+    return np.searchsorted(ekf.clones[: ekf.counts[CLONES]], clones.astype(np.int64))
+
+
 def readings_of(
-    ekf: Any, waiting: FloatArray, beams: FloatArray, settings: StepSettings
+    ekf: Filter, waiting: FloatArray, beams: FloatArray, settings: StepSettings
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Pending readings (n, 5) as the filter takes them: places of their clones (n,), beams and ranges, and variances.
 

@@ -5,7 +5,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from limslam_agent.kernels.tables import LANDMARK, NUMBER, OF_LINE, THETA
-from limslam_agent.slam.consistent.filter_access import compare
 from limslam_agent.slam.consistent.limits import MAX_ANGLE, MAX_END_GAP, MAX_OFFSET
 from limslam_agent.slam.consistent.pending_readings import BEAM, RANGE, SIDES, TAKEN_AT
 from limslam_agent.slam.core.diagnostics import AssociationRecord, CandidateTest, Closure, Comparison, Extraction
@@ -65,6 +64,8 @@ class StepReports:
 
     def _test(self, index: int, piece: "Piece", squared: float, gate: float) -> CandidateTest:
         """The test that threw a landmark out, if any."""
+        from limslam_agent.slam.consistent.clone_filter import compare
+
         belief, walls = self._estimator.belief, self._estimator.walls
         line, middle = belief.line(index), piece.segment[THETA + 1 : THETA + 3]
         angle = abs(float(angle_between(float(line[1]) - piece.segment[THETA])))
@@ -74,7 +75,7 @@ class StepReports:
         tests = {"direction": angle > MAX_ANGLE, "offset": offset > MAX_OFFSET, "ends": gap > MAX_END_GAP}
         # A short piece may turn farther than the limit, because its direction is uncertain.
         excluded = next((name for name, is_out in tests.items() if is_out), "beams")
-        if excluded == "beams" and compare(belief, piece.places, piece.readings, index, piece.variances)[2]:
+        if excluded == "beams" and compare(belief.arrays, piece.places, piece.readings, index, piece.variances)[2]:
             excluded = "side"
         if not np.isnan(squared):
             excluded = "gate" if squared > gate else ""

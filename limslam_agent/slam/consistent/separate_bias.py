@@ -9,6 +9,8 @@ recursive filtering", 1969). So the filter can wait with its decision until the 
 nothing.
 """
 
+from typing import Any
+
 import numpy as np
 
 from limslam_agent.kernels.tables import FLATTEST, LEAST_COSINE
@@ -19,100 +21,26 @@ from limslam_env.geometry.line import angle_between
 
 
 class SeparateBias:
-    """Constant errors b that a filter takes to be zero, and what they do to the filter's state.
+    """Constant errors b that a filter takes to be zero: what its innovations say of them.
 
     Parameters
     ----------
-    size
-        Length of the filter's state.
     prior
         Covariance (k, k) of the errors, about zero.
     """
 
-    def __init__(self, size: int, prior: FloatArray) -> None:
+    def __init__(self, prior: FloatArray) -> None:
         self._prior, count = prior, len(prior)
-        self._by_errors = np.zeros((size, count))
         self._information, self._score = np.zeros((count, count)), np.zeros(count)
 
     @property
-    def by_errors(self) -> FloatArray:
-        """Derivative V of the filter's state by the errors (size, k)."""
-        return self._by_errors
-
-    @property
-    def estimate(self) -> tuple[FloatArray, FloatArray]:
-        """The errors (k,) and their covariance (k, k)."""
-        return self.estimate_of(slice(None))
+    def count(self) -> int:
+        """Number of the errors."""
+        return len(self._prior)
 
     def estimate_of(self, part: slice) -> tuple[FloatArray, FloatArray]:
         """Some of the errors (m,) and their covariance (m, m), if the others are zero."""
         return _estimated(self._prior[part, part], self._information[part, part], self._score[part])
-
-    def predict(self, moved: slice, by_pose: FloatArray) -> None:
-        """A pose has moved: the derivative (3, 3) of the new pose by the old one."""
-        self._by_errors[moved] = by_pose @ self._by_errors[moved]
-
-    def replace(self, part: slice, by_state: FloatArray) -> None:
-        """A part of the state got another value: the derivative (m, size) of this value by the state before."""
-        self._by_errors[part] = by_state @ self._by_errors
-
-    def insert(self, place: int, rows: FloatArray) -> None:
-        """States were inserted before ``place``, with these derivatives (n, k)."""
-        self._by_errors = np.concatenate((self._by_errors[:place], rows, self._by_errors[place:]))
-
-    def insert_independent(self, place: int, count: int) -> None:
-        """States were inserted before ``place`` that do not depend on the errors."""
-        self.insert(place, np.zeros((count, len(self._score))))
-
-    def copy(self, part: slice, other: slice) -> None:
-        """A part of the state has become a copy of another part."""
-        self._by_errors[part] = self._by_errors[other]
-
-    def append_copy(self, other: slice) -> None:
-        """A copy of a part of the state was added at its end."""
-        self._by_errors = np.concatenate((self._by_errors, self._by_errors[other]))
-
-    def keep(self, places: IntArray) -> None:
-        """All states but these were removed."""
-        self._by_errors = self._by_errors[places]
-
-    def restart(self, size: int) -> None:
-        """The filter has got a new state of this length. Its derivative by the errors is zero from now on."""
-        self._by_errors = np.zeros((size, len(self._score)))
-
-    def transport(self, moved: FloatArray) -> None:
-        """The error of the first robot's pose was added to the state's error with the factors ``moved`` (size, 3)."""
-        self._by_errors += moved @ self._by_errors[:POSE]
-
-    def update(
-        self,
-        jacobian: FloatArray,
-        columns: IntArray,
-        innovation: FloatArray,
-        factor: FloatArray,
-        whitened: FloatArray,
-        direct: FloatArray | None = None,
-    ) -> None:
-        """The filter was updated by m measurements.
-
-        Parameters
-        ----------
-        jacobian, columns
-            Their derivative (m, n) by these states (n,).
-        innovation, factor
-            The innovation (m,), and the Cholesky factor L (m, m) of its covariance.
-        whitened
-            L^-1 H P (m, size), where H is the derivative by all states, and P the state's covariance before the update.
-        direct
-            Derivative (m, k) of the measurements by the errors at a given state, if there is one.
-        """
-        by_errors = jacobian @ self._by_errors[columns]
-        by_errors = by_errors if direct is None else by_errors + direct
-        scaled = solve_lower(factor, np.column_stack((by_errors, innovation)))
-        by_errors, innovation = scaled[:, :-1], scaled[:, -1]
-        self._information += by_errors.T @ by_errors
-        self._score += by_errors.T @ innovation
-        self._by_errors -= whitened.T @ by_errors
 
     def evidence_of(self, part: slice) -> float:
         """Twice the logarithm of the Bayes factor for some of the errors against no errors."""
@@ -121,14 +49,19 @@ class SeparateBias:
         gain = float(score @ prior @ np.linalg.solve(narrowed, score))
         return gain - float(np.linalg.slogdet(narrowed)[1])
 
+    def learn(self, by_errors: FloatArray, innovation: FloatArray) -> None:
+        """The filter was updated by measurements: derivative (m, k) by the errors, and innovation (m,), whitened."""
+        self._information += by_errors.T @ by_errors
+        self._score += by_errors.T @ innovation
+
 
 class OdometryErrors(SeparateBias):
     """The constant errors of the odometry of n robots, three numbers each.
 
     Parameters
     ----------
-    size
-        Length of the filter's state, which holds the robots' poses and nothing else.
+    robots
+        Number of robots.
     prior
         Covariance (3, 3) of the errors of one robot, about zero.
 
@@ -140,25 +73,13 @@ class OdometryErrors(SeparateBias):
         "Bayes factors", 1995). If there are no errors, it ever exceeds g with a probability of at most exp(-g / 2).
     """
 
-    def __init__(self, size: int, prior: FloatArray) -> None:
-        super().__init__(size, np.asarray(np.kron(np.eye(size // POSE), prior), dtype=float))
+    def __init__(self, robots: int, prior: FloatArray) -> None:
+        super().__init__(np.asarray(np.kron(np.eye(robots), prior), dtype=float))
         self.evidence = 0.0
 
-    def drive(self, moved: slice, by_errors: FloatArray) -> None:
-        """The pose of a robot has moved, with this derivative (3, 3) by the errors of the robot."""
-        self._by_errors[moved, moved] += by_errors
-
-    def update(
-        self,
-        jacobian: FloatArray,
-        columns: IntArray,
-        innovation: FloatArray,
-        factor: FloatArray,
-        whitened: FloatArray,
-        direct: FloatArray | None = None,
-    ) -> None:
+    def learn(self, by_errors: FloatArray, innovation: FloatArray) -> None:
         """The filter was updated; see the base class."""
-        super().update(jacobian, columns, innovation, factor, whitened, direct)
+        super().learn(by_errors, innovation)
         self.evidence = max(self.evidence_of(slice(first, first + POSE)) for first in range(0, len(self._score), POSE))
 
 
@@ -174,21 +95,19 @@ class RangeErrors(SeparateBias):
 
     Parameters
     ----------
-    size
-        Length of the filter's state.
     stds
         Prior standard deviations of the errors.
     """
 
-    def __init__(self, size: int, stds: tuple[float, ...]) -> None:
-        super().__init__(size, np.diag(np.square(stds)))
+    def __init__(self, stds: tuple[float, ...]) -> None:
+        super().__init__(np.diag(np.square(stds)))
         self.stds = stds
         # Information and score from before the state was corrected, for what is reported.
         self._earlier = np.zeros_like(self._information), np.zeros_like(self._score)
 
     def corrected(self, errors: FloatArray) -> "RangeErrors":
         """The further errors after the state was corrected for the first of the errors (m,), which begin anew."""
-        further, (information, score) = RangeErrors(len(self._by_errors), self.stds), self._earlier
+        further, (information, score) = RangeErrors(self.stds), self._earlier
         information = information + self._information
         further._earlier = information, score + self._score - information[:, : len(errors)] @ errors
         return further
@@ -215,14 +134,14 @@ class RangeErrors(SeparateBias):
 
     def discounted(self, share: float) -> "RangeErrors":
         """What is known of the errors if each reading says only a share of what it was taken to say."""
-        other = RangeErrors(len(self._by_errors), self.stds)
+        other = RangeErrors(self.stds)
         other._information, other._score = share * self._information, share * self._score
         return other
 
-    def spread_by_turns(self, part: slice) -> FloatArray:
-        """Covariance (m, m) of a part of the state by what remains unknown of the directions of the beams."""
-        by_turns = self._by_errors[part, TURNS]
-        return np.asarray(by_turns @ self._estimate_of_all[1][TURNS, TURNS] @ by_turns.T)
+    @property
+    def covariance_of_turns(self) -> FloatArray:
+        """What remains unknown of the directions of the beams (n_beams, n_beams), rad^2."""
+        return self._estimate_of_all[1][TURNS, TURNS]
 
     @property
     def _estimate_of_all(self) -> tuple[FloatArray, FloatArray]:
@@ -244,6 +163,87 @@ class RangeErrors(SeparateBias):
         angle against these alone.
         """
         return min(self.evidence_of(TURNS), self.evidence_of(slice(None)) - self.evidence_of(COMMON))
+
+
+class ConstantErrors:
+    """The constant errors that a filter does not know of. Columns of V are those of the odometry, then of the ranges.
+
+    Attributes
+    ----------
+    odometry, ranges
+        The errors; None if they are not estimated beside the filter.
+    """
+
+    def __init__(self, odometry: OdometryErrors | None, ranges: RangeErrors | None) -> None:
+        self.odometry, self.ranges = odometry, ranges
+
+    @property
+    def count(self) -> int:
+        """Number of all the errors."""
+        return sum(errors.count for errors in (self.odometry, self.ranges) if errors is not None)
+
+    def learn(self, by_errors: FloatArray, innovation: FloatArray) -> None:
+        """The filter was updated: see :meth:`SeparateBias.learn`."""
+        first = 0
+        for errors in (self.odometry, self.ranges):
+            if errors is not None:
+                errors.learn(by_errors[:, first : first + errors.count], innovation)
+                first += errors.count
+
+
+def note_update(
+    ekf: Any, jacobian: FloatArray, columns: IntArray, innovation: FloatArray, factor: FloatArray,
+    whitened: FloatArray, moved: FloatArray, moved_again: FloatArray, direct: FloatArray | None,
+) -> None:  # fmt: skip
+    """Change V as an update of the filter by m measurements has changed its state, and estimate the errors anew.
+
+    Parameters
+    ----------
+    ekf
+        The ``Filter``.
+    jacobian, columns
+        Derivative (m, n) of the measurements by these states (n,).
+    innovation, factor
+        The innovation (m,), and the Cholesky factor L (m, m) of its covariance.
+    whitened
+        L^-1 H P (m, size), where H is the derivative by all states, and P the state's covariance before the update.
+    moved, moved_again
+        The error of the first robot's pose was added to the state's error with these factors (size, 3), before and
+        after the update.
+    direct
+        Derivative (m, k) of the measurements by the last k errors at a given state, if there is one.
+
+    Raises
+    ------
+    LinAlgError
+        If the innovation's covariance is not positive.
+    """
+    if not factor[-1, -1] > 0.0:
+        raise np.linalg.LinAlgError("the innovation's covariance is not positive")
+    by_errors = ekf.by_errors[: len(moved)]
+    if not by_errors.size:
+        return
+    by_errors += moved @ by_errors[:POSE]
+    measured = jacobian @ by_errors[columns]
+    if direct is not None:
+        measured[:, -direct.shape[1] :] += direct
+    scaled = solve_lower(factor, np.column_stack((measured, innovation)))
+    ekf.errors.learn(scaled[:, :-1], scaled[:, -1])
+    by_errors -= whitened.T @ scaled[:, :-1]
+    by_errors += moved_again @ by_errors[:POSE]
+
+
+def note_readings(
+    ekf: Any, found: tuple[Any, ...], moved_again: FloatArray, places: IntArray, readings: FloatArray, theta: float,
+    clones_from: int,
+) -> None:  # fmt: skip
+    """The same after what ``kernels.updates.update_by_readings`` has found for a line, whose normal is at ``theta``."""
+    moved, _, expected, jacobian, columns, factor, whitened, innovation, chosen = found
+    direct, ranges = None, ekf.errors.ranges
+    if ranges is not None:
+        headings = ekf.x[clones_from + POSE * places[chosen] + 2]
+        direct = by_range_errors(expected, readings[chosen], headings, theta, len(ranges.stds[TURNS]))
+    note_update(ekf, jacobian, columns, innovation, factor, whitened, moved, moved_again, direct)
 
 
 def _estimated(prior: FloatArray, information: FloatArray, score: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -1,7 +1,7 @@
 """The landmarks of the consistent estimator, without their lines: extents, and numbers of readings."""
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,13 +21,15 @@ from limslam_agent.kernels.tables import (
     READINGS,
     empty_walls,
 )
-from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.limits import MAX_GAP, STRAIGHTNESS, THROUGH_TOLERANCE
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import at, direction
 from limslam_env.geometry.segment import lengths
+
+if TYPE_CHECKING:
+    from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 
 NEW = -1
 """Number of a landmark that has not got its number yet."""
@@ -131,7 +133,7 @@ class WallMap:
         The landmarks as the decisions of a step read and change them.
     """
 
-    def __init__(self, belief: CloneEKF, config: ExtentConfig) -> None:
+    def __init__(self, belief: "CloneEKF", config: ExtentConfig) -> None:
         self._belief, self._config = belief, config
         self.arrays = empty_walls(_LANDMARKS, _BINS)
         self._intervals: dict[int, tuple[int, FloatArray]] = {}

@@ -1,7 +1,7 @@
 """Extended Kalman filter over the poses of robots and the lines that they share, with sparse Jacobians.
 
 State (the paper's eq. 1): x = [x, y, theta, ..., r_1, theta_1, ..., r_N, theta_N], one pose a robot, covariance P.
-Letters x, P, F, Q, H, R, S are those of the literature. They are used in this module and in ``clone_ekf`` only.
+Letters x, P, F, Q, H, R, S are those of the literature. They are used in the modules of the filters only.
 """
 
 import math
@@ -38,7 +38,7 @@ class LineEKF(ExtendedKalmanFilter):
     def __init__(self, pose: FloatArray, covariance: FloatArray | None = None) -> None:
         super().__init__(dim_x=np.size(pose), dim_z=2)
         self.x = np.array(pose, dtype=float).ravel()
-        # The poses end at the first index and the lines begin at the second; a subclass may use what is in between.
+        # Where the poses end in the state, and the lines begin.
         self._poses_end = self._first = len(self.x)
         self.P = np.zeros((self._first,) * 2) if covariance is None else np.array(covariance, dtype=float, order="C")
 

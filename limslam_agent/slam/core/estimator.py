@@ -1,11 +1,12 @@
 """The interface of the estimators, which compute poses and walls from motions and readings."""
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Comparison, Extraction, PendingPoints
-from limslam_agent.slam.core.ekf import POSE, LineEKF
+from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import Motion, OdometryCalibration
@@ -40,7 +41,7 @@ class Estimator:
         comparisons are only collected if this is set.
     """
 
-    def __init__(self, robot: RobotSpec, belief: LineEKF) -> None:
+    def __init__(self, robot: RobotSpec, belief: Any) -> None:
         self.robot, self._belief = robot, belief
         self.closures: list[Closure] = []
         self.last_extraction: Extraction | None = None
@@ -56,12 +57,12 @@ class Estimator:
     @property
     def poses(self) -> FloatArray:
         """Estimated poses of all robots (n, 3), m, m, rad."""
-        return self._belief.poses
+        return np.asarray(self._belief.poses)
 
     @property
     def joint_covariance(self) -> FloatArray:
         """Covariance of all poses together (3 n, 3 n)."""
-        return self._belief.joint_pose_covariance
+        return np.asarray(self._belief.joint_pose_covariance)
 
     @property
     def covariances(self) -> FloatArray:

@@ -34,14 +34,6 @@ class ObservedLine:
     points: FloatArray
 
 
-@dataclass(frozen=True)
-class Match:
-    """A landmark that an observation may show, and the squared Mahalanobis distance between them."""
-
-    landmark: int
-    distance: float
-
-
 _BEHIND = 0.05
 """A beam may begin this far behind a line, m, because noise moves the line."""
 
@@ -59,8 +51,8 @@ def associate(
     innovation: Innovation,
     max_range: float,
     config: AssociationConfig,
-) -> list[Match]:
-    """Landmarks that an observation may show, nearest first.
+) -> list[CandidateTest]:
+    """All landmarks with the exclusion that throws each of them out; without one, an observation may show it.
 
     Parameters
     ----------
@@ -80,65 +72,26 @@ def associate(
     """
     if len(lines) == 0:
         return []
-    tests = exclusions(observed, pose, lines, segments, max_range, config)
-    possible = np.logical_and.reduce(list(tests.values()))
-    matches = []
-    for landmark in np.nonzero(possible)[0].tolist():
-        difference, covariance = innovation(observed.line, observed.covariance, landmark)
-        squared = float(difference @ np.linalg.solve(covariance, difference))
-        if squared <= config.gate:
-            matches.append(Match(landmark, squared))
-    return sorted(matches, key=lambda match: match.distance)
-
-
-def exclusions(
-    observed: ObservedLine,
-    pose: FloatArray,
-    lines: FloatArray,
-    segments: FloatArray,
-    max_range: float,
-    config: AssociationConfig,
-) -> dict[str, BoolArray]:
-    """Which landmarks (N,) pass each of the four exclusions, as in :func:`associate`."""
-    ends = transform_points(pose, observed.ends)
+    ends, line, reach = transform_points(pose, observed.ends), from_frame(observed.line, pose), max_range
     # Beams must meet the landmark even where the test of the ends is disabled.
     seen_past_ends = min(config.max_end_gap, _MOST_UNSEEN) + config.range_slack
-    return {
+    passed = {
         "ends": near_ends(ends, lines, segments, config.max_end_gap),
-        "range": in_range(pose, segments, max_range + config.range_slack),
-        "direction": alike(from_frame(observed.line, pose), ends, lines, config.max_angle, config.max_distance),
-        "hidden": visible(observed, pose, segments, max_range + config.range_slack, seen_past_ends),
+        "range": in_range(pose, segments, reach + config.range_slack),
+        "direction": alike(line, ends, lines, config.max_angle, config.max_distance),
+        "hidden": visible(observed, pose, segments, reach + config.range_slack, seen_past_ends),
     }
-
-
-def explained(
-    observed: ObservedLine,
-    pose: FloatArray,
-    lines: FloatArray,
-    segments: FloatArray,
-    passed: dict[str, BoolArray],
-    innovation: Innovation,
-    gate: float,
-) -> tuple[CandidateTest, ...]:
-    """All landmarks with the exclusion that threw each of them out, as diagnostics; arguments as in :func:`associate`.
-
-    ``passed`` is the result of :func:`exclusions`.
-    """
-    ends, line = transform_points(pose, observed.ends), from_frame(observed.line, pose)
-    angles = np.abs(wrap_angle(lines[:, 1] - line[1]))
-    offsets = np.abs(normal(lines) @ ends.mean(axis=0) - lines[:, 0])
-    gaps = end_gaps(ends, lines, segments)
-    tests = []
+    angles, offsets = difference(line, ends, lines)
+    gaps, tests = end_gaps(ends, lines, segments), []
     for index in range(len(lines)):
-        excluded = next((name for name, passes in passed.items() if not passes[index]), "")
-        squared = np.nan
+        excluded, squared = next((name for name, passes in passed.items() if not passes[index]), ""), np.nan
         if not excluded:
-            difference, covariance = innovation(observed.line, observed.covariance, index)
-            squared = float(difference @ np.linalg.solve(covariance, difference))
-            excluded = "gate" if squared > gate else ""
-        angle = min(float(angles[index]), float(np.pi - angles[index]))
-        tests.append(CandidateTest(index, excluded, angle, float(offsets[index]), float(gaps[index]), squared))
-    return tuple(tests)
+            off, covariance = innovation(observed.line, observed.covariance, index)
+            squared = float(off @ np.linalg.solve(covariance, off))
+            excluded = "gate" if squared > config.gate else ""
+        angle, offset, gap = float(angles[index]), float(offsets[index]), float(gaps[index])
+        tests.append(CandidateTest(index, excluded, angle, offset, gap, squared))
+    return tests
 
 
 def near_ends(ends: FloatArray, lines: FloatArray, segments: FloatArray, max_gap: float) -> BoolArray:
@@ -197,8 +150,11 @@ def in_range(pose: FloatArray, segments: FloatArray, max_range: float) -> BoolAr
 
 def alike(line: FloatArray, ends: FloatArray, lines: FloatArray, max_angle: float, max_distance: float) -> BoolArray:
     """Exclusion 4: landmarks (N,) with nearly the direction (rad) of a line and near its middle (m)."""
-    angle = np.abs(wrap_angle(lines[:, 1] - line[1]))
-    angle = np.minimum(angle, np.pi - angle)
-    middle = ends.mean(axis=0)
-    offset = np.abs(normal(lines) @ middle - lines[:, 0])
-    return np.asarray((angle <= max_angle) & (offset <= max_distance))
+    angles, offsets = difference(line, ends, lines)
+    return np.asarray((angles <= max_angle) & (offsets <= max_distance))
+
+
+def difference(line: FloatArray, ends: FloatArray, lines: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Angles (N,), rad, between a line and landmarks, and the distances (N,), m, of its middle from them."""
+    angles = np.abs(wrap_angle(lines[:, 1] - line[1]))
+    return np.minimum(angles, np.pi - angles), np.abs(normal(lines) @ ends.mean(axis=0) - lines[:, 0])

@@ -5,21 +5,11 @@ being associated with the old one. Later observations fit the new landmark best,
 the two are close enough. If the two landmarks agree, they are the same wall.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from limslam_agent.config.published import LoopClosingConfig
 from limslam_agent.slam.published.association import alike, near_ends
 from limslam_env.geometry import FloatArray
-
-
-def closing_pair(landmarks: Sequence[int]) -> tuple[int, int] | None:
-    """The first two landmarks that an observation may show, nearest first, as (older, younger); None if fewer."""
-    if len(landmarks) < 2:
-        return None
-    # An older landmark has a smaller number.
-    return min(landmarks[:2]), max(landmarks[:2])
 
 
 def agree(

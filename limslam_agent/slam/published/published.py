@@ -13,8 +13,8 @@ from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.hough import ExtractedLine, extract_lines
 from limslam_agent.slam.core.line_map import Landmark, LineMap
 from limslam_agent.slam.core.motion import Motion
-from limslam_agent.slam.published.association import ObservedLine, associate, exclusions, explained
-from limslam_agent.slam.published.loop_closing import agree, closing_pair, offset, squared_distance
+from limslam_agent.slam.published.association import ObservedLine, associate
+from limslam_agent.slam.published.loop_closing import agree, offset, squared_distance
 from limslam_agent.slam.published.scan_buffer import Scan, ScanBuffer
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.se2 import inverse, transform_points
@@ -128,17 +128,20 @@ class PublishedEstimator(Estimator):
         fit, pose = line.fit, self._belief.poses[robot]
         covariance = fit.covariance + np.diag([0.0, self._config.filter.drift_share * float(scan.drift.mean())])
         observed = ObservedLine(fit.line, covariance, fit.ends, scan.origins, scan.points)
-        if self.on_comparison is not None:
-            self.on_comparison(self._comparison(robot, step, observed, scan))
-        matches = associate(
-            observed, pose, self._belief.lines,
-            self._all_segments, lambda line, covariance, index: self._belief.innovation(line, covariance, index, robot),
+        tests = associate(
+            observed, pose, self._belief.lines, self._all_segments,
+            lambda line, covariance, index: self._belief.innovation(line, covariance, index, robot),
             self.robot.reach, self._config.association,
         )  # fmt: skip
-        if self._closes_loop([match.landmark for match in matches], step):
+        if self.on_comparison is not None:
+            ends = transform_points(pose, observed.ends)
+            self.on_comparison(Comparison(robot, step, ends, scan.readings, tuple(tests)))
+        possible = sorted((test for test in tests if not test.excluded), key=lambda test: test.distance)
+        matches = [test.landmark for test in possible]
+        if self._closes_loop(matches, step):
             return
         if matches:
-            landmark = matches[0].landmark
+            landmark = matches[0]
             if self._config.filter.correct:
                 self._belief.observe_line(fit.line, covariance, landmark, robot)
             pose = self._belief.poses[robot]
@@ -152,25 +155,16 @@ class PublishedEstimator(Estimator):
         if self.on_association is not None:
             self.on_association(AssociationRecord(landmark, not matches, scan.readings, robot))
 
-    def _comparison(self, robot: int, step: int, observed: ObservedLine, scan: Scan) -> Comparison:
-        """An observed line and all landmarks, with the exclusion that threw each of them out, as diagnostics."""
-        pose, lines, segments = self._belief.poses[robot], self._belief.lines, self._all_segments
-        association = self._config.association
-        tests = explained(
-            observed, pose, lines, segments,
-            exclusions(observed, pose, lines, segments, self.robot.reach, association),
-            lambda line, covariance, index: self._belief.innovation(line, covariance, index, robot), association.gate,
-        )  # fmt: skip
-        return Comparison(robot, step, transform_points(pose, observed.ends), scan.readings, tests)
-
     def _closes_loop(self, landmarks: list[int], step: int) -> bool:
         """Whether the two landmarks nearest to an observation are one wall; then the younger is updated by the older.
 
         The observation is not used further. Each pair is closed only once: the two landmarks are not merged, and the
         older one would otherwise be used as a new measurement again and again.
         """
-        config, pair = self._config.closing, closing_pair(landmarks)
-        if pair is None or pair in self._closed or not (config.enabled and self._config.filter.correct):
+        # An older landmark has a smaller number.
+        config, pair = self._config.closing, (min(landmarks[:2], default=0), max(landmarks[:2], default=0))
+        is_wanted = config.enabled and self._config.filter.correct
+        if len(landmarks) < 2 or pair in self._closed or not is_wanted:
             return False
         before = self._distance(*pair)
         lines, segments = self._belief.lines, self._all_segments
@@ -189,4 +183,5 @@ class PublishedEstimator(Estimator):
 
     def _distance(self, older: int, younger: int) -> float:
         floor = np.array([self._config.closing.floor_distance, self._config.closing.floor_angle])
-        return squared_distance(*self._belief.difference(older, younger), floor)
+        difference, covariance = self._belief.difference(older, younger)
+        return squared_distance(difference, covariance, floor)

@@ -57,30 +57,25 @@ class ScanBuffer:
         self._beams = np.array([number for number, beam in enumerate(robot.beams) if beam.side == side], dtype=int)
         self._origins = robot.beam_origins[self._beams]
         self._directions = robot.beam_directions[self._beams]
-        # End point and origin of each beam, step and beam, and drift. The first points are those in the buffer.
-        self._places, self._count = np.empty((0, 2, 2)), 0
+        # End point and origin of each beam, step and beam, and drift.
+        self._places = np.empty((0, 2, 2))
         self._readings, self._drift = np.empty((0, 2), dtype=np.int64), np.empty(0)
         self._since_hit, self._missed = 0.0, False
         self._moved = self._turned = np.inf
 
-    def __len__(self) -> int:
-        return self._count
-
     @property
     def scan(self) -> Scan:
         """The points in the buffer, a copy."""
-        count = self._count
-        points, origins = (self._places[:count, part].copy() for part in (0, 1))
-        return Scan(points, origins, self._readings[:count].copy(), self._drift[:count].copy())
+        return Scan(self._places[:, 0].copy(), self._places[:, 1].copy(), self._readings.copy(), self._drift.copy())
 
     def move(self, increment: FloatArray, turn_variance: float = 0.0, back: FloatArray | None = None) -> None:
         """Move the points into the frame after a motion (3,) whose heading has a variance, rad^2.
 
         ``back`` is the inverse of the motion, if that is known.
         """
-        places = self._places[: self._count].reshape(-1, 2)
+        places = self._places.reshape(-1, 2)
         places[:] = transform_points(inverse(increment) if back is None else back, places)
-        self._drift[: self._count] += turn_variance
+        self._drift += turn_variance
         distance = float(np.hypot(increment[0], increment[1]))
         self._since_hit += distance
         self._moved += distance
@@ -107,18 +102,19 @@ class ScanBuffer:
         self._missed |= bool(measured[self._beams].any()) and not chosen.any()
         handed_on = []
         # A long distance between two hits is a gap only if a beam missed in between.
-        if self._missed and self._since_hit > self._config.max_gap and self._count:
+        if self._missed and self._since_hit > self._config.max_gap and len(self._drift):
             handed_on.append(self.take())
         if chosen.any():
             self._since_hit, self._missed = 0.0, False
             self._append(ranges, chosen, step)
-            if self._count >= self._config.size:
+            if len(self._drift) >= self._config.size:
                 handed_on.append(self.take())
         return handed_on
 
     def take(self) -> Scan:
         """Empty the buffer, and return its points."""
-        scan, self._count = self.scan, 0
+        scan = self.scan
+        self._places, self._readings, self._drift = self._places[:0], self._readings[:0], self._drift[:0]
         return scan
 
     def _append(self, ranges: FloatArray, chosen: BoolArray, step: int) -> None:
@@ -126,17 +122,7 @@ class ScanBuffer:
             return
         self._moved = self._turned = 0.0
         beams, origins = self._beams[chosen], self._origins[chosen]
-        self._make_room(len(beams))
-        part = slice(self._count, self._count + len(beams))
-        self._count = part.stop
-        self._places[part, 0] = origins + ranges[beams, None] * self._directions[chosen]
-        self._places[part, 1] = origins
-        self._readings[part, 0], self._readings[part, 1] = step, beams
-        self._drift[part] = 0.0
-
-    def _make_room(self, added: int) -> None:
-        """Double the memory if it does not hold so many more points."""
-        if self._count + added > len(self._places):
-            size = 2 * len(self._places) + added
-            self._places = np.resize(self._places, (size, 2, 2))
-            self._readings, self._drift = np.resize(self._readings, (size, 2)), np.resize(self._drift, size)
+        points = np.stack((origins + ranges[beams, None] * self._directions[chosen], origins), axis=1)
+        self._places = np.concatenate((self._places, points))
+        self._readings = np.vstack((self._readings, np.column_stack((np.full(len(beams), step), beams))))
+        self._drift = np.append(self._drift, np.zeros(len(beams)))

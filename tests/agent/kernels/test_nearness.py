@@ -1,4 +1,4 @@
-"""Ends of beams beside walls and the body, and places where beams pass through lines: compiled as in plain numpy."""
+"""Ends of beams beside walls and the body: compiled as in plain numpy."""
 
 import math
 
@@ -8,7 +8,6 @@ import pytest
 from limslam_agent.kernels.nearness import (
     beams_on_robot,
     count_on_walls,
-    lines_near,
     place_readings,
     room_ahead,
     safe_share,
@@ -86,20 +85,6 @@ def test_room_ahead() -> None:
                 rooms.append(x - math.sqrt(ROBOT.radius**2 - min(abs(y), ROBOT.radius) ** 2))
         found = room_ahead(ranges, ROBOT.beam_table, math.radians(60.0), ROBOT.radius, 0.03)
         assert found == pytest.approx(min(rooms), abs=1e-15)
-
-
-@pytest.mark.parametrize("seed", SEEDS)
-def test_lines_near_a_point(seed: int) -> None:
-    generator = np.random.default_rng(seed)
-    lines, anchors = generator.uniform(-3.0, 3.0, (40, 2)), generator.normal(0.0, 1.0, (40, 2))
-    point, theta = generator.normal(0.0, 1.0, 2), float(generator.uniform(-3.0, 3.0))
-    turn = np.abs((lines[:, 1] - theta + 0.5 * np.pi) % np.pi - 0.5 * np.pi)
-    normals = np.column_stack((np.cos(lines[:, 1]), np.sin(lines[:, 1])))
-    off = np.abs(np.sum((point - anchors) * normals, axis=1) - lines[:, 0])
-    expected, found = np.flatnonzero((turn < 0.8) & (off < 2.0)), np.empty(40, dtype=np.int64)
-    count = lines_near(lines, anchors, theta, tuple(point.tolist()), 0.8, 2.0, found)
-    np.testing.assert_array_equal(found[:count], expected)
-    assert len(expected)
 
 
 def test_beams_on_another_robot() -> None:

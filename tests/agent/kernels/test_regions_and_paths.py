@@ -10,7 +10,6 @@ from scipy import ndimage
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.kernels.paths import search_paths
-from limslam_agent.kernels.regions import group_around
 from limslam_agent.kernels.tables import STEPS
 from limslam_env.geometry import BoolArray, FloatArray
 
@@ -58,15 +57,6 @@ def test_frontiers(seed: int, least: int, pocket: int, close_gaps: bool) -> None
         found = frontier_cells(grid, least, left_out, close_gaps=close_gaps, pocket=pocket)
         np.testing.assert_array_equal(found, expected)
         assert expected.any()
-
-
-@pytest.mark.parametrize("corners", [True, False])
-def test_groups(corners: bool) -> None:
-    cells = random_values(1) > 0
-    labels, count = ndimage.label(cells, structure=ALL_AROUND if corners else None)
-    for label in range(1, count + 1):
-        row, column = np.argwhere(labels == label)[0].tolist()
-        np.testing.assert_array_equal(group_around(cells, row, column, corners), labels == label)
 
 
 def searched(

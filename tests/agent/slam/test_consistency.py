@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from scipy.stats import chi2
 from support.drives import FOUR_BEAMS, LapLog, laps_of_square
-from support.readings import Readings, clone_poses, hit_points, observe
+from support.readings import Readings, clone_poses, hit_points, keep_clones, observe
 
 from limslam_agent.config.presets import AgentConfig, ConsistentConfig, preset
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
@@ -69,7 +69,7 @@ class OracleEstimator:
         for wall in list(self._waiting):
             self._use(wall)
         wanted = {reading.clone for waiting in self._waiting.values() for reading in waiting}
-        self.filter.keep_clones(wanted)
+        keep_clones(self.filter, wanted)
 
     def _use(self, wall: int) -> None:
         settings, waiting = self.config.estimator, self._waiting[wall]

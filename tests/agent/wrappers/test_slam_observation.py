@@ -11,8 +11,7 @@ from gymnasium.utils.env_checker import check_env
 
 import limslam_env  # noqa: F401 (registers the ids)
 from limslam_agent.config.presets import AgentConfig, GridConfig, preset
-from limslam_agent.wrappers.crop import FREE, OCCUPIED, UNKNOWN
-from limslam_agent.wrappers.single import SlamObservation
+from limslam_agent.wrappers.single import FREE, OCCUPIED, UNKNOWN, SlamObservation
 from limslam_env.envs.env import LimSlamEnv
 from limslam_env.envs.wrappers import NormalizedObservation, PrivilegedLocalMap
 from limslam_env.geometry.se2 import between

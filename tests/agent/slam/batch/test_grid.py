@@ -2,12 +2,11 @@
 
 import numpy as np
 import pytest
-from support.batch_stages import ROBOT, cached, config_of, observations, spec
+from support.batch_stages import ROBOT, cached, config_of, spec
 
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.slam.batch import grid as batch_grid
 from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.geometry.se2 import compose
 
 update = cached(batch_grid.update)
 CELLS = 160
@@ -28,16 +27,6 @@ def check(poses: list[FloatArray], ranges: list[FloatArray], usable: list[BoolAr
         assert np.count_nonzero(values) == np.count_nonzero(view.values)
     assert (values > 0).any()
     assert (values < 0).any()
-
-
-def test_recorded_readings() -> None:
-    pose, poses = np.zeros(3), []
-    for seen in observations()[:150]:
-        left, right = np.asarray(seen["wheels"], dtype=float)
-        pose = compose(pose, np.array([0.5 * (left + right), 0.0, (right - left) / ROBOT.axle]))
-        poses.append(pose)
-    ranges = [np.asarray(seen["ranges"], dtype=float) for seen in observations()[:150]]
-    check(poses, ranges, [np.ones(len(ROBOT.beams), dtype=bool)] * 150)
 
 
 @pytest.mark.parametrize("seed", range(3))

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from support.readings import Expected, Readings, expected_ranges, hit_points
+from support.readings import Readings, expected_ranges, hit_points
 
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.line import distance, to_frame
-from limslam_env.geometry.se2 import compose
+from limslam_env.geometry.line import distance
 from limslam_env.interface import RobotSpec
 
 ROBOT = RobotSpec()  # beams on the rim, 0.1 m from the middle, at 90, 45, 15, -15, -45, -90 deg
@@ -83,32 +82,6 @@ def test_a_line_through_the_point_that_was_hit_is_expected_at_the_range_that_was
         assert expected.ranges[0] == pytest.approx(measured, abs=1e-11)
 
 
-@settings(deadline=None, max_examples=200)
-@given(poses, st.integers(0, 5), st.floats(0.05, 3.0))
-def test_a_point_is_hit_where_the_robots_frame_says(pose: FloatArray, beam: int, measured: float) -> None:
-    # A beam on the rim points straight out, so in the robot's frame the point lies on a ray from its middle.
-    angle = ROBOT.beams[beam].angle
-    ahead = (ROBOT.radius + measured) * np.array([math.cos(angle), math.sin(angle)])
-    found = hit_points(pose[None], readings_of([beam], np.array([measured])))[0]
-    np.testing.assert_allclose(found, compose(pose, np.append(ahead, 0.0))[:2], atol=1e-12)
-
-
-@settings(deadline=None, max_examples=100)
-@given(poses, lines)
-def test_a_perpendicular_beam_measures_the_distance_to_the_line_less_its_own_origin(
-    pose: FloatArray, line: FloatArray
-) -> None:
-    (away, bearing) = to_frame(line, pose).tolist()
-    assume(away > ROBOT.radius + 0.01)
-    origin = ROBOT.radius * np.array([[math.cos(bearing), math.sin(bearing)]])
-    reading = Readings(np.zeros(1, dtype=int), origin, np.array([bearing]), np.zeros(1), np.zeros((1, 2), dtype=int))
-    expected = expected_ranges(pose[None], reading, line, np.zeros(2))
-    assert expected.ranges[0] == pytest.approx(away - ROBOT.radius, abs=1e-11)
-    assert abs(expected.cosines[0]) == pytest.approx(1.0, abs=1e-12)
-    # Turning on the spot changes nothing at first.
-    assert expected.by_pose[0, 2] == pytest.approx(0.0, abs=1e-9)
-
-
 @settings(deadline=None, max_examples=100)
 @given(poses, lines, anchors, anchors)
 def test_neither_the_anchor_nor_the_side_of_the_normal_changes_what_is_expected(
@@ -127,35 +100,6 @@ def test_neither_the_anchor_nor_the_side_of_the_normal_changes_what_is_expected(
         np.testing.assert_allclose(same.ranges[clear], first.ranges[clear], atol=1e-9)
         np.testing.assert_allclose(same.by_pose[clear], first.by_pose[clear], atol=1e-9)
     np.testing.assert_allclose(behind.cosines, -first.cosines, atol=1e-12)
-
-
-def test_a_line_behind_a_beam_is_at_a_negative_range() -> None:
-    stacked, readings = one_pose(np.array([1.0, -2.0, 2.5]))
-    # Two metres to the left of the robot, which heads along it.
-    wall = np.array([(stacked[0, :2] @ np.array([math.cos(2.5), math.sin(2.5)])), 2.5])
-    ahead = expected_ranges(stacked, readings, wall + np.array([2.0, 0.0]), np.zeros(2))
-    behind = expected_ranges(stacked, readings, wall - np.array([2.0, 0.0]), np.zeros(2))
-    slanted = slice(1, 5)  # the beams at plus and minus 90 deg run along it
-    assert (ahead.ranges[slanted] > 0.0).all()
-    assert (behind.ranges[slanted] < 0.0).all()
-    np.testing.assert_allclose(ahead.cosines[[0, 5]], 0.0, atol=1e-12)
-
-
-def test_readings_of_many_poses_are_worked_out_each_from_its_own() -> None:
-    generator = np.random.default_rng(4)
-    stacked = generator.uniform(-2.0, 2.0, (30, 3))
-    readings = readings_of(generator.integers(0, 6, 30).tolist(), generator.uniform(0.1, 1.0, 30))
-    line, anchor = np.array([0.4, 2.0]), np.array([3.0, -1.0])
-    together = expected_ranges(stacked, readings, line, anchor)
-    points = hit_points(stacked, readings)
-    for number in range(30):
-        alone: Expected = expected_ranges(
-            stacked[number : number + 1], readings.select(np.array([number])), line, anchor
-        )
-        for one, all_of_them in zip(alone, together, strict=True):
-            np.testing.assert_array_equal(one[0], all_of_them[number])
-        alone_at = hit_points(stacked[number : number + 1], readings.select(np.array([number])))[0]
-        np.testing.assert_array_equal(alone_at, points[number])
 
 
 def test_beams_exactly_along_a_line_are_told_by_their_cosine_and_stay_numbers() -> None:

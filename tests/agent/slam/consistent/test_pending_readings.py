@@ -100,33 +100,6 @@ def test_nothing_is_taken_before_the_robot_has_driven_far_enough() -> None:
     assert drive.rows("left")[::2, TAKEN_AT].tolist() == [0, 3, 6]
 
 
-@pytest.mark.parametrize("way", [1.0, -1.0])
-def test_or_turned_far_enough_either_way(way: float) -> None:
-    drive = _Drive()
-    turn = way * math.radians(2.0)
-    assert [drive.step(RANGES, turn=turn) for _ in range(7)] == [True, False, False, True, False, False, True]
-
-
-def test_backwards_is_driven_too() -> None:
-    drive = _Drive()
-    assert [drive.step(RANGES, distance=-0.06) for _ in range(3)] == [True, True, True]
-    assert drive.travel[DRIVEN] == pytest.approx(0.18)
-
-
-def test_standing_still_says_nothing_new() -> None:
-    drive = _Drive()
-    assert [drive.step(RANGES) for _ in range(5)] == [True, False, False, False, False]
-
-
-def test_the_distance_counts_from_the_last_readings_that_were_kept() -> None:
-    drive = _Drive()
-    drive.step(RANGES)
-    # Nothing to see for a while: what comes first then is taken at once.
-    assert [drive.step(FREE, distance=0.03) for _ in range(3)] == [False] * 3
-    assert drive.step(RANGES, distance=0.001)
-    assert not drive.step(RANGES, distance=0.03)
-
-
 # Which beams.
 
 
@@ -166,23 +139,6 @@ def test_a_dead_beam_adds_nothing_and_holds_up_no_other(dead: float) -> None:
     assert not drive.has_ended("right", 0.1)
 
 
-@pytest.mark.parametrize("dead", [math.nan, math.inf, 1.5, 0.05])
-def test_when_all_beams_are_dead_nothing_is_wanted(dead: float) -> None:
-    drive = _Drive()
-    assert not drive.step(np.full(6, dead))
-    assert not drive.step(None, distance=0.1)
-    assert drive.step(RANGES, distance=0.1)
-
-
-def test_readings_that_may_have_hit_another_robot_do_not_wait() -> None:
-    drive = _Drive()
-    drive.front.accept({"ranges": RANGES})
-    drive.front.drop(np.array([True, False, True, True, True, True]))
-    assert is_due(drive.travel, drive.front.hits, drive.sides, drive.settings)
-    drive.collect()
-    assert drive.beams() == {"left": [1], "right": [], "none": []}
-
-
 def test_a_slow_beam_waits_only_when_it_has_measured_anew() -> None:
     beams = (SensorSpec(0.0, 0.1, 0.5 * math.pi, period=3), SensorSpec(0.0, -0.1, -0.5 * math.pi))
     drive = _Drive(RobotSpec(beams=beams))
@@ -204,30 +160,3 @@ def test_a_wall_has_ended_when_nothing_was_seen_of_it_for_the_gap_and_not_before
         drive.step(right_only, distance=0.06)
         ended.append((drive.has_ended("left", 0.25), drive.has_ended("right", 0.25)))
     assert ended == [(False, False)] * 4 + [(True, False)]
-
-
-def test_a_hit_that_is_not_kept_shows_that_the_wall_goes_on() -> None:
-    drive = _Drive(config=PendingReadingsConfig(min_distance=10.0))
-    drive.step(RANGES)
-    for _ in range(10):
-        assert not drive.step(RANGES, distance=0.1)
-    assert not any(drive.has_ended(side, 0.25) for side in SIDES)
-    drive.step(FREE, distance=0.3)
-    assert all(drive.has_ended(side, 0.25) for side in SIDES)
-
-
-def test_a_wall_of_which_nothing_waits_cannot_end() -> None:
-    drive = _Drive()
-    drive.step(RANGES)
-    drive.fill[SIDES.index("left")] = 0
-    drive.step(FREE, distance=1.0)
-    assert not drive.has_ended("left", 0.25)
-    assert drive.has_ended("right", 0.25)
-
-
-def test_turning_on_the_spot_ends_no_wall() -> None:
-    drive = _Drive()
-    drive.step(RANGES)
-    for _ in range(20):
-        drive.step(FREE, turn=0.3)
-    assert not drive.has_ended("left", 0.25)

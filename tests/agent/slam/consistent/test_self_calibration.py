@@ -51,10 +51,6 @@ def test_uneven_wheels_are_found_out(noise: float) -> None:
     assert error < 0.3
 
 
-def test_nothing_is_said_of_wheels_that_nobody_asked_about() -> None:
-    assert LineSlam(FOUR_BEAMS, config(0.02, enabled=False), np.zeros(3)).odometry_calibration is None
-
-
 def test_each_robot_has_wheels_of_its_own() -> None:
     start: FloatArray = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
     slam = LineSlam(FOUR_BEAMS, config(0.02, enabled=True), start)
@@ -77,15 +73,6 @@ def test_only_the_consistent_estimator_can() -> None:
 def test_what_is_known_beforehand_must_make_sense(name: str, value: float) -> None:
     with pytest.raises(ValueError, match=name):
         SelfCalibrationConfig(**{name: value})
-
-
-def test_the_covariance_says_what_its_parts_say() -> None:
-    covariance = SelfCalibrationConfig(size_std=0.05, uneven_std=0.01, axle_std=0.03).covariance
-    mean, uneven = np.array([0.5, 0.5, 0.0]), np.array([-1.0, 1.0, 0.0])
-    assert mean @ covariance @ mean == pytest.approx(0.05**2)
-    assert uneven @ covariance @ uneven == pytest.approx(0.01**2)
-    assert mean @ covariance @ uneven == pytest.approx(0.0, abs=1e-18)
-    assert covariance[2, 2] == pytest.approx(0.03**2)
 
 
 @pytest.mark.slow

@@ -7,8 +7,7 @@ from support.drives import ranges_at
 from limslam_agent.config.ablations import ablated
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.config.published import LoopClosingConfig, MapConfig, PublishedConfig
-from limslam_agent.slam.core.ekf import LineEKF
-from limslam_agent.slam.published.loop_closing import agree, closing_pair, offset, squared_distance
+from limslam_agent.slam.published.loop_closing import agree, squared_distance
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, inverse, wrap_angle
@@ -27,17 +26,6 @@ def both(first: np.ndarray, second: np.ndarray, distance: float = 1.0, config: L
     """Whether two walls along x agree."""
     lines = np.array([[first[1], np.pi / 2], [second[1], np.pi / 2]])
     return agree(0, 1, lines, np.array([first, second]), distance, config)
-
-
-def test_the_two_nearest_make_a_pair_the_older_first():
-    assert closing_pair([]) is None
-    assert closing_pair([4]) is None
-    assert closing_pair([7, 2]) == (2, 7)
-    assert closing_pair([2, 7, 0]) == (2, 7)
-
-
-def test_walls_that_overlap_and_lie_close_are_one():
-    assert both(wall(1.0, 0.0, 2.0), wall(1.1, 1.5, 3.0))
 
 
 def test_walls_on_one_line_with_a_door_between_them_are_two():
@@ -63,52 +51,6 @@ def test_the_floor_keeps_a_difference_from_being_known_too_well():
     difference = np.array([0.01, 0.0])
     assert squared_distance(difference, np.zeros((2, 2)), np.array([0.01, 0.01])) == pytest.approx(1.0)
     assert squared_distance(difference, SMALL, np.zeros(2)) == pytest.approx(1.0)
-
-
-def test_the_offset_is_that_of_the_middle():
-    assert offset(np.array([1.0, np.pi / 2]), np.array([0.0, 1.0, 2.0, 1.4])) == pytest.approx(0.2)
-
-
-def drifted_filter() -> LineEKF:
-    """A wall at y = 1, a long drive, and the same wall again where drift has put it: at y = 1.2."""
-    ekf = LineEKF(np.zeros(3))
-    ekf.augment(np.array([1.0, np.pi / 2]), SMALL)
-    for _ in range(40):
-        ekf.predict(np.array([0.1, 0.0, 0.0]), np.diag([1e-4, 1e-4, 4e-4]))
-    ekf.augment(np.array([1.2, np.pi / 2]), SMALL)
-    return ekf
-
-
-def test_the_older_landmark_corrects_the_younger_and_the_pose():
-    ekf = drifted_filter()
-    uncertain, apart = ekf.joint_pose_covariance, abs(ekf.difference(0, 1)[0][0])
-    older = ekf.lines[0]
-    ekf.observe_landmark(0, 1)
-    assert abs(ekf.difference(0, 1)[0][0]) < 0.1 * apart
-    # The wall seemed too far to the left, so the robot is farther to the right than it believed... of its wall.
-    assert ekf.pose[1] == pytest.approx(-0.2, abs=0.05)
-    assert np.trace(ekf.joint_pose_covariance) < np.trace(uncertain)
-    np.testing.assert_allclose(ekf.lines[0], older, atol=0.02)
-    assert ekf.num_lines == 2, "they are not merged"
-
-
-def test_the_difference_of_two_landmarks_has_their_joint_covariance():
-    ekf = drifted_filter()
-    difference, covariance = ekf.difference(0, 1)
-    np.testing.assert_allclose(difference, ekf.lines[0] - ekf.lines[1], atol=1e-12)
-    joint = ekf.P
-    expected = joint[3:5, 3:5] + joint[5:7, 5:7] - joint[3:5, 5:7] - joint[5:7, 3:5]
-    np.testing.assert_allclose(covariance, expected, atol=1e-15)
-
-
-def test_a_line_and_its_other_form_are_no_difference():
-    ekf = LineEKF(np.zeros(3))
-    ekf.augment(np.array([0.01, np.pi / 2]), SMALL)
-    ekf.augment(np.array([0.01, -np.pi / 2]), SMALL)
-    difference, covariance = ekf.difference(0, 1)
-    np.testing.assert_allclose(difference, [-0.02, 0.0], atol=1e-12)
-    # r of the one is minus r of the other: their sum is what varies.
-    np.testing.assert_allclose(covariance, 2.0 * SMALL, atol=1e-12)
 
 
 ROBOT = RobotSpec(beams=beams_on_rim((90.0, 60.0, -60.0, -90.0), 0.1))

@@ -53,17 +53,6 @@ def test_points_and_origins_stay_fixed_in_the_world_while_the_robot_moves(motion
     np.testing.assert_allclose(transform_points(pose, buffer.scan.origins), begun, atol=1e-9)
 
 
-def test_points_taken_on_the_way_draw_the_wall_that_the_robot_passes() -> None:
-    # Ranges do not change along a straight wall, so the points of a beam lie behind one another.
-    buffer = ScanBuffer(ROBOT, "right", BufferConfig(size=100))
-    for step in range(10):
-        buffer.move(STRAIGHT)
-        buffer.add(RANGES, ALL, only(5), step)
-    points = buffer.scan.points
-    np.testing.assert_allclose(points[:, 1], -0.6, atol=1e-12)
-    np.testing.assert_allclose(points[:, 0], np.arange(-0.18, 0.001, 0.02), atol=1e-12)
-
-
 def test_a_buffer_is_handed_on_when_it_reaches_its_size_and_begins_anew() -> None:
     buffer = ScanBuffer(ROBOT, "left", BufferConfig(size=6))
     handed_on: list[list[Scan]] = []
@@ -90,57 +79,7 @@ def test_a_wall_that_has_ended_is_handed_on_after_the_gap_and_not_before() -> No
     assert len(buffer.scan) == 0
 
 
-def test_each_measurement_starts_the_gap_anew_also_when_no_point_is_taken() -> None:
-    # min_distance is so long that only the first point is taken; the beams see the wall at every other step.
-    buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25, min_distance=10.0, min_turn=10.0))
-    buffer.add(RANGES, ALL, only(0), 0)
-    for step in range(1, 40):
-        buffer.move(STRAIGHT)
-        assert buffer.add(RANGES, ALL, only(0) if step % 2 else NOTHING, step) == []
-    assert len(buffer.scan) == 1
-
-
-def test_driving_back_and_forth_counts_as_distance_without_measurement() -> None:
-    buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
-    buffer.add(RANGES, ALL, only(0), 0)
-    results = []
-    for step in range(13):
-        buffer.move(STRAIGHT if step % 2 else -STRAIGHT)
-        results.append(buffer.add(RANGES, ALL, NOTHING, step))
-    assert [len(scans) for scans in results] == [0] * 12 + [1]
-
-
 LONG_STEP = np.array([0.4, 0.0, 0.0])
-
-
-def test_long_steps_that_all_hit_are_no_gap() -> None:
-    buffer = ScanBuffer(ROBOT, "left", BufferConfig(size=100, max_gap=0.25))
-    for step in range(8):
-        assert buffer.move(LONG_STEP) is None
-        assert buffer.add(RANGES, ALL, only(0), step) == []
-    np.testing.assert_allclose(buffer.scan.points[:, 0], np.arange(-2.8, 0.01, 0.4), atol=1e-12)
-
-
-def test_carrying_alone_hands_nothing_on_however_far() -> None:
-    buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
-    buffer.add(RANGES, ALL, only(0), 0)
-    for _ in range(20):
-        assert buffer.move(LONG_STEP) is None
-    assert len(buffer.scan) == 1
-
-
-def test_a_long_step_to_a_miss_ends_the_wall_at_the_miss() -> None:
-    buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
-    buffer.add(RANGES, ALL, only(0), 0)
-    buffer.move(LONG_STEP)
-    (scan,) = buffer.add(RANGES, ALL, NOTHING, 1)
-    assert scan.readings.tolist() == [[0, 0]]
-    assert len(buffer.scan) == 0
-    # It is handed on once only.
-    buffer.move(LONG_STEP)
-    assert buffer.add(RANGES, ALL, NOTHING, 2) == []
-    assert buffer.add(RANGES, ALL, only(0), 3) == []
-    assert buffer.scan.readings.tolist() == [[3, 0]]
 
 
 @pytest.mark.parametrize("between", ["a long step", "steps without a measurement"])
@@ -162,39 +101,6 @@ def test_a_miss_before_the_distance_ends_the_wall_before_the_hit_that_comes_afte
     assert buffer.scan.readings.tolist() == [[2, 0]]
 
 
-def test_a_wall_that_ends_at_a_hit_that_fills_the_buffer_gives_two_scans() -> None:
-    buffer = ScanBuffer(ROBOT, "left", BufferConfig(size=2, max_gap=0.25))
-    buffer.add(RANGES, ALL, only(0), 0)
-    buffer.add(RANGES, ALL, NOTHING, 1)
-    buffer.move(LONG_STEP)
-    handed_on = buffer.add(RANGES, ALL, only(0, 1), 2)
-    assert [scan.readings.tolist() for scan in handed_on] == [[[0, 0]], [[2, 0], [2, 1]]]
-    assert len(buffer.scan) == 0
-
-
-def test_a_miss_within_the_gap_is_forgotten_at_the_next_hit() -> None:
-    # A miss at 0.1 m, a hit at 0.2 m, and then a long step to another hit: nowhere was the wall away for 0.25 m.
-    buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
-    buffer.add(RANGES, ALL, only(0), 0)
-    for step, hits in ((1, NOTHING), (2, only(0))):
-        buffer.move(np.array([0.1, 0.0, 0.0]))
-        assert buffer.add(RANGES, ALL, hits, step) == []
-    buffer.move(LONG_STEP)
-    assert buffer.add(RANGES, ALL, only(0), 3) == []
-    assert len(buffer.scan) == 3
-
-
-def test_events_without_a_measurement_are_no_miss() -> None:
-    buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
-    buffer.add(RANGES, ALL, only(0), 0)
-    for step in range(1, 40):
-        buffer.move(STRAIGHT)
-        assert buffer.add(RANGES, NOTHING, NOTHING, step) == []
-    buffer.move(STRAIGHT)
-    assert buffer.add(RANGES, ALL, only(0), 40) == []
-    assert buffer.scan.readings[:, 0].tolist() == [0, 40]
-
-
 @pytest.mark.parametrize(("measuring", "ends"), [((2, 3, 4, 5), False), ((0,), True), ((1, 5), True)])
 def test_only_a_measuring_beam_of_the_own_side_can_miss(measuring: tuple[int, ...], ends: bool) -> None:
     buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
@@ -202,25 +108,6 @@ def test_only_a_measuring_beam_of_the_own_side_can_miss(measuring: tuple[int, ..
     buffer.move(LONG_STEP)
     # The other side's hits do not count for this one.
     assert len(buffer.add(RANGES, only(*measuring), only(5), 1)) == ends
-
-
-def test_one_beam_that_hits_is_enough_for_the_side() -> None:
-    buffer = ScanBuffer(ROBOT, "left", BufferConfig(size=100, max_gap=0.25))
-    for step in range(4):
-        buffer.move(LONG_STEP)
-        assert buffer.add(RANGES, ALL, only(step % 2), step) == []
-    assert len(buffer.scan) == 4
-
-
-def test_take_empties_the_buffer() -> None:
-    buffer = ScanBuffer(ROBOT, "left", BufferConfig())
-    assert len(buffer.take()) == 0
-    buffer.add(RANGES, ALL, ALL, 5)
-    assert buffer.take().readings.tolist() == [[5, 0], [5, 1]]
-    assert len(buffer.scan) == len(buffer.take()) == 0
-    buffer.move(STRAIGHT)
-    assert buffer.add(RANGES, ALL, only(0), 6) == []
-    assert buffer.scan.readings.tolist() == [[6, 0]]
 
 
 def test_left_and_right_are_apart_and_front_beams_go_to_neither() -> None:
@@ -231,14 +118,6 @@ def test_left_and_right_are_apart_and_front_beams_go_to_neither() -> None:
     assert right.scan.readings.tolist() == [[3, 4], [3, 5]]
     assert (left.scan.points[:, 1] > 0.0).all()
     assert (right.scan.points[:, 1] < 0.0).all()
-
-
-def test_a_miss_adds_no_point() -> None:
-    buffer = ScanBuffer(ROBOT, "left", BufferConfig())
-    assert buffer.add(RANGES, ALL, only(2, 3, 4, 5), 0) == []
-    assert len(buffer.scan) == 0
-    buffer.add(RANGES, ALL, only(1, 4), 1)
-    assert buffer.scan.readings.tolist() == [[1, 1]]
 
 
 def test_standing_still_adds_nothing() -> None:
@@ -256,36 +135,6 @@ def test_creeping_adds_a_point_once_it_adds_up_to_the_least_distance() -> None:
         buffer.move(np.array([0.003, 0.0, 0.0]))
         buffer.add(RANGES, ALL, only(0), step)
     assert buffer.scan.readings[:, 0].tolist() == [0, 4, 8]
-
-
-def test_turning_on_the_spot_adds_points_too() -> None:
-    buffer = ScanBuffer(ROBOT, "left", BufferConfig(min_turn=math.radians(1.0)))
-    for step in range(4):
-        buffer.move(np.array([0.0, 0.0, -math.radians(0.6)]))
-        buffer.add(RANGES, ALL, only(0), step)
-    assert buffer.scan.readings[:, 0].tolist() == [0, 2]
-
-
-def test_the_readings_name_the_step_and_the_beam_of_each_point() -> None:
-    buffer = ScanBuffer(ROBOT, "right", BufferConfig(size=100))
-    for step, beam in ((7, 4), (8, 5), (12, 4)):
-        buffer.move(STRAIGHT)
-        buffer.add(RANGES, ALL, only(beam), step)
-    scan = buffer.scan
-    assert scan.readings.tolist() == [[7, 4], [8, 5], [12, 4]]
-    lengths = np.linalg.norm(scan.points - scan.origins, axis=1)
-    np.testing.assert_allclose(lengths, RANGES[[4, 5, 4]], atol=1e-12)
-
-
-def test_select_keeps_points_origins_and_readings_together() -> None:
-    buffer = ScanBuffer(ROBOT, "left", BufferConfig(size=100))
-    for step in range(3):
-        buffer.move(STRAIGHT)
-        buffer.add(RANGES, ALL, ALL, step)
-    chosen = buffer.scan.select(np.array([4, 1]))
-    assert chosen.readings.tolist() == [[2, 0], [0, 1]]
-    np.testing.assert_array_equal(chosen.points, buffer.scan.points[[4, 1]])
-    np.testing.assert_array_equal(chosen.origins, buffer.scan.origins[[4, 1]])
 
 
 @pytest.mark.parametrize("side", ["left", "right"])

@@ -1,0 +1,235 @@
+"""How the state and the covariance of the filter of poses, lines and clones change, in arrays that have room.
+
+``slam.consistent.clone_ekf`` explains the filter, whose letters x, P, H, S, W are those of the literature. The state
+has the first ``size`` places of its arrays. ``begins`` says where its parts begin: the end of the poses, the first
+line, and the first clone.
+"""
+
+import math
+
+import numpy as np
+
+from limslam_agent.kernels.algebra import wrapped
+from limslam_agent.kernels.compilation import algebra, compiled, entry, lean_entry
+from limslam_agent.kernels.measurement import fill_transport
+from limslam_agent.kernels.tables import POSE
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+
+_TOGETHER = 8
+"""Rows of P that are copied at once: the numbers of one line of a processor's cache."""
+
+
+@compiled
+def mirror_pose(P: FloatArray, size: int, at: int) -> None:
+    """Set the columns of P of the pose that begins at the index ``at`` to its rows."""
+    for j in range(size):
+        for i in range(POSE):
+            P[j, at + i] = P[at + i, j]
+
+
+@lean_entry
+def move_pose(
+    x: FloatArray, P: FloatArray, size: int, at: int, increment: FloatArray, covariance: FloatArray,
+    by_pose: FloatArray, by_increment: FloatArray, is_whole: bool,
+) -> None:  # fmt: skip
+    """Move a pose, which begins in the state at the index ``at``, by an increment (3,) in its frame, m, m, rad.
+
+    The increment's covariance (3, 3) is added. ``by_pose`` and ``by_increment`` (3, 3), which hold zeros, are set to
+    the derivatives of the new pose. If not ``is_whole``, only the pose's rows of P are changed. Its columns, whose
+    numbers lie far apart in memory, have to be set by :func:`mirror_pose` before they are read.
+    """
+    cos, sin = math.cos(x[at + 2]), math.sin(x[at + 2])
+    ahead, left = cos * increment[0] - sin * increment[1], sin * increment[0] + cos * increment[1]
+    for k in range(POSE):
+        by_pose[k, k] = 1.0
+    by_pose[0, 2], by_pose[1, 2] = -left, ahead
+    by_increment[0, 0], by_increment[0, 1], by_increment[1, 0], by_increment[1, 1] = cos, -sin, sin, cos
+    by_increment[2, 2] = 1.0
+    x[at], x[at + 1], x[at + 2] = x[at] + ahead, x[at + 1] + left, wrapped(x[at + 2] + increment[2])
+    for j in range(size):
+        P[at, j] -= left * P[at + 2, j]
+        P[at + 1, j] += ahead * P[at + 2, j]
+    for i in range(POSE):
+        P[at + i, at] -= left * P[at + i, at + 2]
+        P[at + i, at + 1] += ahead * P[at + i, at + 2]
+    for i in range(POSE):
+        for j in range(POSE):
+            for k in range(POSE):
+                for m in range(POSE):
+                    P[at + i, at + j] += by_increment[i, k] * covariance[k, m] * by_increment[j, m]
+    if is_whole:
+        mirror_pose(P, size, at)
+
+
+@lean_entry
+def copy_pose(x: FloatArray, P: FloatArray, by_errors: FloatArray, size: int, at: int) -> None:
+    """Append a copy of the pose that begins at the index ``at`` to a state of a size; only the pose's rows are read."""
+    for k in range(POSE):
+        x[size + k] = x[at + k]
+        for j in range(by_errors.shape[1]):
+            by_errors[size + k, j] = by_errors[at + k, j]
+        for j in range(size):
+            P[size + k, j] = P[at + k, j]
+    for j in range(size):
+        for k in range(POSE):
+            P[j, size + k] = P[size + k, j]
+    for i in range(POSE):
+        for k in range(POSE):
+            P[size + i, size + k] = P[at + i, at + k]
+
+
+@lean_entry
+def keep_states(x: FloatArray, P: FloatArray, by_errors: FloatArray, is_kept: BoolArray, kept: IntArray) -> None:
+    """Marginalise all states (n,) but those to keep, in place. The derivatives by constant errors have n rows.
+
+    ``kept`` (2, n) is scratch: where each state was, and where the stretch of states ends that move together.
+    """
+    size, first = 0, len(is_kept)
+    for place in range(len(is_kept)):
+        if is_kept[place]:
+            kept[0, size] = place
+            size += 1
+        else:
+            first = min(first, place)
+    for new in range(size - 1, -1, -1):
+        is_last = new + 1 == size or kept[0, new + 1] > kept[0, new] + 1
+        kept[1, new] = new + 1 if is_last else kept[1, new + 1]
+    for new in range(size):
+        old = kept[0, new]
+        if old != new:
+            x[new] = x[old]
+            for j in range(by_errors.shape[1]):
+                by_errors[new, j] = by_errors[old, j]
+        begin = first if new < first else 0
+        while begin < size:
+            end, shift = kept[1, begin], kept[0, begin] - begin
+            for j in range(begin, end):
+                P[new, j] = P[old, j + shift]
+            begin = end
+
+
+@algebra
+def dense_block(P: FloatArray, columns: IntArray) -> FloatArray:
+    """Block (k, k) of a covariance: its rows and columns ``columns`` (k,)."""
+    block = np.empty((len(columns), len(columns)))
+    for i in range(len(columns)):
+        for j in range(len(columns)):
+            block[i, j] = P[columns[i], columns[j]]
+    return block
+
+
+@algebra
+def dense_rows(P: FloatArray, size: int, columns: IntArray) -> FloatArray:
+    """Rows (k, size) of a covariance."""
+    rows = np.empty((len(columns), size))
+    for i in range(len(columns)):
+        for j in range(size):
+            rows[i, j] = P[columns[i], j]
+    return rows
+
+
+@algebra
+def change_of_transport(
+    x: FloatArray, size: int, begins: tuple[int, int, int], anchors: FloatArray, num_lines: int, before: FloatArray,
+    out: FloatArray,
+) -> None:  # fmt: skip
+    """Set ``out`` (size, 3) to what ``fill_transport`` finds, less what it found ``before``."""
+    fill_transport(x, size, begins, anchors, num_lines, out)
+    for j in range(size):
+        for k in range(POSE):
+            out[j, k] -= before[j, k]
+
+
+@algebra
+def transport_pose(P: FloatArray, moved: FloatArray, out: FloatArray) -> None:
+    """The first pose's rows of P (3, size) after its error is transported by ``moved`` (size, 3)."""
+    for k in range(POSE):
+        for j in range(len(moved)):
+            out[k, j] = P[k, j] + P[k, 0] * moved[j, 0] + P[k, 1] * moved[j, 1] + P[k, 2] * moved[j, 2]
+
+
+@algebra
+def transport_rows(
+    P: FloatArray, rows: FloatArray, columns: IntArray, moved: FloatArray, pose: FloatArray, out: FloatArray
+) -> None:
+    """Some rows of P after its error is transported by ``moved``; ``pose`` has those of the first pose after it."""
+    size = len(moved)
+    across = np.empty((POSE, size))
+    for k in range(POSE):
+        for j in range(size):
+            across[k, j] = moved[j, k]
+    for i in range(len(columns)):
+        column = columns[i]
+        a, b, c = moved[column, 0], moved[column, 1], moved[column, 2]
+        d, e, f = P[0, column], P[1, column], P[2, column]
+        for j in range(size):
+            out[i, j] = rows[i, j] + (
+                a * pose[0, j] + b * pose[1, j] + c * pose[2, j]
+                + d * across[0, j] + e * across[1, j] + f * across[2, j]
+            )  # fmt: skip
+
+
+@algebra
+def add_products(P: FloatArray, left: FloatArray, right: FloatArray) -> None:
+    """P += left^T right, both (rank, size), which is symmetric; ``rank`` is a multiple of four."""
+    rank, size = left.shape
+    if size % 2:
+        for k in range(rank):
+            P[0, 0] += left[k, 0] * right[k, 0]
+    for first in range(size % 2, size, _TOGETHER):
+        last = min(first + _TOGETHER, size)
+        # Two rows at once, so that what is loaded of ``right`` is used twice.
+        for i in range(first, last, 2):
+            row, other = P[i], P[i + 1]
+            for k in range(0, rank, 4):
+                a, b, c, d = left[k, i], left[k + 1, i], left[k + 2, i], left[k + 3, i]
+                e, f, g, h = left[k, i + 1], left[k + 1, i + 1], left[k + 2, i + 1], left[k + 3, i + 1]
+                for j in range(i + 2):
+                    one, two, three, four = right[k, j], right[k + 1, j], right[k + 2, j], right[k + 3, j]
+                    row[j] += a * one + b * two + c * three + d * four
+                    other[j] += e * one + f * two + g * three + h * four
+        for j in range(last):
+            for i in range(max(first, j + 1), last):
+                P[j, i] = P[i, j]
+
+
+@entry
+def correct_state(
+    x: FloatArray, P: FloatArray, size: int, begins: tuple[int, int, int], anchors: FloatArray, num_lines: int,
+    moved: FloatArray, W: FloatArray, change: FloatArray,
+) -> FloatArray:  # fmt: skip
+    """Finish an update: transport the error of P to where W was found, subtract W^T W, and change the state.
+
+    Then the error is transported to the changed state. With ``moved`` M (size, 3), the first pose's rows A of P, and
+    their first three columns B, a transport replaces P by P + M (A + B M^T) + A^T M^T. The two transports are one by
+    the sum of both M, if W (m, size) is transported by the second M. So all is one product of two matrices.
+
+    Returns
+    -------
+    moved
+        The last transport (size, 3).
+    """
+    rank = len(W)
+    height = (rank + 2 * POSE + 3) // 4 * 4
+    left, right = np.zeros((height, size)), np.zeros((height, size))
+    after, both = np.empty((size, POSE)), np.empty((size, POSE))
+    fill_transport(x, size, begins, anchors, num_lines, both)
+    for j in range(size):
+        x[j] += change[j]
+    change_of_transport(x, size, begins, anchors, num_lines, both, after)
+    for j in range(size):
+        for k in range(POSE):
+            both[j, k] = moved[j, k] + after[j, k]
+    for r in range(rank):
+        for j in range(size):
+            right[r, j] = W[r, j] + W[r, 0] * after[j, 0] + W[r, 1] * after[j, 1] + W[r, 2] * after[j, 2]
+            left[r, j] = -right[r, j]
+    transport_pose(P, both, right[rank : rank + POSE])
+    for k in range(POSE):
+        for j in range(size):
+            left[rank + k, j] = right[rank + POSE + k, j] = both[j, k]
+            left[rank + POSE + k, j] = P[k, j]
+    add_products(P, left, right)
+    for heading in range(2, begins[0], POSE):
+        x[heading] = wrapped(x[heading])
+    return after

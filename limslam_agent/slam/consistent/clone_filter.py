@@ -1,0 +1,253 @@
+"""The filter of poses, lines and clones in arrays with room, and what the decisions of a step ask of it.
+
+:mod:`~limslam_agent.slam.consistent.clone_ekf` explains the state. The functions are plain: the estimator of one team
+calls them as they are, and the batch compiles them (``slam.batch.compiled_steps``). What takes long is a kernel.
+"""
+
+import math
+
+import numpy as np
+
+from limslam_agent.kernels.covariance import copy_pose, correct_state, keep_states
+from limslam_agent.kernels.measurement import ends_of_beams, error_transport
+from limslam_agent.kernels.segments import cut_at_bends
+from limslam_agent.kernels.tables import CLONES, LINES, LINES_FROM, NEXT_CLONE, POSE, POSES_END, Filter
+from limslam_agent.kernels.updates import compare_readings, update_by_readings
+from limslam_agent.slam.consistent.separate_bias import note_readings, note_update
+from limslam_agent.slam.core.carried_anchors import KNOWN_PLACE, by_carried_anchor
+from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+
+LINE_PRIOR = (10.0**2, 3.0**2)
+"""Variances of a new line's d and theta, m^2 and rad^2: large, so that the readings alone determine the line."""
+
+EQUALITY_NOISE = (1e-4**2, 1e-5**2)
+"""Variances, m^2 and rad^2, of the constraint that two merged lines are equal: small, but P stays regular."""
+
+
+def num_lines(ekf: Filter) -> int:
+    """How many lines the filter holds."""
+    return int(ekf.counts[LINES])
+
+
+# What is called all the time takes the counts only: compiled code counts references to each array that it hands on.
+
+
+def line_at(counts: IntArray, index: int) -> int:
+    """Index in the state at which a line begins."""
+    return int(counts[LINES_FROM] + 2 * index)
+
+
+def clones_from(counts: IntArray) -> int:
+    """Index in the state at which the clones begin."""
+    return int(counts[LINES_FROM] + 2 * counts[LINES])
+
+
+def size_of(counts: IntArray) -> int:
+    """Length of the state."""
+    return int(counts[LINES_FROM] + 2 * counts[LINES] + POSE * counts[CLONES])
+
+
+def begins_of(counts: IntArray) -> tuple[int, int, int]:
+    """Where the poses end in the state, and where lines and clones begin."""
+    return int(counts[POSES_END]), int(counts[LINES_FROM]), clones_from(counts)
+
+
+def line_of(ekf: Filter, index: int) -> tuple[float, float]:
+    """A line as (d, theta) about its anchor, m and rad."""
+    at = line_at(ekf.counts, index)
+    return float(ekf.x[at]), float(ekf.x[at + 1])
+
+
+def anchor_of(ekf: Filter, index: int) -> tuple[float, float]:
+    """The anchor of a line, m."""
+    return float(ekf.anchors[index, 0]), float(ekf.anchors[index, 1])
+
+
+def lines_near(ekf: Filter, theta: float, x: float, y: float, angle: float, offset: float) -> IntArray:
+    """Lines (k,) with a direction within ``angle``, rad, that pass a point, m, at less than ``offset``, m."""
+    first, end, anchors = line_at(ekf.counts, 0), clones_from(ekf.counts), ekf.anchors[: ekf.counts[LINES]]
+    d, own = ekf.x[first:end:2], ekf.x[first + 1 : end : 2]
+    turn = np.abs((own - theta + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
+    off = np.abs((x - anchors[:, 0]) * np.cos(own) + (y - anchors[:, 1]) * np.sin(own) - d)
+    return np.flatnonzero((turn < angle) & (off < offset))
+
+
+def end_points(ekf: Filter, places: IntArray, readings: FloatArray, theta: float) -> FloatArray:
+    """End points (n, 2), m, of readings on a wall with its normal at ``theta``, rad; on the middle of beams if NaN."""
+    return ends_of_beams(ekf.x, clones_from(ekf.counts), places, readings, theta)
+
+
+def straight_segments(
+    ekf: Filter, places: IntArray, readings: FloatArray, points: FloatArray, members: IntArray, line: FloatArray,
+    std: float, variances: FloatArray,
+) -> tuple[FloatArray, IntArray, FloatArray]:  # fmt: skip
+    """Cut readings near one line into straight segments: ``kernels.segments.cut_at_bends``."""
+    start = clones_from(ekf.counts)
+    return cut_at_bends(ekf.x, ekf.P, start, places, readings, points, members, line, std, variances)
+
+
+def compare(
+    ekf: Filter, places: IntArray, readings: FloatArray, index: int, variances: FloatArray
+) -> tuple[float, float, int, float, float]:
+    """How badly readings fit a line: ``kernels.updates.compare_readings``."""
+    line, anchor = line_at(ekf.counts, index), anchor_of(ekf, index)
+    return compare_readings(ekf.x, ekf.P, clones_from(ekf.counts), places, readings, line, anchor, variances)
+
+
+def side_of(ekf: Filter, places: IntArray, readings: FloatArray, index: int) -> int:
+    """From which side readings hit a line: ``POSITIVE`` or ``NEGATIVE``."""
+    headings = ekf.x[clones_from(ekf.counts) + POSE * places + 2] + readings[:, 2]
+    return POSITIVE if np.cos(headings - line_of(ekf, index)[1]).sum() < 0.0 else NEGATIVE
+
+
+def clone(ekf: Filter, robot: int) -> int:
+    """Add a copy of a robot's pose to the state, which must have room for it, and return the copy's number."""
+    number = ekf.counts[NEXT_CLONE]
+    copy_pose(ekf.x, ekf.P, ekf.by_errors, size_of(ekf.counts), POSE * robot)
+    ekf.clones[ekf.counts[CLONES]] = number
+    ekf.counts[CLONES] += 1
+    ekf.counts[NEXT_CLONE] += 1
+    return int(number)
+
+
+def keep(ekf: Filter, is_kept: BoolArray) -> None:
+    """Marginalise all of the state (n,) but those to keep. The caller updates the counts."""
+    keep_states(ekf.x, ekf.P, ekf.by_errors, is_kept, np.empty((2, len(is_kept)), dtype=np.int64))
+
+
+def keep_clones(ekf: Filter, wanted: FloatArray) -> None:
+    """Marginalise all clones but the wanted ones (n,). What they contributed to other states remains."""
+    clones, is_wanted = ekf.clones[: ekf.counts[CLONES]], np.zeros(ekf.counts[CLONES], dtype=np.bool_)
+    is_wanted[np.searchsorted(clones, wanted.astype(np.int64))] = True
+    if is_wanted.all():
+        return
+    is_kept = np.ones(size_of(ekf.counts), dtype=np.bool_)
+    is_kept[clones_from(ekf.counts) :] = np.repeat(is_wanted, POSE)
+    keep(ekf, is_kept)
+    left = clones[is_wanted]
+    ekf.clones[: len(left)], ekf.counts[CLONES] = left, len(left)
+
+
+def add_line(ekf: Filter, theta: float, x: float, y: float) -> int:
+    """Add a line with an uninformative prior, for which there must be room, and return its index.
+
+    It goes through its anchor (x, y), m, with its normal at ``theta``, rad.
+    """
+    at, old, index = clones_from(ekf.counts), size_of(ekf.counts), num_lines(ekf)
+    after, new = at + 2, old + 2
+    ekf.x[after:new], ekf.by_errors[after:new] = ekf.x[at:old].copy(), ekf.by_errors[at:old].copy()
+    ekf.P[after:new, :old] = ekf.P[at:old, :old].copy()
+    ekf.P[:new, after:new] = ekf.P[:new, at:old].copy()
+    ekf.P[at:after, :new], ekf.P[:new, at:after], ekf.by_errors[at:after] = 0.0, 0.0, 0.0
+    ekf.x[at], ekf.x[at + 1] = 0.0, theta
+    ekf.P[at, at], ekf.P[at + 1, at + 1] = LINE_PRIOR
+    ekf.anchors[index, 0], ekf.anchors[index, 1] = x, y
+    ekf.counts[LINES] += 1
+    return index
+
+
+def observe(
+    ekf: Filter, places: IntArray, readings: FloatArray, index: int, variances: FloatArray, iterations: int,
+    huber: float,
+) -> None:  # fmt: skip
+    """Update by readings of one line: the iterated EKF, linearised anew at each iteration.
+
+    Parameters
+    ----------
+    places, readings, index
+        Places of the clones (n,), beams and ranges (n, 6), and the line that they show.
+    variances
+        Variances of the ranges (n,), m^2.
+    iterations
+        Number of iterations.
+    huber
+        Residuals larger than so many standard deviations are down-weighted (P. Huber, "Robust estimation of a
+        location parameter", 1964); 0 for no weights.
+    """
+    counts = ekf.counts
+    found = update_by_readings(
+        ekf.x, ekf.P, size_of(counts), begins_of(counts), ekf.anchors, counts[LINES], index, places, readings,
+        variances, iterations, huber,
+    )  # fmt: skip
+    moved, change, _, _, _, _, W, _, chosen = found
+    if not len(chosen):
+        return
+    again = correct_state(ekf.x, ekf.P, len(change), begins_of(counts), ekf.anchors, counts[LINES], moved, W, change)
+    note_readings(ekf, found, again, places, readings, line_of(ekf, index)[1], clones_from(counts))
+
+
+def equality(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Difference (2,) of two lines about the younger's anchor, m and rad, its derivative (2, 7), and by which states.
+
+    The derivative by the first robot's pose is zero if the place of the anchor is known.
+    """
+    (d, theta), (other_d, other) = line_of(ekf, older), line_of(ekf, younger)
+    (from_x, from_y), (x, y) = anchor_of(ekf, older), anchor_of(ekf, younger)
+    cos, sin, is_turned = math.cos(theta), math.sin(theta), math.cos(theta - other) < 0.0
+    sign = -1.0 if is_turned else 1.0
+    across = sign * (d - (x - from_x) * cos - (y - from_y) * sin) - other_d
+    turn = (theta - other + (math.pi if is_turned else 0.0) + math.pi) % (2.0 * math.pi) - math.pi
+    H, columns = np.zeros((2, POSE + 4)), np.empty(POSE + 4, dtype=np.int64)
+    H[0, POSE], H[0, POSE + 1] = sign, sign * ((x - from_x) * sin - (y - from_y) * cos)
+    H[0, POSE + 2], H[1, POSE + 1], H[1, POSE + 3] = -1.0, 1.0, -1.0
+    for k in range(POSE):
+        columns[k] = k
+    for k in range(2):
+        columns[POSE + k], columns[POSE + 2 + k] = line_at(ekf.counts, older) + k, line_at(ekf.counts, younger) + k
+    by_pose, variance = by_carried_anchor(x - ekf.x[0], y - ekf.x[1], theta, other, sign), 0.0
+    for i in range(POSE):
+        for j in range(POSE):
+            variance += by_pose[i] * ekf.P[i, j] * by_pose[j]
+    if variance >= KNOWN_PLACE:
+        for k in range(POSE):
+            H[0, k] = by_pose[k]
+    return np.array([across, turn]), H, columns
+
+
+def difference(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatArray]:
+    """Difference (2,) of two lines about the younger's anchor, m and rad, and its covariance (2, 2)."""
+    off, H, columns = equality(ekf, older, younger)
+    block = np.empty((len(columns), len(columns)))
+    for i in range(len(columns)):
+        block[i] = ekf.P[columns[i]][columns]
+    return off, H @ block @ H.T
+
+
+def merge(ekf: Filter, older: int, younger: int, iterations: int) -> None:
+    """Merge two lines: update by the constraint that they are equal, and marginalise the younger one.
+
+    With more than one iteration, the constraint is linearised where the lines are equal. A common rotation of all
+    lines and poses then changes nothing in it, so that many merges say nothing about the global heading.
+    """
+    size, begins, count = size_of(ekf.counts), begins_of(ekf.counts), num_lines(ekf)
+    start, change = ekf.x[:size].copy(), np.zeros(size)
+    at_first = error_transport(ekf.x, size, begins, ekf.anchors, count)
+    pose = ekf.P[:POSE, :size].copy()
+    W, factor = np.zeros((2, size)), np.zeros((2, 2))
+    moved, H, columns, innovation = at_first, factor, np.arange(0), factor[0]
+    for _ in range(iterations):
+        ekf.x[:size] += change
+        moved = error_transport(ekf.x, size, begins, ekf.anchors, count) - at_first
+        off, H, columns = equality(ekf, older, younger)
+        # The rows of P as a transport of its error by ``moved`` changes them: see ``correct_state``.
+        rows = ekf.P[columns, :size] + moved[columns] @ pose
+        HP = H @ (rows + rows[:, :POSE].copy() @ moved.T.copy())
+        so_far = ekf.x[:size] - start
+        innovation = H @ so_far[columns] - off
+        S = HP[:, columns] @ H.T
+        # With S = L L^T and W = L^-1 H P, the correction is W^T L^-1 y.
+        factor[0, 0] = math.sqrt(S[0, 0] + EQUALITY_NOISE[0])
+        factor[1, 0] = S[1, 0] / factor[0, 0]
+        factor[1, 1] = math.sqrt(S[1, 1] + EQUALITY_NOISE[1] - factor[1, 0] ** 2)
+        W[0] = HP[0] / factor[0, 0]
+        W[1] = (HP[1] - factor[1, 0] * W[0]) / factor[1, 1]
+        first = innovation[0] / factor[0, 0]
+        change = first * W[0] + (innovation[1] - factor[1, 0] * first) / factor[1, 1] * W[1] - so_far
+    again = correct_state(ekf.x, ekf.P, size, begins, ekf.anchors, count, moved, W, change)
+    note_update(ekf, H, columns, innovation, factor, W, moved, again, None)
+    is_kept = np.ones(size, dtype=np.bool_)
+    is_kept[line_at(ekf.counts, younger) : line_at(ekf.counts, younger) + 2] = False
+    keep(ekf, is_kept)
+    ekf.anchors[younger : count - 1] = ekf.anchors[younger + 1 : count].copy()
+    ekf.counts[LINES] -= 1
