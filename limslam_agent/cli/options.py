@@ -203,9 +203,10 @@ ZeroIsNothing = Annotated[
     bool | None,
     _option(_TABLE, "A range of 0 or less says that nothing was seen. Else 0 is too near, and less is no reading."),
 ]
-ScanTopic = Annotated[str | None, _option(_LOG, "Topics of LaserScan messages in a ROS bag: A,B,...")]
-RangeTopics = Annotated[str | None, _option(_LOG, "Topics of Range messages in a ROS bag: TOPIC:DEG,...")]
-OdometryTopic = Annotated[str | None, _option(_LOG, "Topic of Odometry or pose messages in a ROS bag.")]
+Topics = Annotated[
+    str | None,
+    _option(_LOG, "Topics of a ROS bag: A,B,... of scans, of ranges (TOPIC:DEG), and of an odometry."),
+]
 MaxSize = Annotated[float | None, _option(_LOG, "Largest log that is read, unpacked, MB.", f"{_REPLAY.max_size:g}")]
 MaxEvents = Annotated[int | None, _option(_LOG, "Most lines, steps or messages that are read.", _REPLAY.max_events)]
 MaxBeams = Annotated[int | None, _option(_LOG, "Most beams of a scan.", _REPLAY.max_beams)]

@@ -84,9 +84,7 @@ class ReplayOptions(Bounded):
     odometry_bias: str | None = None
     self_calibrate: bool | None = None
     calibrate: Path | None = None
-    scan_topic: str | None = None
-    range_topics: str | None = None
-    odometry_topic: str | None = None
+    topics: str | None = None
     max_size: Annotated[float, Bounds(1e-3, 1e6)] = DEFAULT_LIMITS.max_bytes / 1e6
     max_events: Annotated[int, Bounds(1, 10**9)] = DEFAULT_LIMITS.max_events
     max_beams: Annotated[int, Bounds(1, 10**6)] = DEFAULT_LIMITS.max_beams

@@ -20,7 +20,6 @@ import re
 from array import array
 from collections.abc import Sequence
 from dataclasses import replace
-from os import fspath
 
 import numpy as np
 
@@ -38,12 +37,13 @@ from limslam_agent.logs.pose_log import (
 )
 from limslam_agent.logs.recorded_log import (
     FilePath,
-    LogError,
     RecordedLog,
     is_number,
+    naming,
     numbered_lines,
     parse_number,
     parse_range,
+    read_lines,
 )
 from limslam_agent.logs.table_options import CLOCK_COUNTS, TableOptions, check_travel, started_again
 from limslam_env.geometry import BoolArray, FloatArray
@@ -97,24 +97,7 @@ def read_csv(
 ) -> RecordedLog:
     """Read a text file with the header ``t,x,y,theta,r_<deg>,...`` or ``t,left,right,r_<deg>,...``, plain or gzip.
 
-    Parameters
-    ----------
-    path
-        The log.
-    beams_deg
-        Directions of the beams to keep, deg. None keeps all of up to 16 beams, and six of more beams.
-    max_range
-        Longest reading that is used, m; a longer one counts as "nothing seen". By default it is the maximum of the
-        robot's beams, or 3 m where the options name no robot.
-    limits
-        Largest log that is read.
-    options
-        The robot, and the units of the columns. By default there is no robot, and the units are m and s.
-
-    Returns
-    -------
-    RecordedLog
-        One event for each row, in the order of the file.
+    The parameters are those of `limslam_agent.logs.log_reader.read_log`. There is one event for each row.
 
     Raises
     ------
@@ -125,16 +108,9 @@ def read_csv(
         farther than the robot can drive.
     """
     rows = _Rows(beams_deg, max_range, limits, options or TableOptions())
-    for number, line in numbered_lines(path, limits):
-        cut = not line.endswith(b"\n")
-        try:
-            rows.add(line)
-        except ValueError as error:
-            raise LogError(f"{fspath(path)}: line {number}: {'cut short: ' if cut else ''}{error}") from error
-    try:
+    read_lines(path, limits, rows.add)
+    with naming(path):
         return rows.log()
-    except ValueError as error:
-        raise LogError(f"{fspath(path)}: {error}") from error
 
 
 class _Rows:

@@ -4,7 +4,8 @@ import codecs
 import gzip
 import math
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from os import PathLike, fspath
 from pathlib import Path
@@ -36,6 +37,17 @@ class LogError(ValueError):
 
     def __init__(self, message: str) -> None:
         super().__init__(one_line(message))
+
+
+@contextmanager
+def naming(path: FilePath) -> Iterator[None]:
+    """Turn a ValueError about a file into a LogError that names the file."""
+    try:
+        yield
+    except LogError:
+        raise
+    except ValueError as error:
+        raise LogError(f"{fspath(path)}: {error}") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,15 +175,15 @@ def read_npz(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> RecordedLog:
         missing, or one of the two arrays of the truth; or if an array has a wrong shape or holds something other than
         finite numbers. Ranges may be infinite, NaN or negative, as `limslam_agent.readings` defines.
     """
-    arrays = _load_arrays(path, limits)
-    try:
+    with naming(path):
+        arrays = _load_arrays(path, limits)
         limits.check_events(arrays["time"].size, "steps")
         robot = _robot_of(arrays["robot"])
         limits.check_beams(len(robot.beams))
         count, beams = arrays["time"].size, len(robot.beams)
         if arrays["ranges"].ndim == 3:
             robots = arrays["ranges"].shape[1]
-            raise LogError(f"is the log of {robots} robots; only the log of one robot can be replayed")
+            raise ValueError(f"is the log of {robots} robots; only the log of one robot can be replayed")
         _check("action", arrays["action"], (count, 2))
         has_truth = "true_pose" in arrays
         if has_truth:
@@ -185,8 +197,6 @@ def read_npz(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> RecordedLog:
             wheels=_floats("wheels", arrays),
             true_pose=_floats("true_pose", arrays) if has_truth else None,
         )
-    except ValueError as error:
-        raise LogError(f"{fspath(path)}: {error}") from error
 
 
 def first_bytes(path: FilePath, count: int) -> bytes:
@@ -220,18 +230,18 @@ def numbered_lines(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> Iterator[
     """
     number = size = 0
     try:
-        with open_regular(Path(path)) as raw:
+        with naming(path), open_regular(Path(path)) as raw:
             packed = raw.read(len(GZIP_MAGIC)) == GZIP_MAGIC
             raw.seek(0)
             file: IO[bytes] | gzip.GzipFile = gzip.GzipFile(fileobj=raw) if packed else raw
             while line := file.readline(LONGEST_LINE):
                 number, size = number + 1, size + len(line)
-                if number > limits.max_events or size > limits.max_bytes:
-                    _refuse_size(path, number, size, limits)
+                limits.check_events(number, "lines")
+                limits.check_bytes(size)
                 if number == 1 and line.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-                    raise LogError(f"{fspath(path)}: this is a text in UTF-16: it must be saved as UTF-8")
+                    raise ValueError("this is a text in UTF-16: it must be saved as UTF-8")
                 if b"\0" in line or len(line) == LONGEST_LINE:
-                    raise LogError(f"{fspath(path)}: line {number}: this is not a text file")
+                    raise ValueError(f"line {number}: this is not a text file")
                 yield number, line.removeprefix(codecs.BOM_UTF8) if number == 1 else line
     except EOFError as error:
         raise LogError(f"{fspath(path)}: line {number + 1}: cut short: the gzip stream ends here") from error
@@ -239,6 +249,23 @@ def numbered_lines(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> Iterator[
         raise LogError(f"{fspath(path)}: line {number + 1}: the gzip stream is damaged: {error}") from error
     except OSError as error:
         raise _unreadable(path, error) from error
+
+
+def read_lines(path: FilePath, limits: Limits, take: Callable[[bytes], None]) -> None:
+    """Hand the lines of a text file to a function, one after the other.
+
+    Raises
+    ------
+    LogError
+        As :func:`numbered_lines` does; and where the function raises a ValueError, with the number of the line, and
+        whether the file ends within it.
+    """
+    for number, line in numbered_lines(path, limits):
+        try:
+            take(line)
+        except ValueError as error:
+            cut = "" if line.endswith(b"\n") else "cut short: "
+            raise LogError(f"{fspath(path)}: line {number}: {cut}{error}") from error
 
 
 def parse_range(field: bytes, what: str) -> float:
@@ -282,29 +309,19 @@ _TRUTH = ("true_pose", "wall_seen")
 _ARRAYS = ("time", "ranges", "wheels", "action", *_TRUTH, "robot", "start_pose")
 
 
-def _refuse_size(path: FilePath, lines: int, size: int, limits: Limits) -> None:
-    try:
-        limits.check_events(lines, "lines")
-        limits.check_bytes(size)
-    except ValueError as error:
-        raise LogError(f"{fspath(path)}: {error}") from error
-
-
 def _load_arrays(path: FilePath, limits: Limits) -> dict[str, NDArray[Any]]:
     if first_bytes(path, len(ZIP_MAGIC)) != ZIP_MAGIC:
-        raise LogError(f"{fspath(path)}: is not an .npz file")
+        raise ValueError("is not an .npz file")
     try:
         arrays = load_arrays(Path(path), _ARRAYS, limits.max_bytes)
     except OSError as error:
         raise _unreadable(path, error) from error
     except TooLargeError as error:
-        raise LogError(f"{fspath(path)}: {error}: --max-size raises this limit") from error
-    except ValueError as error:
-        raise LogError(f"{fspath(path)}: {error}") from error
+        raise ValueError(f"{error}: --max-size raises this limit") from error
     missing = [name for name in _ARRAYS if name not in arrays]
     # The log of a live robot has no truth at all.
     if missing and missing != list(_TRUTH):
-        raise LogError(f"{fspath(path)}: has no {' and no '.join(missing)}")
+        raise ValueError(f"has no {' and no '.join(missing)}")
     return arrays
 
 

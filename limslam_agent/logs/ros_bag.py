@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from limslam_agent.logs.limits import DEFAULT_LIMITS, Limits
-from limslam_agent.logs.recorded_log import FilePath, LogError, first_bytes
+from limslam_agent.logs.recorded_log import FilePath, LogError, first_bytes, naming
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -88,16 +88,11 @@ class Bag:
                     return
                 connection, nanoseconds, raw = item
                 count, size = count + 1, size + len(raw)
-                self._check_size(count, size)
+                with naming(self.path):
+                    self.limits.check_events(count, "messages")
+                    self.limits.check_bytes(size)
                 content = self._reader.deserialize(raw, connection.msgtype)
             yield Message(connection.topic, 1e-9 * nanoseconds, content)
-
-    def _check_size(self, count: int, size: int) -> None:
-        try:
-            self.limits.check_events(count, "messages")
-            self.limits.check_bytes(size)
-        except ValueError as error:
-            raise LogError(f"{fspath(self.path)}: {error}") from error
 
     def first(self, topic: str) -> Any:
         """First message of a topic. None if the topic has no messages."""

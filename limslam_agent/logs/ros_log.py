@@ -38,25 +38,12 @@ def read_ros(
 ) -> RecordedLog:
     """Read a bag. Each scan becomes one event with the odometry at the time of the scan.
 
-    Parameters
-    ----------
-    path
-        A ``.bag``, the folder of a ROS 2 bag, or a single ``.mcap`` or ``.db3`` file.
-    beams_deg
-        Directions of the beams to keep, deg. None keeps all of up to 16 beams, and six of more beams.
-    max_range
-        Longest reading that is used, m; a longer one counts as "nothing seen".
-    topics
-        Topics to use. Topics that are not given are found by their types.
-    limits
-        Largest log that is read.
+    The parameters are those of `limslam_agent.logs.log_reader.read_log`. ``path`` is a ``.bag``, the folder of a ROS 2
+    bag, or a single ``.mcap`` or ``.db3`` file.
 
-    Returns
-    -------
-    RecordedLog
-        The times are those of the message headers. They are those of the bag if a header has no time or the clocks of
-        the topics differ. Odometry is interpolated. Sensors with different periods are combined at the times of the
-        slowest sensor.
+    The times are those of the message headers. They are those of the bag if a header has no time or the clocks of the
+    topics differ. Odometry is interpolated. Sensors with different periods are combined at the times of the slowest
+    sensor.
 
     Raises
     ------
@@ -68,7 +55,7 @@ def read_ros(
     with open_bag(path, limits) as bag:
         try:
             check_max_range(max_range)
-            plan = plan_for(bag, topics or Topics(), beams_deg, max_range)
+            plan = plan_for(bag, topics or {}, beams_deg, max_range)
             streams = _read(bag, [*plan.scans, *plan.moves])
             return _merge(plan, _on_one_clock(streams))
         except LogError:

@@ -8,7 +8,6 @@ import pytest
 from support.data import refusal
 
 from limslam_agent.logs.log_reader import read_log
-from limslam_agent.logs.recorded_log import LogError
 from limslam_agent.logs.table_options import TableOptions
 from limslam_agent.replay.plausibility import log_warnings
 from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim
@@ -40,34 +39,12 @@ def test_a_row_is_the_travel_since_the_row_before(write):
     assert log.robot.control_period == pytest.approx(0.1)
 
 
-def test_beams_are_those_of_the_robot_in_the_order_of_the_header(write):
-    log = read_log(write(HEAD + METRES), table=TableOptions(ROBOT))
-    assert log.robot.beams == (ROBOT.beams[0], ROBOT.beams[1], ROBOT.beams[3])
-
-
 def test_ticks_millimetres_and_milliseconds_give_the_same_log(write):
     metres = read_log(write(HEAD + METRES), table=TableOptions(ROBOT))
     ticks = read_log(write(HEAD + TICKS, "ticks.csv"), table=TICK_OPTIONS)
     np.testing.assert_allclose(ticks.wheels, metres.wheels)
     np.testing.assert_allclose(ticks.time, metres.time)
     np.testing.assert_array_equal(ticks.ranges, metres.ranges)
-
-
-@pytest.mark.parametrize("names", ["t,left,right", "time,left_wheel,right_wheel", "stamp,wheel_left,wheel_right"])
-def test_the_columns_have_several_names(write, names):
-    path = write(f"{names},r_90\n" + "0,0,0,1\n0.1,0.01,0.01,1\n", "named.txt")
-    assert len(read_log(path, table=TableOptions(ROBOT))) == 2
-
-
-def test_a_row_may_have_no_scan(write):
-    log = read_log(write(HEAD + "0,0,0,1,1,1\n0.1,0.01,0.01,-\n"), table=TableOptions(ROBOT))
-    np.testing.assert_array_equal(log.has_scan, [True, False])
-
-
-def test_the_largest_range_is_the_robots_unless_a_shorter_one_is_chosen(write):
-    path = write(HEAD + METRES)
-    assert read_log(path, None, 1.05, table=TableOptions(ROBOT)).robot.max_ranges.tolist() == [1.05] * 3
-    assert read_log(path, None, 9.0, table=TableOptions(ROBOT)).robot.max_ranges.tolist() == [2.0] * 3
 
 
 def test_a_table_of_poses_takes_the_places_of_the_beams_from_the_robot(write):
@@ -139,19 +116,6 @@ def test_a_counter_that_begins_again_elsewhere_may_begin_again_in_a_pause(write)
     np.testing.assert_allclose(log.wheels[-2:, 0], [0.09, 1.59])
 
 
-def test_a_long_way_in_a_pause_is_no_counter_that_begins_again(write):
-    rows = "0,0,0,1,1,1\n0.1,20,20,1,1,1\n20.1,3000,3000,1,1,1\n20.2,3020,3020,1,1,1\n"
-    log = read_log(write(HEAD + rows), table=TableOptions(ROBOT, 1e-3, accumulated=True))
-    np.testing.assert_allclose(log.wheels[:, 0], [0.0, 0.02, 2.98, 0.02])
-
-
-def test_both_counters_may_begin_again_in_the_same_row(write):
-    counts = np.arange(0, 400 * 200, 200) % 65536
-    rows = "".join(f"{0.1 * row:.1f},{count},{count},1,1,1\n" for row, count in enumerate(counts))
-    log = read_log(write(HEAD + rows), table=TableOptions(ROBOT, 1e-4, accumulated=True))
-    np.testing.assert_allclose(log.wheels[1:], 0.02)
-
-
 @pytest.mark.parametrize(("gap", "first"), [(0.1, 0), (0.1, 7), (2.0, 30), (30.0, 0)])
 @pytest.mark.parametrize("before", [3000, 40000])
 def test_a_robot_may_be_switched_on_again_after_a_gap_or_within_the_span_of_its_counters(write, gap, first, before):
@@ -186,22 +150,6 @@ def test_columns_can_be_named_in_place_of_the_header(write, head):
     np.testing.assert_array_equal(fewer.ranges, ticks.ranges[:, 1:])
 
 
-@pytest.mark.parametrize(("head", "separator"), [(HEAD, ";"), (HEAD, "\t"), ("", ";")])
-def test_a_comma_is_a_decimal_mark_between_other_separators(write, head, separator):
-    metres = read_log(write(HEAD + METRES), table=TableOptions(ROBOT))
-    text = (head + METRES).replace(",", separator).replace(".", ",")
-    columns = () if head else tuple(HEAD.strip().split(","))
-    commas = read_log(write(text, "commas.csv"), table=TableOptions(ROBOT, columns=columns))
-    np.testing.assert_array_equal(commas.wheels, metres.wheels)
-    np.testing.assert_array_equal(commas.ranges, metres.ranges)
-    np.testing.assert_array_equal(commas.time, metres.time)
-
-
-def test_a_file_without_header_may_begin_with_the_mark_of_an_editor(write):
-    options = replace(TICK_OPTIONS, columns=tuple(HEAD.strip().split(",")))
-    assert len(read_log(write(f"\ufeff{TICKS}"), table=options)) == 3
-
-
 def test_columns_may_stand_in_any_order(write):
     ticks = read_log(write(HEAD + TICKS), table=TICK_OPTIONS)
     options = replace(TICK_OPTIONS, columns=("r_-90", "right", "-", "t", "r_90", "left", "r_54"))
@@ -210,17 +158,6 @@ def test_columns_may_stand_in_any_order(write):
     named = read_log(write("\n".join(rows) + "\n", "named.log"), table=options)
     np.testing.assert_array_equal(named.ranges, ticks.ranges[:, [2, 0, 1]])
     np.testing.assert_array_equal(named.wheels, ticks.wheels)
-
-
-@pytest.mark.parametrize("columns", ["t,left,right,r_90,r_54", "t,-,left,right,r_90,-,r_54"])
-def test_a_row_may_have_no_scan_where_columns_are_named(write, columns):
-    options = replace(TICK_OPTIONS, columns=tuple(columns.split(",")))
-    first = options.columns.index("r_90")
-    rows = ["9"] * len(options.columns), [*["9"] * first, "-"]
-    log = read_log(write("\n".join(map(",".join, rows)) + "\n", "named.log"), table=options)
-    np.testing.assert_array_equal(log.has_scan, [True, False])
-    rows = ["9"] * len(options.columns), [*["9"] * (first - 1), "-"]
-    assert "where --columns names" in refusal(write("\n".join(map(",".join, rows)) + "\n"), table=options)
 
 
 def test_columns_that_do_not_fit_are_refused(write):
@@ -315,11 +252,6 @@ def test_zones_of_perpendicular_distances_give_the_walls_that_they_measured(writ
     assert log.ranges[0, 0] == pytest.approx(as_rays.ranges[0, 0] / math.cos(math.radians(16.875)))
 
 
-def test_a_column_far_from_all_axes_is_refused(write):
-    words = "--zone-axes: no axis lies within 45 deg of the column at -90 deg"
-    assert words in refusal(write(HEAD + METRES), table=TableOptions(ROBOT, zone_axes=(72.0,)))
-
-
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
@@ -333,13 +265,3 @@ def test_a_column_far_from_all_axes_is_refused(write):
 def test_impossible_units_are_refused(wrong, words):
     with pytest.raises(ValueError, match=words):
         TableOptions(**wrong)
-
-
-def test_other_logs_take_no_such_options(write):
-    words = "is not a table in plain text, so --robot, units, --columns and --zero-is-nothing do not go with it"
-    assert words in refusal(write("ODOM 0 0 0 0 0 0 0 a 0\n", "a.log"), table=TICK_OPTIONS)
-
-
-def test_counters_beyond_any_number_of_bits_are_refused(write):
-    with pytest.raises(LogError, match="travels"):
-        read_log(write(HEAD + "0,0,0,500,500,500\n50,1.7e308,0,500,500,500\n"), table=TICK_OPTIONS)

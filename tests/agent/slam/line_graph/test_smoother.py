@@ -8,7 +8,7 @@ from support.smoother_runs import ROUND, WHEEL_VARIANCE, noisy_run, position_err
 
 from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.kernels.measurement import read_share
-from limslam_agent.replay.joined_lines import joined_run
+from limslam_agent.two_logs.by_lines import joined_run
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph.problem import RELATIVE_PRIOR, expected, state_from_poses
