@@ -208,8 +208,6 @@ Topics = Annotated[
     _option(_LOG, "Topics of a ROS bag: A,B,... of scans, of ranges (TOPIC:DEG), and of an odometry."),
 ]
 MaxSize = Annotated[float | None, _option(_LOG, "Largest log that is read, unpacked, MB.", f"{_REPLAY.max_size:g}")]
-MaxEvents = Annotated[int | None, _option(_LOG, "Most lines, steps or messages that are read.", _REPLAY.max_events)]
-MaxBeams = Annotated[int | None, _option(_LOG, "Most beams of a scan.", _REPLAY.max_beams)]
 AssumedNoise = Annotated[float | None, _option(_AGENT, "Assumed standard deviation of the ranges, m.", _REPLAY.noise)]
 ReplayPreset = Annotated[str | None, _option(_AGENT, _PRESETS, _REPLAY.preset)]
 OdometryNoise = Annotated[

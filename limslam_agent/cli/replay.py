@@ -45,8 +45,6 @@ def replay(
     calibrate: take.Calibrate = None,
     topics: take.Topics = None,
     max_size: take.MaxSize = None,
-    max_events: take.MaxEvents = None,
-    max_beams: take.MaxBeams = None,
     relations: take.RelationsFile = None,
     out: take.Out = None,
     force: take.Force = None,
@@ -212,7 +210,6 @@ def _job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "Rob
     ValueError
         If the log or another file cannot be used.
     """
-    from limslam_agent.logs.limits import Limits
     from limslam_agent.logs.log_reader import read_log
     from limslam_agent.logs.relations import read_relations
     from limslam_agent.replay.calibration import calibrated
@@ -222,12 +219,12 @@ def _job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "Rob
         raise ValueError("--odometry-bias and --calibrate both set the bias: use only one of them")
     if options.calibrate and options.calibrate == options.relations:
         raise ValueError("--calibrate and --relations name one file: relations that calibrate do not score")
-    limits = Limits(round(1e6 * options.max_size), options.max_events, options.max_beams)
-    known = read_relations(options.relations, limits) if options.relations else None
+    max_bytes = round(1e6 * options.max_size)
+    known = read_relations(options.relations, max_bytes) if options.relations else None
     angles = None if options.beams is None else numbers("--beams", options.beams)
     table = _table_options(options, robot)
 
-    recorded = read_log(log, angles, options.max_range, chosen_topics(options.topics), limits, table)
+    recorded = read_log(log, angles, options.max_range, chosen_topics(options.topics), max_bytes, table)
     _check_options(log, options, recorded)
     # Relations of two logs lie in one of them, or between them.
     if known is not None and options.other_log is None and (share := float(known.within(recorded.time).mean())) < 0.5:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.bounds import Bounded, Bounds, CountOrNone
 from limslam_agent.config.tables import SettingsError, Table, known_settings, read_toml, table_of, updated, write_toml
-from limslam_agent.logs.limits import DEFAULT_LIMITS
+from limslam_agent.logs.limits import MAX_BYTES
 
 if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig
@@ -85,9 +85,7 @@ class ReplayOptions(Bounded):
     self_calibrate: bool | None = None
     calibrate: Path | None = None
     topics: str | None = None
-    max_size: Annotated[float, Bounds(1e-3, 1e6)] = DEFAULT_LIMITS.max_bytes / 1e6
-    max_events: Annotated[int, Bounds(1, 10**9)] = DEFAULT_LIMITS.max_events
-    max_beams: Annotated[int, Bounds(1, 10**6)] = DEFAULT_LIMITS.max_beams
+    max_size: Annotated[float, Bounds(1e-3, 1e6)] = MAX_BYTES / 1e6
     relations: Path | None = None
     other_relations: Path | None = None
     out: Path | None = None

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from limslam_agent.logs.limits import DEFAULT_LIMITS, Limits
+from limslam_agent.logs.limits import MAX_BYTES
 from limslam_agent.logs.pose_log import BODY_RADIUS, MIN_RANGE, check_max_range, median_spacing, nearest_beams
 from limslam_agent.logs.recorded_log import (
     FilePath,
@@ -42,7 +42,7 @@ _STEADY = np.array([0.05, 0.05, 0.035])
 
 
 def read_carmen(
-    path: FilePath, beams_deg: Sequence[float], max_range: float, limits: Limits = DEFAULT_LIMITS
+    path: FilePath, beams_deg: Sequence[float], max_range: float, max_bytes: int = MAX_BYTES
 ) -> RecordedLog:
     """Read a CARMEN log, plain or gzip, and keep the beams nearest to the given angles.
 
@@ -56,7 +56,7 @@ def read_carmen(
     Raises
     ------
     LogError
-        If the file is larger than the limits, cannot be read, is cut short, has something other than a number where one
+        If the file is too large, cannot be read, is cut short, has something other than a number where one
         is needed, has no scan or no odometry, or has no beam within 1 degree of a given angle.
     """
     with naming(path):
@@ -64,7 +64,7 @@ def read_carmen(
         if not len(beams_deg):
             raise ValueError("at least one beam must be chosen")
         events = _Events(beams_deg)
-        read_lines(path, limits, events.add)
+        read_lines(path, max_bytes, events.add)
         if not events.time:
             # Any text that is no table is read here, so the message names both.
             table = "nor, as a table, a header that begins with t,x,y,theta or t,left,right"

@@ -14,7 +14,7 @@ from typing import IO, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.logs.limits import DEFAULT_LIMITS, Limits
+from limslam_agent.logs.limits import MAX_BYTES, Counted, check_beams
 from limslam_agent.readings import as_readings
 from limslam_agent.safe_files import TooLargeError, load_arrays, open_regular
 from limslam_env.geometry import BoolArray, FloatArray, se2
@@ -156,7 +156,7 @@ class RecordedLog:
             yield observation
 
 
-def read_npz(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> RecordedLog:
+def read_npz(path: FilePath, max_bytes: int = MAX_BYTES) -> RecordedLog:
     """Read the ``log.npz`` of a run's folder. A row is a step, and row 0 is the observation at the reset.
 
     Parameters
@@ -165,21 +165,20 @@ def read_npz(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> RecordedLog:
         A zip file of ``time`` (n,), s, ``ranges`` (n, n_beams), m, ``wheels`` (n, 2), m, ``action`` (n, 2),
         ``start_pose`` (3,), and ``robot``, the text of :meth:`RobotSpec.to_json`. The log of a simulated run also has
         the truth: ``true_pose`` (n, 3) after each step, and ``wall_seen`` (n, n_beams). Pickled objects are refused.
-    limits
+    max_bytes
         Largest log that is read.
 
     Raises
     ------
     LogError
-        If the file is larger than the limits or cannot be read, is cut short or is not such a zip file; if an array is
+        If the file is too large or cannot be read, is cut short or is not such a zip file; if an array is
         missing, or one of the two arrays of the truth; or if an array has a wrong shape or holds something other than
         finite numbers. Ranges may be infinite, NaN or negative, as `limslam_agent.readings` defines.
     """
     with naming(path):
-        arrays = _load_arrays(path, limits)
-        limits.check_events(arrays["time"].size, "steps")
+        arrays = _load_arrays(path, max_bytes)
         robot = _robot_of(arrays["robot"])
-        limits.check_beams(len(robot.beams))
+        check_beams(len(robot.beams))
         count, beams = arrays["time"].size, len(robot.beams)
         if arrays["ranges"].ndim == 3:
             robots = arrays["ranges"].shape[1]
@@ -214,7 +213,7 @@ def first_bytes(path: FilePath, count: int) -> bytes:
         raise _unreadable(path, error) from error
 
 
-def numbered_lines(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> Iterator[tuple[int, bytes]]:
+def numbered_lines(path: FilePath, max_bytes: int = MAX_BYTES) -> Iterator[tuple[int, bytes]]:
     """The lines of a text file one at a time. A gzip file is recognised by its first bytes.
 
     Yields
@@ -225,19 +224,17 @@ def numbered_lines(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> Iterator[
     Raises
     ------
     LogError
-        If the file cannot be read, its gzip stream is cut short or damaged, it is not a text file, or it is larger than
-        the limits.
+        If the file cannot be read, its gzip stream is cut short or damaged, it is not a text file, or it is too large.
     """
-    number = size = 0
+    number, size = 0, Counted(max_bytes)
     try:
         with naming(path), open_regular(Path(path)) as raw:
             packed = raw.read(len(GZIP_MAGIC)) == GZIP_MAGIC
             raw.seek(0)
             file: IO[bytes] | gzip.GzipFile = gzip.GzipFile(fileobj=raw) if packed else raw
             while line := file.readline(LONGEST_LINE):
-                number, size = number + 1, size + len(line)
-                limits.check_events(number, "lines")
-                limits.check_bytes(size)
+                number += 1
+                size.add(len(line))
                 if number == 1 and line.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
                     raise ValueError("this is a text in UTF-16: it must be saved as UTF-8")
                 if b"\0" in line or len(line) == LONGEST_LINE:
@@ -251,7 +248,7 @@ def numbered_lines(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> Iterator[
         raise _unreadable(path, error) from error
 
 
-def read_lines(path: FilePath, limits: Limits, take: Callable[[bytes], None]) -> None:
+def read_lines(path: FilePath, max_bytes: int, take: Callable[[bytes], None]) -> None:
     """Hand the lines of a text file to a function, one after the other.
 
     Raises
@@ -260,7 +257,7 @@ def read_lines(path: FilePath, limits: Limits, take: Callable[[bytes], None]) ->
         As :func:`numbered_lines` does; and where the function raises a ValueError, with the number of the line, and
         whether the file ends within it.
     """
-    for number, line in numbered_lines(path, limits):
+    for number, line in numbered_lines(path, max_bytes):
         try:
             take(line)
         except ValueError as error:
@@ -309,11 +306,11 @@ _TRUTH = ("true_pose", "wall_seen")
 _ARRAYS = ("time", "ranges", "wheels", "action", *_TRUTH, "robot", "start_pose")
 
 
-def _load_arrays(path: FilePath, limits: Limits) -> dict[str, NDArray[Any]]:
+def _load_arrays(path: FilePath, max_bytes: int) -> dict[str, NDArray[Any]]:
     if first_bytes(path, len(ZIP_MAGIC)) != ZIP_MAGIC:
         raise ValueError("is not an .npz file")
     try:
-        arrays = load_arrays(Path(path), _ARRAYS, limits.max_bytes)
+        arrays = load_arrays(Path(path), _ARRAYS, max_bytes)
     except OSError as error:
         raise _unreadable(path, error) from error
     except TooLargeError as error:

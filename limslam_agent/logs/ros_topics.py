@@ -8,6 +8,7 @@ import numpy as np
 
 from limslam_agent.logs import crazyflie
 from limslam_agent.logs.directions import direction_of, is_vertical
+from limslam_agent.logs.limits import check_beams
 from limslam_agent.logs.pose_log import beam, choose_beams
 from limslam_agent.logs.ros_bag import Bag
 from limslam_agent.logs.ros_messages import (
@@ -186,7 +187,7 @@ def _mounts(bag: Bag, odometry: str) -> Mounts:
 
 def _laser(bag: Bag, topic: str, mounts: Mounts, max_range: float) -> Sensor:
     first = bag.first(topic)
-    bag.limits.check_beams(len(first.ranges))
+    check_beams(len(first.ranges))
     angles = scan_angles(first)
     mount = mounts.find(first.header.frame_id) or _AT_ORIGIN
     limits = sensor_limits(float(first.range_min), float(first.range_max), max_range)
