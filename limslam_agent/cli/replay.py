@@ -79,7 +79,7 @@ def _pair(name: str, paths: list[Path] | None, shown: str) -> dict[str, Path | N
 
 
 @dataclass(frozen=True, eq=False)
-class _Job:
+class Job:
     """A log with all that is known about it.
 
     Attributes
@@ -118,7 +118,7 @@ def _carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec |
 
     if options.log is None:
         raise ValueError("a log is needed: limslam replay LOG")
-    job = _job_of(options.log, options, agent, robot)
+    job = job_of(options.log, options, agent, robot)
     warn(log_warnings(job.log))
     with _folder(options, f"{_stem(options.log)}-{options.preset}", len(job.log)) as (folder, advance, report):
         prior_map = None if options.map is None else read_saved_map(options.map)
@@ -151,7 +151,7 @@ def _carry_out_both(options: ReplayOptions, agent: "AgentConfig", robot: "RobotS
         raise ValueError("two logs are needed: limslam replay LOG LOG")
     paths, files = (options.log, options.other_log), (options.relations, options.other_relations or options.relations)
     jobs = [
-        _job_of(path, replace(options, relations=file), agent, robot) for path, file in zip(paths, files, strict=True)
+        job_of(path, replace(options, relations=file), agent, robot) for path, file in zip(paths, files, strict=True)
     ]
     logs = [job.log for job in jobs]
     check_logs(logs, agent)
@@ -202,7 +202,7 @@ def _stem(path: Path) -> str:
     return path.name.split(".")[0]
 
 
-def _job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None") -> _Job:
+def job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None") -> Job:
     """Read a log and all that is known about it.
 
     Raises
@@ -238,7 +238,7 @@ def _job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "Rob
         agent = replace(agent, odometry=calibration.applied_to(agent.odometry))
     files = {"log": log, "relations": options.relations, "calibration": options.calibrate}
     source = {name: path.name if path else None for name, path in files.items()}
-    return _Job(recorded, agent, known, calibration, source)
+    return Job(recorded, agent, known, calibration, source)
 
 
 def _table_options(options: ReplayOptions, robot: "RobotSpec | None") -> "TableOptions":
@@ -268,7 +268,7 @@ def _check_options(log: Path, options: ReplayOptions, recorded: "RecordedLog") -
         raise ValueError(f"{log}: has wheel travel; --odometry-noise and --odometry-bias are for logs with poses")
 
 
-def _scores_of(job: _Job, result: "Replay", relations: Path | None) -> dict[str, Any]:
+def _scores_of(job: Job, result: "Replay", relations: Path | None) -> dict[str, Any]:
     """Metrics of a replay against the truth and against known relative poses.
 
     Raises
