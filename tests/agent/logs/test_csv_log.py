@@ -8,7 +8,6 @@ from support.data import data_folder, refusal
 
 from limslam_agent.logs.csv_log import is_csv
 from limslam_agent.logs.log_reader import read_log
-from limslam_agent.logs.table_options import TableOptions
 
 HEAD = "t,x,y,theta,r_-90,r_0,r_90\n"
 
@@ -85,17 +84,6 @@ def test_headers_may_be_written_in_many_ways(write, head):
     np.testing.assert_array_equal(log.ranges[0], np.float32([0.5, 1.0, 1.5]))
 
 
-@pytest.mark.parametrize("names", [HEAD, ""])
-@pytest.mark.parametrize(
-    "change", [lambda row: f"{row},", lambda row: f"{row},,", lambda row: '"' + row.replace(",", '","') + '"']
-)
-def test_quotation_marks_and_separators_at_the_ends_of_lines_do_not_matter(write, change, names):
-    rows = f"{names}0.0,1.0,2.0,3.0,0.5,1.5,2.5\n0.2,1.5,2.0,3.5,0.6,1.6,\n"
-    options = TableOptions(columns=() if names else tuple(HEAD.strip().split(",")))
-    log = read_log(write("".join(f"{change(row)}\n" for row in rows.splitlines())), table=options)
-    np.testing.assert_array_equal(log.ranges, np.float32([[0.5, 1.5, 2.5], [0.6, 1.6, math.nan]]))
-
-
 def test_dots_stand_for_the_beams_between(write):
     path = write("t x y theta r[-90] r[-60] ... r[90]\n0 0 0 0 1 2 3 4 5 6 7\n")
     log = read_log(path, None, 10.0)
@@ -167,13 +155,6 @@ def test_a_bad_row_is_refused_with_its_line(write, row, words):
 )
 def test_a_bad_header_is_refused(write, head, words):
     assert words in refusal(write(f"{head}\n0,0,0,0,1,1,1\n"))
-
-
-@pytest.mark.parametrize("kept", [1, 4, 8, 11])
-def test_a_last_row_that_is_cut_is_refused(write, kept):
-    text = f"{HEAD}0.0,0,0,0,1,1,1\n0.1,0,0,0,1,1,1\n"
-    first = text.index("0.1,")
-    assert "line 3: cut short: " in refusal(write(text[: first + kept]))
 
 
 # Which reader

@@ -90,13 +90,6 @@ def test_a_clock_of_32_bits_is_continued_where_it_begins_again(write, unit, begi
     assert log.restarts == ()
 
 
-@pytest.mark.parametrize("order", [(0, 2, 1, 3, 4), (1, 0, 2, 3, 4), (0, 1, 3, 2, 4), (0, 3, 1, 2, 4), (2, 1, 3, 4, 0)])
-def test_late_rows_around_the_beginning_of_a_clock_keep_their_times(write, order):
-    rows = "".join(f"{(2**32 - 200_000 + row * 100_000) % 2**32},0,0,1,1,1\n" for row in order)
-    log = read_log(write(HEAD + rows), table=TableOptions(ROBOT, time_unit="us"))
-    np.testing.assert_allclose(log.time - log.time[0], 0.1 * (np.array(order) - order[0]), atol=1e-6)
-
-
 @pytest.mark.parametrize(("bits", "has_sign"), [(16, False), (16, True), (12, False), (32, True)])
 def test_a_counter_is_continued_where_it_begins_again(write, bits, has_sign):
     low = -(2 ** (bits - 1)) if has_sign else 0
@@ -148,16 +141,6 @@ def test_columns_can_be_named_in_place_of_the_header(write, head):
     without = replace(options, columns=("t", "left", "right", "-", "r_54", "r_-90"))
     fewer = read_log(write(head + TICKS.replace(",", ";"), "named.log"), table=without)
     np.testing.assert_array_equal(fewer.ranges, ticks.ranges[:, 1:])
-
-
-def test_columns_may_stand_in_any_order(write):
-    ticks = read_log(write(HEAD + TICKS), table=TICK_OPTIONS)
-    options = replace(TICK_OPTIONS, columns=("r_-90", "right", "-", "t", "r_90", "left", "r_54"))
-    order = (5, 2, 3, 0, 3, 1, 4)
-    rows = [",".join(line.split(",")[place] for place in order) for line in TICKS.split()]
-    named = read_log(write("\n".join(rows) + "\n", "named.log"), table=options)
-    np.testing.assert_array_equal(named.ranges, ticks.ranges[:, [2, 0, 1]])
-    np.testing.assert_array_equal(named.wheels, ticks.wheels)
 
 
 def test_columns_that_do_not_fit_are_refused(write):
@@ -212,11 +195,6 @@ def test_a_range_of_0_says_that_something_is_near_unless_it_says_nothing(write):
     np.testing.assert_allclose(near.ranges, [[0.05, 1.0, 0.05], [1.0, 0.05, 2.0]])
     nothing = read_log(path, table=TableOptions(ROBOT, zero_is_nothing=True))
     np.testing.assert_allclose(nothing.ranges, [[2.0, 1.0, 2.0], [1.0, 2.0, 2.0]])
-
-
-def test_a_gap_in_the_log_allows_a_longer_travel(write):
-    rows = "".join(f"{0.1 * step:.1f},0.02,0.02,1,1,1\n" for step in range(5)) + "9.0,1.5,1.5,1,1,1\n"
-    assert read_log(write(HEAD + rows), table=TableOptions(ROBOT)).wheels[-1, 0] == 1.5
 
 
 def zone_readings(pose, zones, width=1.0):
