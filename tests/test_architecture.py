@@ -119,7 +119,7 @@ AGENT = {
     },
     "limslam_agent.logs": {*WHAT_AN_AGENT_MAY_KNOW, *agent("readings", "safe_files")},
     "limslam_agent.output": {*WHAT_AN_AGENT_MAY_KNOW, *agent("slam.core", "grid", "safe_files")},
-    "limslam_agent.output.formats": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output", "safe_files")},
+    "limslam_agent.output.formats": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "output", "places", "safe_files")},
     "limslam_agent.replay": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "logs", "mapper", "output", "places"),
@@ -127,8 +127,8 @@ AGENT = {
     },
     "limslam_agent.two_logs": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "logs", "output", "places", "replay"),
-        *agent("status"),
+        *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "kernels", "logs", "output", "places"),
+        *agent("replay", "status"),
     },
     "limslam_agent.live": {*WHAT_AN_AGENT_MAY_KNOW, *agent("agent", "logs", "output", "replay")},
     "limslam_agent.live.ros2": {

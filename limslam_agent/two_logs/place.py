@@ -1,8 +1,8 @@
 """Where a second log lies in the map of the first one.
 
-The second log is divided into stretches, and the readings of each are searched in the whole map, as those of a robot
-that was carried away are. A stretch of a corridor fits in many places. But all stretches of a right place move the log
-by the same motion, so that their evidence adds up, and chance fits disagree.
+The second log is divided into stretches, and the readings of each are searched in the whole map, by the likelihood by
+which a robot that was carried away is found. A stretch of a corridor fits in many places. But all stretches of a right
+place move the log by the same motion, so that their evidence adds up, and chance fits disagree.
 """
 
 import math
@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from limslam_agent.places.localisation import LEAD, ON_MAP, KnownPlaces, localise
+from limslam_agent.kernels.tables import RAY_TO_X, RAY_X
+from limslam_agent.places.localisation import LEAD, KnownPlaces
 from limslam_agent.places.search import LARGEST_RUNNER_UP
 from limslam_agent.replay.replay import Replay
 from limslam_agent.slam.core.range_sensor import RangeSensor
@@ -23,6 +24,8 @@ _LENGTH, _EVERY = 12.0, 8.0  # m of driving: of a stretch, and between the begin
 # Two stretches agree if the place of one predicts that of the other within this distance, m, which grows by a share of
 # the distance between them, because each log may be bent, and within this turn, rad.
 _AGREE_DISTANCE, _AGREE_GROWTH, _AGREE_TURN = 0.7, 0.05, math.radians(9.0)
+_KEPT = 20  # places of a stretch
+_MOST_CONTRADICTED = 0.25  # share of the readings that contradict the map: furniture moves, and odometry bends walls
 
 NO_MATCH = "no two stretches of one log fit in the other log at places that agree"
 
@@ -107,8 +110,12 @@ def _fits(known: KnownPlaces, replay: Replay, poses: FloatArray) -> list[_Fit]:
     found = []
     for stretch, begin in enumerate(np.arange(0.0, max(travel[-1] - _EVERY, _EVERY), _EVERY)):
         first, last = np.searchsorted(travel, (begin, begin + _LENGTH))
-        place = localise(known, rays_of(steps[first : max(last, first + 1)], log.robot, sensor))
-        found += [_Fit(stretch, place.middle, each) for each in place.open]
+        rays = rays_of(steps[first : max(last, first + 1)], log.robot, sensor)
+        if len(rays) and len(known.segments):
+            places = known.weigh(known.refined(known.likely(rays), rays), rays)
+            best = sorted(places, key=lambda place: -place.evidence)[:_KEPT]
+            middle = rays[:, RAY_X:RAY_TO_X].mean(axis=0)
+            found += [_Fit(stretch, middle, each) for each in best if each.evidence > 0.0]
     return found
 
 
@@ -129,7 +136,7 @@ def _refusal(fit: PlaceFit, runner_up: float, stretches: int) -> str:
     """Why a place does not count, in words; empty if it counts."""
     if stretches < 2 or fit.evidence < LEAD:
         return NO_MATCH
-    if fit.is_on_map < ON_MAP:
+    if fit.contradictions > _MOST_CONTRADICTED * fit.tested:
         return f"{fit.contradictions} of {fit.tested} readings contradict the map there"
     if runner_up > min(fit.evidence - LEAD, LARGEST_RUNNER_UP * fit.evidence):
         return f"ambiguous: another place has {runner_up / fit.evidence:.0%} of the evidence"

@@ -19,11 +19,11 @@ from limslam_agent.live.recording import Recording
 from limslam_agent.live.ros2.link import ODOMETRY, Event, RosLink
 from limslam_agent.live.ros2.node import PACKAGES
 from limslam_agent.live.ros2.odometer import Odometer, map_to_odom, wheel_travel
-from limslam_agent.live.ros2.outputs import ros_grid
 from limslam_agent.live.ros2.parameters import Parameters
 from limslam_agent.live.ros2.sensors import RangeSensors, Reading, ScanSensors, in_mm
 from limslam_agent.live.ros2.synchroniser import MOST_WAITING, Synchroniser
 from limslam_agent.live.session import NoRobotError
+from limslam_agent.output.formats.ros_builder import cells_of
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc
 from limslam_env.interface import RobotSpec, beams_on_rim
 
@@ -407,9 +407,9 @@ def test_there_is_a_topic_for_each_beam():
 
 def test_the_grid_has_the_numbers_of_ros():
     view = GridView(np.array([-1.0, 2.0]), 0.1, np.array([[3, 0], [-2, 1]], dtype=np.int16))
-    grid = ros_grid(view)
-    assert grid.cells.tolist() == [[0, -1], [100, 0]]
-    assert (grid.cells.dtype, grid.resolution, grid.origin.tolist()) == (np.int8, 0.1, [-1.0, 2.0])
+    cells = cells_of(view)
+    assert cells.tolist() == [[0, -1], [100, 0]]
+    assert cells.dtype == np.int8
 
 
 # The command line.
