@@ -30,7 +30,7 @@ from limslam_agent.slam.graph.local_smoothing import smooth_locally
 from limslam_agent.slam.graph.point_links import point_cloud
 from limslam_agent.slam.graph.smooth import GraphResult, LogProblem, Report, saying, smooth_with_loops
 from limslam_agent.two_logs.joint import JointReplay, Replays, grid_of
-from limslam_env.geometry import FloatArray, se2
+from limslam_env.geometry import BoolArray, FloatArray, se2
 
 _SEAM_STD = np.array([30.0, 30.0, np.pi])
 """Standard deviations of the motion from the last pose of the first log to the first pose of the second log, m and rad.
@@ -146,7 +146,7 @@ def _between_logs(joint: GraphResult, seam: int, config: GraphConfig, reach: flo
     return int(confirmed.sum()), int(contradicted.sum())
 
 
-def _loops(joint: GraphResult, replays: Replays, is_second: FloatArray) -> list[dict[str, Any]]:
+def _loops(joint: GraphResult, replays: Replays, is_second: BoolArray) -> list[dict[str, Any]]:
     """All loops of both logs, with the log of each of their ends."""
     records = loop_records(joint, np.concatenate([each.log.time for each in replays]))
     return [

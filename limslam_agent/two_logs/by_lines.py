@@ -1,6 +1,7 @@
 """Two logs of wheel travel as one run of the line smoother, in which the robot was carried away between the logs."""
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -87,7 +88,7 @@ def joined_run(first: FilteredRun, second: FilteredRun, frame: FloatArray) -> Fi
         replace(each, older=each.older + apart, younger=each.younger + apart, step=each.step + seam)
         for each in second.closures
     ]
-    columns = {
+    columns: dict[str, Any] = {
         name: np.concatenate((getattr(first, name), getattr(second, name)))
         for name in ("wheels", "ranges", "poses", "covariances")
     }

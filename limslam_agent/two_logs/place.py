@@ -21,9 +21,9 @@ from limslam_agent.status.rays import rays_of
 from limslam_env.geometry import BoolArray, FloatArray, se2
 
 _LENGTH, _EVERY = 12.0, 8.0  # m of driving: of a stretch, and between the beginnings of two stretches
-# Two stretches agree if the place of one predicts that of the other within this distance, m, which grows by a share of
-# the distance between them, because each log may be bent, and within this turn, rad.
-_AGREE_DISTANCE, _AGREE_GROWTH, _AGREE_TURN = 0.7, 0.1, math.radians(9.0)
+# Two stretches agree if the place of one predicts that of the other within this turn, rad, because each log may be bent,
+# and within this distance, m, and what the turn makes of the distance between them.
+_AGREE_DISTANCE, _AGREE_TURN = 0.7, math.radians(9.0)
 _KEPT = 20  # places of a stretch
 _MOST_CONTRADICTED = 0.25  # share of the readings that contradict the map: furniture moves, and odometry bends walls
 
@@ -126,7 +126,7 @@ def _agreements(fits: list[_Fit]) -> BoolArray:
     predicted, own = se2.compose(poses[:, None], placed[None]), se2.compose(poses, placed)
     off = se2.between(predicted, np.broadcast_to(own[None], predicted.shape))
     between = middles[:, None] - middles[None]
-    far = _AGREE_DISTANCE + _AGREE_GROWTH * np.hypot(*np.moveaxis(between, -1, 0))
+    far = _AGREE_DISTANCE + _AGREE_TURN * np.hypot(*np.moveaxis(between, -1, 0))
     agree = (np.hypot(off[..., 0], off[..., 1]) < far) & (np.abs(off[..., 2]) < _AGREE_TURN)
     stretches = np.array([each.stretch for each in fits])
     return np.asarray((agree & agree.T & (stretches[:, None] != stretches[None])) | np.eye(len(fits), dtype=np.bool_))
