@@ -21,8 +21,8 @@ from limslam_agent.status.rays import rays_of
 from limslam_env.geometry import BoolArray, FloatArray, se2
 
 _LENGTH, _EVERY = 12.0, 8.0  # m of driving: of a stretch, and between the beginnings of two stretches
-# Two stretches agree if the place of one predicts that of the other within this turn, rad, because each log may be bent,
-# and within this distance, m, and what the turn makes of the distance between them.
+# Two stretches agree if the place of one predicts that of the other within this turn, rad, and within this distance, m,
+# and what the turn makes of the distance between them, because each log may be bent.
 _AGREE_DISTANCE, _AGREE_TURN = 0.7, math.radians(9.0)
 _KEPT = 20  # places of a stretch
 _MOST_CONTRADICTED = 0.25  # share of the readings that contradict the map: furniture moves, and odometry bends walls
