@@ -24,7 +24,7 @@ _LENGTH, _EVERY = 12.0, 8.0  # m of driving: of a stretch, and between the begin
 # Two stretches agree if the place of one predicts that of the other within this turn, rad, and within this distance, m,
 # and what the turn makes of the distance between them, because each log may be bent.
 _AGREE_DISTANCE, _AGREE_TURN = 0.7, math.radians(9.0)
-_KEPT = 20  # places of a stretch
+_KEPT = 20  # places of a stretch, all with an evidence that is no chance
 _MOST_CONTRADICTED = 0.25  # share of the readings that contradict the map: furniture moves, and odometry bends walls
 
 NO_MATCH = "no two stretches of one log fit in the other log at places that agree"
@@ -85,12 +85,12 @@ def place_in(known: KnownPlaces, replay: Replay, poses: FloatArray) -> Place:
     if not fits:
         return Place(None, 0.0, NO_MATCH)
     agree = _agreements(fits)
-    stretches, evidence = np.array([each.stretch for each in fits]), np.array([each.fit.evidence for each in fits])
-    best_of = np.stack([np.where(stretches == each, evidence, 0.0) for each in range(stretches.max() + 1)])
-    support = (best_of[:, None] * agree[None]).max(axis=2).sum(axis=0)
+    evidence, stretches = np.array([each.fit.evidence for each in fits]), np.array([each.stretch for each in fits])
+    of_stretch = [np.flatnonzero(stretches == each) for each in np.unique(stretches)]
+    support = np.sum([(agree[:, rows] * evidence[rows]).max(axis=1) for rows in of_stretch], axis=0)
     best = int(np.argmax(support))
-    weights = best_of * agree[best]
-    members = weights.argmax(axis=1)[weights.max(axis=1) > 0.0]
+    weights = agree[best] * evidence
+    members = [rows[weights[rows].argmax()] for rows in of_stretch if weights[rows].any()]
     most = fits[max(members, key=lambda row: evidence[row])]
     fit = PlaceFit(
         most.fit.pose, float(support[best]), sum(fits[row].fit.contradictions for row in members),
@@ -115,7 +115,7 @@ def _fits(known: KnownPlaces, replay: Replay, poses: FloatArray) -> list[_Fit]:
             places = known.weigh(known.refined(known.likely(rays), rays), rays)
             best = sorted(places, key=lambda place: -place.evidence)[:_KEPT]
             middle = rays[:, RAY_X:RAY_TO_X].mean(axis=0)
-            found += [_Fit(stretch, middle, each) for each in best if each.evidence > 0.0]
+            found += [_Fit(stretch, middle, each) for each in best if each.evidence > LEAD]
     return found
 
 
@@ -134,7 +134,7 @@ def _agreements(fits: list[_Fit]) -> BoolArray:
 
 def _refusal(fit: PlaceFit, runner_up: float, stretches: int) -> str:
     """Why a place does not count, in words; empty if it counts."""
-    if stretches < 2 or fit.evidence < LEAD:
+    if stretches < 2:
         return NO_MATCH
     if fit.contradictions > _MOST_CONTRADICTED * fit.tested:
         return f"{fit.contradictions} of {fit.tested} readings contradict the map there"
