@@ -240,5 +240,5 @@ class TestRefusals:
 
         damaged = shutil.copytree(folder, tmp_path / "damaged")
         (damaged / "map.pgm").write_bytes(b"P5\n10 10\n255\nshort")
-        with pytest.raises(ValueError, match="map.pgm is not as limslam writes it"):
+        with pytest.raises(ValueError, match=r"map\.pgm is not as limslam writes it"):
             run_export(damaged, "--csv")
