@@ -5,7 +5,7 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image as Pictures
 
-from limslam_agent.output.drawing import MapPicture, draw_map, legend, limit_bands, paint_map, path_colours
+from limslam_agent.output.drawing import MapPicture, draw_map, finish_errors, legend, paint_map, path_colours
 
 WALLS = np.array([(0.0, 0.0, 4.0, 0.0), (4.0, 0.0, 4.0, 3.0)])
 NOTHING = np.zeros((0, 4))
@@ -92,7 +92,7 @@ def test_the_band_of_a_lost_robot_does_not_hide_the_errors(band, high):
     axes = Figure().add_subplot()
     axes.plot([0.0, 1.0, 2.0], [0.0, np.nan, 0.5])
     axes.fill_between([0.0, 2.0], [-band, -band], [band, band])
-    limit_bands(axes)
+    finish_errors(axes)
     assert axes.get_ylim() == pytest.approx((-high, high), rel=0.06)
 
 
