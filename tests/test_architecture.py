@@ -72,7 +72,6 @@ AGENT = {
         *agent("config", "kernels", "slam.core", "slam.consistent", "slam.least_squares"),
     },
     "limslam_agent.slam.graph": {*WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config", "slam.least_squares")},
-    "limslam_agent.slam.merging": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.graph")},
     "limslam_agent.slam.online_graph": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.graph", "slam.least_squares")},
     "limslam_agent.slam": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core"), *ESTIMATORS},
     "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "dropouts", "kernels")},
@@ -120,11 +119,16 @@ AGENT = {
     },
     "limslam_agent.logs": {*WHAT_AN_AGENT_MAY_KNOW, *agent("readings", "safe_files")},
     "limslam_agent.output": {*WHAT_AN_AGENT_MAY_KNOW, *agent("slam.core", "grid", "safe_files")},
-    "limslam_agent.output.formats": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output", "safe_files")},
+    "limslam_agent.output.formats": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "output", "places", "safe_files")},
     "limslam_agent.replay": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "logs", "mapper", "output", "places"),
-        *agent("slam.merging", "slam.online_graph", "status"),
+        *agent("slam.online_graph", "status"),
+    },
+    "limslam_agent.two_logs": {
+        *WHAT_AN_AGENT_MAY_KNOW,
+        *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "kernels", "logs", "output", "places"),
+        *agent("replay", "status"),
     },
     "limslam_agent.live": {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("agent", "config", "logs", "output", "policies", "replay"),
@@ -331,11 +335,10 @@ def test_importing_the_agent_loads_no_simulator():
         "limslam_agent.slam.consistent.clone_filter",
         "limslam_agent.slam.consistent.merging",
         "limslam_agent.wrappers.vector",
-        *PLACES["limslam_agent.slam.merging"],
+        *PLACES["limslam_agent.two_logs"],
         *PLACES["limslam_agent.slam.online_graph"],
     ]
-    replay = ("hand_over", "joined_lines", "local_views", "misreading", "reversing", "smoothing")
-    replay += ("trust", "two_logs", "two_logs_output")
+    replay = ("hand_over", "local_views", "misreading", "reversing", "smoothing", "trust")
     compiled += [f"limslam_agent.replay.{name}" for name in replay]
     parts = [name for place in AGENT for name in PLACES[place] if name not in compiled]
     assert len(parts) > 10

@@ -9,9 +9,10 @@ import limslam_agent
 ESTIMATOR = (
     "slam", "places", "status", "kernels",
     "mapper.py", "frames.py", "frame_mapper.py", "renewal.py", "joining.py", "dropouts.py",
-    "replay/calibration.py", "replay/filter_estimate.py", "replay/hand_over.py", "replay/joined_lines.py",
+    "replay/calibration.py", "replay/filter_estimate.py", "replay/hand_over.py",
     "replay/local_views.py", "replay/loop_scores.py", "replay/plausibility.py", "replay/reversing.py",
-    "replay/smoothing.py", "replay/trust.py", "replay/two_logs.py",
+    "replay/smoothing.py", "replay/trust.py", "two_logs/by_graph.py", "two_logs/by_lines.py", "two_logs/joining.py",
+    "two_logs/joint.py", "two_logs/place.py",
 )  # fmt: skip
 """The folders and files of the estimation side, in ``limslam_agent``. What does not exist is left out."""
 

@@ -18,7 +18,7 @@ from typer.models import OptionInfo
 
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.bounds import Bounded, Bounds, CountOrNone
-from limslam_agent.logs.limits import DEFAULT_LIMITS
+from limslam_agent.logs.limits import MAX_BYTES
 
 _WORLD, _AGENT, _RESULTS = "World and robots", "Agent", "Settings and results"
 _FAULTS = "Errors that the simulated robot has"
@@ -246,16 +246,12 @@ class ReplayOptions(Bounded):
         ),
     ] = None
     calibrate: Annotated[Path | None, told(_ODOMETRY, "File of known relative poses to estimate the bias from.")] = None
-    scan_topic: Annotated[str | None, told(_LOG, "Topics of LaserScan messages in a ROS bag: A,B,...")] = None
-    range_topics: Annotated[str | None, told(_LOG, "Topics of Range messages in a ROS bag: TOPIC:DEG,...")] = None
-    odometry_topic: Annotated[str | None, told(_LOG, "Topic of Odometry or pose messages in a ROS bag.")] = None
+    topics: Annotated[
+        str | None, told(_LOG, "Topics of a ROS bag: A,B,... of scans, of ranges (TOPIC:DEG), and of an odometry.")
+    ] = None
     max_size: Annotated[float, Bounds(1e-3, 1e6), told(_LOG, "Largest log that is read, unpacked, MB.")] = (
-        DEFAULT_LIMITS.max_bytes / 1e6
+        MAX_BYTES / 1e6
     )
-    max_events: Annotated[int, Bounds(1, 10**9), told(_LOG, "Most lines, steps or messages that are read.")] = (
-        DEFAULT_LIMITS.max_events
-    )
-    max_beams: Annotated[int, Bounds(1, 10**6), told(_LOG, "Most beams of a scan.")] = DEFAULT_LIMITS.max_beams
     relations: Path | None = None
     other_relations: Path | None = None
     out: _Out = None

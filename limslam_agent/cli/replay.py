@@ -1,5 +1,7 @@
-"""``limslam replay``: a map from a recorded log, and its folder."""
+"""``limslam replay``: a map from a recorded log, or from two logs of one building, and its folder."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,8 +18,10 @@ if TYPE_CHECKING:
     from limslam_agent.logs.recorded_log import RecordedLog
     from limslam_agent.logs.relations import Relations
     from limslam_agent.logs.table_options import TableOptions
+    from limslam_agent.output.run_folder import NewFolder
     from limslam_agent.replay.calibration import OdometryBias
     from limslam_agent.replay.replay import Replay
+    from limslam_agent.two_logs.joint import JointReplay
     from limslam_env.interface import RobotSpec
 
 
@@ -36,13 +40,11 @@ def replay(
     agent = replay_agent(given, options)
     warn(given.warnings(options.preset))
     if options.other_log is not None:
-        from limslam_agent.cli.two_logs import carry_out_both
-
-        carry_out_both(options, agent, given.replay_robot())
+        _carry_out_both(options, agent, given.replay_robot())
         return
     if options.other_relations is not None:
         raise ValueError("--relations is given twice, which is for two logs")
-    carry_out(options, agent, given.replay_robot())
+    _carry_out(options, agent, given.replay_robot())
 
 
 def _pair(name: str, paths: list[Path] | None, shown: str) -> dict[str, Path | None]:
@@ -84,7 +86,7 @@ class Job:
     source: dict[str, str | None]
 
 
-def carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None" = None) -> None:
+def _carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None") -> None:
     """Replay a log, write its folder, and print its summary. ``robot`` is the robot that recorded a table.
 
     Raises
@@ -92,36 +94,95 @@ def carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | 
     ValueError
         If it cannot be replayed or written.
     """
-    from limslam_agent.output.run_folder import new_folder
-    from limslam_agent.output.summary import record_summary, replay_summary
     from limslam_agent.places.saved_map import read_saved_map
     from limslam_agent.replay.plausibility import log_warnings, map_warnings
     from limslam_agent.replay.replay import replay_log, write_replay
     from limslam_agent.runs.results import versions
-    from limslam_env.messages import printable
 
     if options.log is None:
         raise ValueError("a log is needed: limslam replay LOG")
     job = job_of(options.log, options, agent, robot)
-    target = options.out or Path("runs") / f"replay-{options.log.name.split('.')[0]}-{options.preset}"
-    count = len(job.log)
     warn(log_warnings(job.log))
-    with new_folder(target, force=options.force, numbered=options.out is None) as folder:
-        with progress_bar("replaying", count) as advance:
-            result = replay_log(
-                job.log, job.config, lambda done: advance(done, f"{done} of {count} events"),
-                lambda stage: advance(count, f"smoothing: {stage}"),
-                None if options.map is None else read_saved_map(options.map),
-            )  # fmt: skip
-        scores = scores_of(job, result, options.relations)
+    with _folder(options, f"{_stem(options.log)}-{options.preset}", len(job.log)) as (folder, advance, report):
+        prior_map = None if options.map is None else read_saved_map(options.map)
+        result = replay_log(job.log, job.config, advance, report, prior_map)
+        scores = _scores_of(job, result, options.relations)
         figures = job.calibration.figures if job.calibration else {}
         content = write_replay(folder.beside, result, job.source, {**scores, **figures}, versions())
         write_replay_settings(folder.beside, options, agent, robot)
     calibrated = [f"calibrated  {found.words}" for found in (job.calibration, result.self_calibration) if found]
+    _tell(content, calibrated, folder.target, map_warnings(result))
+
+
+def _carry_out_both(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None") -> None:
+    """Replay two logs, join them if they fit, write their folder, and print its summary.
+
+    Raises
+    ------
+    ValueError
+        If they cannot be replayed or written, or an option is for one log only.
+    """
+    from limslam_agent.replay.plausibility import log_warnings
+    from limslam_agent.runs.results import versions
+    from limslam_agent.two_logs.joining import check_logs, replay_logs
+    from limslam_agent.two_logs.output import write_joint_replay
+
+    for name in ("map", "calibrate"):
+        if getattr(options, name) is not None:
+            raise ValueError(f"--{name} is for one log, not for two")
+    if options.log is None or options.other_log is None:
+        raise ValueError("two logs are needed: limslam replay LOG LOG")
+    paths, files = (options.log, options.other_log), (options.relations, options.other_relations or options.relations)
+    jobs = [
+        job_of(path, replace(options, relations=file), agent, robot) for path, file in zip(paths, files, strict=True)
+    ]
+    logs = [job.log for job in jobs]
+    check_logs(logs, agent)
+    for log in logs:
+        warn(log_warnings(log))
+    name = "-".join(map(_stem, paths))
+    with _folder(options, name, sum(map(len, logs))) as (folder, advance, report):
+        joint = replay_logs(logs, agent, advance, report)
+        own = [_scores_of(*each) for each in zip(jobs, joint.replays, files, strict=True)]
+        relations = jobs[0].relations, jobs[0 if options.other_relations is None else 1].relations
+        scores = own[0], own[1], _scores_of_both(joint, relations)
+        content = write_joint_replay(folder.beside, joint, (jobs[0].source, jobs[1].source), scores, versions())
+        write_replay_settings(folder.beside, options, agent, robot)
+    _tell(content, [], folder.target, [])
+
+
+@contextmanager
+def _folder(
+    options: ReplayOptions, name: str, events: int
+) -> "Iterator[tuple[NewFolder, Callable[[int], None], Callable[[str], None]]]":
+    """The folder of the results, and what shows the number of events that are done and the stage of the smoothing."""
+    from limslam_agent.output.run_folder import new_folder
+
+    target = options.out or Path("runs") / f"replay-{name}"
+    with (
+        new_folder(target, force=options.force, numbered=options.out is None) as folder,
+        progress_bar("replaying", events) as show,
+    ):
+        yield (
+            folder,
+            lambda done: show(done, f"{done} of {events} events"),
+            lambda stage: show(events, f"smoothing: {stage}"),
+        )
+
+
+def _tell(content: dict[str, Any], calibrated: list[str], target: Path, warnings: list[str]) -> None:
+    """Print what ``result.json`` says, and where it is."""
+    from limslam_agent.output.summary import record_summary, replay_summary
+    from limslam_env.messages import printable
+
     for line in record_summary(content) + calibrated + replay_summary(content["metrics"]):
         typer.echo(line)
-    warn(map_warnings(result))
-    typer.echo(printable(f"results     {folder.target}"))
+    warn(warnings)
+    typer.echo(printable(f"results     {target}"))
+
+
+def _stem(path: Path) -> str:
+    return path.name.split(".")[0]
 
 
 def job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None") -> Job:
@@ -132,7 +193,6 @@ def job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "Robo
     ValueError
         If the log or another file cannot be used.
     """
-    from limslam_agent.logs.limits import Limits
     from limslam_agent.logs.log_reader import read_log
     from limslam_agent.logs.relations import read_relations
     from limslam_agent.replay.calibration import calibrated
@@ -142,13 +202,12 @@ def job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "Robo
         raise ValueError("--odometry-bias and --calibrate both set the bias: use only one of them")
     if options.calibrate and options.calibrate == options.relations:
         raise ValueError("--calibrate and --relations name one file: relations that calibrate do not score")
-    limits = Limits(round(1e6 * options.max_size), options.max_events, options.max_beams)
-    known = read_relations(options.relations, limits) if options.relations else None
+    max_bytes = round(1e6 * options.max_size)
+    known = read_relations(options.relations, max_bytes) if options.relations else None
     angles = None if options.beams is None else numbers("--beams", options.beams)
-    topics = chosen_topics(options.scan_topic, options.range_topics, options.odometry_topic)
     table = _table_options(options, robot)
 
-    recorded = read_log(log, angles, options.max_range, topics, limits, table)
+    recorded = read_log(log, angles, options.max_range, chosen_topics(options.topics), max_bytes, table)
     _check_options(log, options, recorded)
     # Relations of two logs lie in one of them, or between them.
     if known is not None and options.other_log is None and (share := float(known.within(recorded.time).mean())) < 0.5:
@@ -160,7 +219,9 @@ def job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "Robo
     if options.calibrate is not None:
         calibration = calibrated(options.calibrate, recorded, agent.odometry)
         agent = replace(agent, odometry=calibration.applied_to(agent.odometry))
-    return Job(recorded, agent, known, calibration, _source(log, options))
+    files = {"log": log, "relations": options.relations, "calibration": options.calibrate}
+    source = {name: path.name if path else None for name, path in files.items()}
+    return Job(recorded, agent, known, calibration, source)
 
 
 def _table_options(options: ReplayOptions, robot: "RobotSpec | None") -> "TableOptions":
@@ -190,12 +251,7 @@ def _check_options(log: Path, options: ReplayOptions, recorded: "RecordedLog") -
         raise ValueError(f"{log}: has wheel travel; --odometry-noise and --odometry-bias are for logs with poses")
 
 
-def _source(log: Path, options: ReplayOptions) -> dict[str, str | None]:
-    relations, calibration = (path.name if path else None for path in (options.relations, options.calibrate))
-    return {"log": log.name, "relations": relations, "calibration": calibration}
-
-
-def scores_of(job: Job, result: "Replay", relations: Path | None) -> dict[str, Any]:
+def _scores_of(job: Job, result: "Replay", relations: Path | None) -> dict[str, Any]:
     """Metrics of a replay against the truth and against known relative poses.
 
     Raises
@@ -216,4 +272,21 @@ def scores_of(job: Job, result: "Replay", relations: Path | None) -> dict[str, A
         scores |= relation_scores(result, job.relations)
         if not scores["relations"]:
             raise ValueError(f"{relations}: none of its relations is in the log's time")
+    return scores
+
+
+def _scores_of_both(joint: "JointReplay", relations: "tuple[Relations | None, Relations | None]") -> dict[str, Any]:
+    """Metrics of both logs together. Relations that both logs share may lie between the logs."""
+    from limslam_agent.runs.smoothing import mean_scores
+    from limslam_agent.two_logs.output import relation_scores
+    from limslam_env.metrics.metrics import trajectory_metrics
+
+    scores = relation_scores(joint, relations)
+    true = [each.log.true_pose for each in joint.replays if each.log.true_pose is not None]
+    if len(true) < 2 or not joint.is_joined:
+        return scores
+    names = {"est": "ate_m", "odometry": "odometry_ate_m", "smoothed": "ate_smoothed_m"}
+    for kind, paths in joint.paths().items():
+        found = mean_scores([dict(trajectory_metrics(*each)) for each in zip(true, paths, strict=True)])
+        scores[names[kind]] = found["ate_m"]
     return scores

@@ -8,20 +8,19 @@ These lines are used. The odometry is the *second* pose of a scan::
 
 from array import array
 from collections.abc import Sequence
-from os import fspath
 
 import numpy as np
 
-from limslam_agent.logs.limits import DEFAULT_LIMITS, Limits
+from limslam_agent.logs.limits import MAX_BYTES
 from limslam_agent.logs.pose_log import BODY_RADIUS, MIN_RANGE, check_max_range, median_spacing, nearest_beams
 from limslam_agent.logs.recorded_log import (
     FilePath,
-    LogError,
     RecordedLog,
     is_number,
-    numbered_lines,
+    naming,
     parse_number,
     parse_range,
+    read_lines,
 )
 from limslam_agent.readings import as_readings
 from limslam_env.geometry import FloatArray, se2
@@ -34,6 +33,7 @@ _SICK_UNITS = (0.001, 0.01)
 
 _FIRST_TIMES, _LONGEST_STEP = 10, 60.0  # s between the first times of a clock that begins below 0
 
+_SCAN, _ODOMETRY = _KINDS = b"FLASER", b"ODOM"
 _SCAN_TAIL = 9
 _ODOM_FIELDS = 10
 # If the laser's pose relative to the odometry varies by more than this (m, rad), it is not the mount of the laser but
@@ -42,57 +42,36 @@ _STEADY = np.array([0.05, 0.05, 0.035])
 
 
 def read_carmen(
-    path: FilePath, beams_deg: Sequence[float], max_range: float, limits: Limits = DEFAULT_LIMITS
+    path: FilePath, beams_deg: Sequence[float], max_range: float, max_bytes: int = MAX_BYTES
 ) -> RecordedLog:
     """Read a CARMEN log, plain or gzip, and keep the beams nearest to the given angles.
 
-    Parameters
-    ----------
-    path
-        The log. Lines other than ODOM and FLASER are skipped. Scans have 180, 181, 360 or 361 beams over 180 degrees.
-    beams_deg
-        Beam angles, deg, 0 is ahead and left is positive.
-    max_range
-        Longest reading of the sparse robot, m; a longer one counts as "nothing seen".
-    limits
-        Largest log that is read.
+    The parameters are those of `limslam_agent.logs.log_reader.read_log`. Lines other than ODOM and FLASER are skipped.
+    Scans have 180, 181, 360 or 361 beams over 180 degrees.
 
-    Returns
-    -------
-    RecordedLog
-        One event for each line, in the order of the file, at the line's ``ipc_time``. The frame of the estimate is the
-        robot's first pose, because the origin of odometry is arbitrary and may be far away. Times that begin below 0
-        and go on from there are moved so that the first one is 0. Other lines with a negative time are left out.
+    There is one event for each line, in the order of the file, at the line's ``ipc_time``. The frame of the estimate is
+    the robot's first pose, because the origin of odometry is arbitrary and may be far away. Times that begin below 0
+    and go on from there are moved so that the first one is 0. Other lines with a negative time are left out.
 
     Raises
     ------
     LogError
-        If the file is larger than the limits, cannot be read, is cut short, has something other than a number where one
+        If the file is too large, cannot be read, is cut short, has something other than a number where one
         is needed, has no scan or no odometry, or has no beam within 1 degree of a given angle.
     """
-    try:
+    with naming(path):
         check_max_range(max_range)
-    except ValueError as error:
-        raise LogError(f"{fspath(path)}: {error}") from error
-    if not len(beams_deg):
-        raise LogError(f"{fspath(path)}: at least one beam must be chosen")
-    events = _Events(beams_deg)
-    for number, line in numbered_lines(path, limits):
-        cut = not line.endswith(b"\n")
-        try:
-            events.add(line.split(), cut=cut)
-        except ValueError as error:
-            raise LogError(f"{fspath(path)}: line {number}: {'cut short: ' if cut else ''}{error}") from error
-    if not events.time:
-        # Any text that is no table is read here, so the message names both.
-        table = "nor, as a table, a header that begins with t,x,y,theta or t,left,right"
-        raise LogError(f"{fspath(path)}: has no odometry: no ODOM or FLASER line of CARMEN, {table}")
-    if not events.ranges:
-        raise LogError(f"{fspath(path)}: has no scan: there is no FLASER line")
-    try:
+        if not len(beams_deg):
+            raise ValueError("at least one beam must be chosen")
+        events = _Events(beams_deg)
+        read_lines(path, max_bytes, events.add)
+        if not events.time:
+            # Any text that is no table is read here, so the message names both.
+            table = "nor, as a table, a header that begins with t,x,y,theta or t,left,right"
+            raise ValueError(f"has no odometry: no ODOM or FLASER line of CARMEN, {table}")
+        if not events.ranges:
+            raise ValueError("has no scan: there is no FLASER line")
         return _as_log(events, max_range)
-    except ValueError as error:
-        raise LogError(f"{fspath(path)}: {error}") from error
 
 
 def beam_angles_deg(count: int) -> FloatArray:
@@ -123,14 +102,15 @@ class _Events:
         self.ranges = array("d")
         self.has_scan = bytearray()
 
-    def add(self, fields: list[bytes], *, cut: bool) -> None:
-        """Process one line, split into fields. ``cut`` says that the file ends within the line."""
+    def add(self, line: bytes) -> None:
+        """Process one line. The file ends within a line without a newline."""
+        fields = line.split()
         kind = fields[0] if fields else b""
-        if kind == b"FLASER":
+        if kind == _SCAN:
             self._add_scan(fields)
-        elif kind == b"ODOM":
+        elif kind == _ODOMETRY:
             self._add_odometry(fields)
-        elif cut and len(fields) == 1 and (b"FLASER".startswith(kind) or b"ODOM".startswith(kind)):
+        elif not line.endswith(b"\n") and len(fields) == 1 and any(each.startswith(kind) for each in _KINDS):
             raise ValueError("the line stops within its first word")
 
     def _add_scan(self, fields: list[bytes]) -> None:

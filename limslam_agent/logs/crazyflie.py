@@ -6,7 +6,6 @@ The names of the topics describe their content. ``state_ranger_qxyzw`` holds the
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
 from limslam_agent.logs.pose_log import beam
@@ -20,20 +19,12 @@ _BEAMS_DEG = (-90.0, 0.0, 90.0, 180.0)
 _QUATERNION = slice(5, 9)
 
 
-@dataclass(frozen=True)
-class CrazyflieTopics:
-    """Names of the two topics with the arrays."""
-
-    ranger: str
-    position: str
-
-
-def find_topics(types: Mapping[str, str]) -> CrazyflieTopics | None:
-    """The two topics of a drone among the topics of a bag. None unless there is exactly one drone."""
+def find_topics(types: Mapping[str, str]) -> tuple[str, str] | None:
+    """The topics of ranges and of positions among the topics of a bag. None unless there is exactly one drone."""
     found = [sorted(topic for topic in types if topic.rpartition("/")[2] == name) for name in (RANGER, POSITION)]
     if [len(topics) for topics in found] != [1, 1]:
         return None
-    return CrazyflieTopics(found[0][0], found[1][0])
+    return found[0][0], found[1][0]
 
 
 def beams(max_range: float) -> list[SensorSpec]:

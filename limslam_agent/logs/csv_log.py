@@ -20,12 +20,11 @@ import re
 from array import array
 from collections.abc import Sequence
 from dataclasses import replace
-from os import fspath
 
 import numpy as np
 
 from limslam_agent.logs.directions import direction_of
-from limslam_agent.logs.limits import DEFAULT_LIMITS, Limits
+from limslam_agent.logs.limits import MAX_BYTES, MOST_BEAMS, check_beams
 from limslam_agent.logs.pose_log import (
     DEFAULT_MAX_RANGE,
     LARGEST_STEP_BACK,
@@ -38,12 +37,13 @@ from limslam_agent.logs.pose_log import (
 )
 from limslam_agent.logs.recorded_log import (
     FilePath,
-    LogError,
     RecordedLog,
     is_number,
+    naming,
     numbered_lines,
     parse_number,
     parse_range,
+    read_lines,
 )
 from limslam_agent.logs.table_options import CLOCK_COUNTS, TableOptions, check_travel, started_again
 from limslam_env.geometry import BoolArray, FloatArray
@@ -64,7 +64,6 @@ _WHEELS = tuple(
 )
 _FORMS = "t,x,y,theta,r_<deg>,... or t,left,right,r_<deg>,..."
 _RANGE = re.compile(r"r(?:_|\[)([^\[\]]+)\]?")
-_MOST_BEAMS = 4096
 _HEADER_WITHIN = 1000  # lines
 
 NO_ROW = "delete the line if it is no row of the table, or begin it with #"
@@ -92,58 +91,32 @@ def read_csv(
     path: FilePath,
     beams_deg: Sequence[float] | None,
     max_range: float | None,
-    limits: Limits = DEFAULT_LIMITS,
+    max_bytes: int = MAX_BYTES,
     options: TableOptions | None = None,
 ) -> RecordedLog:
     """Read a text file with the header ``t,x,y,theta,r_<deg>,...`` or ``t,left,right,r_<deg>,...``, plain or gzip.
 
-    Parameters
-    ----------
-    path
-        The log.
-    beams_deg
-        Directions of the beams to keep, deg. None keeps all of up to 16 beams, and six of more beams.
-    max_range
-        Longest reading that is used, m; a longer one counts as "nothing seen". By default it is the maximum of the
-        robot's beams, or 3 m where the options name no robot.
-    limits
-        Largest log that is read.
-    options
-        The robot, and the units of the columns. By default there is no robot, and the units are m and s.
-
-    Returns
-    -------
-    RecordedLog
-        One event for each row, in the order of the file.
+    The parameters are those of `limslam_agent.logs.log_reader.read_log`. There is one event for each row.
 
     Raises
     ------
     LogError
-        If the file is larger than the limits, cannot be read, is cut short, has another header, has a row whose columns
+        If the file is too large, cannot be read, is cut short, has another header, has a row whose columns
         do not match the header or that holds something other than numbers, or has no row with ranges; if a table of
         wheel travel comes without a robot, the robot has no beam in a direction of the header, or a wheel travels
         farther than the robot can drive.
     """
-    rows = _Rows(beams_deg, max_range, limits, options or TableOptions())
-    for number, line in numbered_lines(path, limits):
-        cut = not line.endswith(b"\n")
-        try:
-            rows.add(line)
-        except ValueError as error:
-            raise LogError(f"{fspath(path)}: line {number}: {'cut short: ' if cut else ''}{error}") from error
-    try:
+    rows = _Rows(beams_deg, max_range, options or TableOptions())
+    read_lines(path, max_bytes, rows.add)
+    with naming(path):
         return rows.log()
-    except ValueError as error:
-        raise LogError(f"{fspath(path)}: {error}") from error
 
 
 class _Rows:
     """The header, and the numbers of the rows read so far, in packed arrays."""
 
-    def __init__(
-        self, beams_deg: Sequence[float] | None, max_range: float | None, limits: Limits, options: TableOptions
-    ) -> None:
-        self.beams_deg, self.max_range, self.limits, self.options = beams_deg, max_range, limits, options
+    def __init__(self, beams_deg: Sequence[float] | None, max_range: float | None, options: TableOptions) -> None:
+        self.beams_deg, self.max_range, self.options = beams_deg, max_range, options
         self.leading = len(_POSE)
         self.beams: list[SensorSpec] = []
         self.columns: list[int] = []
@@ -180,7 +153,7 @@ class _Rows:
             self.used = _in_order(self.used, names)
         names = [names[place] for place in self.used]
         self.leading, self.directions = _leading(names), _directions(names, self.options.columns)
-        self.limits.check_beams(len(names) - self.leading)
+        check_beams(len(names) - self.leading)
         if self.max_range is not None:
             check_max_range(self.max_range)
         if self.options.robot is not None:
@@ -404,7 +377,7 @@ def _between(before: list[float], after: list[str]) -> list[float]:
         raise ValueError("'...' must stand between two ranges and the last one")
     step, last = before[-1] - before[-2], _direction(after[0])
     count = (last - before[-1]) / step if step else 0.0
-    if not (1.0 <= count <= _MOST_BEAMS and math.isclose(count, round(count), abs_tol=1e-6)):
+    if not (1.0 <= count <= MOST_BEAMS and math.isclose(count, round(count), abs_tol=1e-6)):
         raise ValueError(f"'...' cannot go from {before[-1]:g} to {last:g} deg in steps of {step:g}")
     return [before[-1] + step * number for number in range(1, round(count))]
 

@@ -1,68 +1,41 @@
 """How much of a log is read before it is refused."""
 
-from dataclasses import dataclass
+MAX_BYTES = 256_000_000
+"""Largest log that is read by default: of a text its unpacked bytes, of a ``log.npz`` those of its arrays, of a bag
+those of its messages.
+"""
+
+_LEAST_BYTES = 256  # that a line or a message counts for: short ones take as much memory
+MOST_BEAMS = 4096
+"""Most beams of a scan or columns of a table."""
 
 
-@dataclass(frozen=True)
-class Limits:
-    """Largest log that is read. A larger log is refused with a message that names the limit.
+class Counted:
+    """The size of what has been read, in bytes, up to a largest one."""
 
-    Attributes
-    ----------
-    max_bytes
-        Most bytes: of a text the unpacked ones, of a ``log.npz`` those of its arrays, of a bag those of the messages.
-    max_events
-        Most lines of a text, steps of a ``log.npz``, or messages of a bag.
-    max_beams
-        Most beams of a scan or columns of a table.
+    def __init__(self, most: int) -> None:
+        self._most, self._count = most, 0
+
+    def add(self, count: int) -> None:
+        """Count a line or a message.
+
+        Raises
+        ------
+        ValueError
+            If the log is too large. The message names the option of the command line.
+        """
+        self._count += max(count, _LEAST_BYTES)
+        if self._count > self._most:
+            raise ValueError(f"is larger than {self._most / 1e6:g} MB: --max-size raises this limit")
+
+
+def check_beams(count: int) -> None:
+    """Refuse too many beams.
 
     Raises
     ------
     ValueError
-        If a limit is not a positive whole number.
+        If there are more than ``MOST_BEAMS``.
     """
-
-    max_bytes: int = 256_000_000
-    max_events: int = 1_000_000
-    max_beams: int = 4096
-
-    def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if type(value) is not int or value < 1:
-                raise ValueError(f"{name} must be a positive whole number, not {value!r}")
-
-    def check_bytes(self, count: int) -> None:
-        """Refuse too many bytes.
-
-        Raises
-        ------
-        ValueError
-            If there are more than ``max_bytes``.
-        """
-        if count > self.max_bytes:
-            raise ValueError(f"is larger than {self.max_bytes / 1e6:g} MB: --max-size raises this limit")
-
-    def check_events(self, count: int, what: str) -> None:
-        """Refuse too many lines, steps or messages, which ``what`` names.
-
-        Raises
-        ------
-        ValueError
-            If there are more than ``max_events``.
-        """
-        if count > self.max_events:
-            raise ValueError(f"has more than {self.max_events} {what}: --max-events raises this limit")
-
-    def check_beams(self, count: int) -> None:
-        """Refuse too many beams.
-
-        Raises
-        ------
-        ValueError
-            If there are more than ``max_beams``.
-        """
-        if count > self.max_beams:
-            raise ValueError(f"a scan has more than {self.max_beams} beams: --max-beams raises this limit")
-
-
-DEFAULT_LIMITS = Limits()
+    if count > MOST_BEAMS:
+        raise ValueError(f"a scan has {count} beams, more than {MOST_BEAMS}")

@@ -4,7 +4,8 @@ import codecs
 import gzip
 import math
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from os import PathLike, fspath
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import IO, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.logs.limits import DEFAULT_LIMITS, Limits
+from limslam_agent.logs.limits import MAX_BYTES, Counted, check_beams
 from limslam_agent.readings import as_readings
 from limslam_agent.safe_files import TooLargeError, load_arrays, open_regular
 from limslam_env.geometry import BoolArray, FloatArray, se2
@@ -36,6 +37,17 @@ class LogError(ValueError):
 
     def __init__(self, message: str) -> None:
         super().__init__(one_line(message))
+
+
+@contextmanager
+def naming(path: FilePath) -> Iterator[None]:
+    """Turn a ValueError about a file into a LogError that names the file."""
+    try:
+        yield
+    except LogError:
+        raise
+    except ValueError as error:
+        raise LogError(f"{fspath(path)}: {error}") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,7 +156,7 @@ class RecordedLog:
             yield observation
 
 
-def read_npz(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> RecordedLog:
+def read_npz(path: FilePath, max_bytes: int = MAX_BYTES) -> RecordedLog:
     """Read the ``log.npz`` of a run's folder. A row is a step, and row 0 is the observation at the reset.
 
     Parameters
@@ -153,25 +165,24 @@ def read_npz(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> RecordedLog:
         A zip file of ``time`` (n,), s, ``ranges`` (n, n_beams), m, ``wheels`` (n, 2), m, ``action`` (n, 2),
         ``start_pose`` (3,), and ``robot``, the text of :meth:`RobotSpec.to_json`. The log of a simulated run also has
         the truth: ``true_pose`` (n, 3) after each step, and ``wall_seen`` (n, n_beams). Pickled objects are refused.
-    limits
+    max_bytes
         Largest log that is read.
 
     Raises
     ------
     LogError
-        If the file is larger than the limits or cannot be read, is cut short or is not such a zip file; if an array is
+        If the file is too large or cannot be read, is cut short or is not such a zip file; if an array is
         missing, or one of the two arrays of the truth; or if an array has a wrong shape or holds something other than
         finite numbers. Ranges may be infinite, NaN or negative, as `limslam_agent.readings` defines.
     """
-    arrays = _load_arrays(path, limits)
-    try:
-        limits.check_events(arrays["time"].size, "steps")
+    with naming(path):
+        arrays = _load_arrays(path, max_bytes)
         robot = _robot_of(arrays["robot"])
-        limits.check_beams(len(robot.beams))
+        check_beams(len(robot.beams))
         count, beams = arrays["time"].size, len(robot.beams)
         if arrays["ranges"].ndim == 3:
             robots = arrays["ranges"].shape[1]
-            raise LogError(f"is the log of {robots} robots; only the log of one robot can be replayed")
+            raise ValueError(f"is the log of {robots} robots; only the log of one robot can be replayed")
         _check("action", arrays["action"], (count, 2))
         has_truth = "true_pose" in arrays
         if has_truth:
@@ -185,8 +196,6 @@ def read_npz(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> RecordedLog:
             wheels=_floats("wheels", arrays),
             true_pose=_floats("true_pose", arrays) if has_truth else None,
         )
-    except ValueError as error:
-        raise LogError(f"{fspath(path)}: {error}") from error
 
 
 def first_bytes(path: FilePath, count: int) -> bytes:
@@ -204,7 +213,7 @@ def first_bytes(path: FilePath, count: int) -> bytes:
         raise _unreadable(path, error) from error
 
 
-def numbered_lines(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> Iterator[tuple[int, bytes]]:
+def numbered_lines(path: FilePath, max_bytes: int = MAX_BYTES) -> Iterator[tuple[int, bytes]]:
     """The lines of a text file one at a time. A gzip file is recognised by its first bytes.
 
     Yields
@@ -215,23 +224,21 @@ def numbered_lines(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> Iterator[
     Raises
     ------
     LogError
-        If the file cannot be read, its gzip stream is cut short or damaged, it is not a text file, or it is larger than
-        the limits.
+        If the file cannot be read, its gzip stream is cut short or damaged, it is not a text file, or it is too large.
     """
-    number = size = 0
+    number, size = 0, Counted(max_bytes)
     try:
-        with open_regular(Path(path)) as raw:
+        with naming(path), open_regular(Path(path)) as raw:
             packed = raw.read(len(GZIP_MAGIC)) == GZIP_MAGIC
             raw.seek(0)
             file: IO[bytes] | gzip.GzipFile = gzip.GzipFile(fileobj=raw) if packed else raw
             while line := file.readline(LONGEST_LINE):
-                number, size = number + 1, size + len(line)
-                if number > limits.max_events or size > limits.max_bytes:
-                    _refuse_size(path, number, size, limits)
+                number += 1
+                size.add(len(line))
                 if number == 1 and line.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-                    raise LogError(f"{fspath(path)}: this is a text in UTF-16: it must be saved as UTF-8")
+                    raise ValueError("this is a text in UTF-16: it must be saved as UTF-8")
                 if b"\0" in line or len(line) == LONGEST_LINE:
-                    raise LogError(f"{fspath(path)}: line {number}: this is not a text file")
+                    raise ValueError(f"line {number}: this is not a text file")
                 yield number, line.removeprefix(codecs.BOM_UTF8) if number == 1 else line
     except EOFError as error:
         raise LogError(f"{fspath(path)}: line {number + 1}: cut short: the gzip stream ends here") from error
@@ -239,6 +246,23 @@ def numbered_lines(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> Iterator[
         raise LogError(f"{fspath(path)}: line {number + 1}: the gzip stream is damaged: {error}") from error
     except OSError as error:
         raise _unreadable(path, error) from error
+
+
+def read_lines(path: FilePath, max_bytes: int, take: Callable[[bytes], None]) -> None:
+    """Hand the lines of a text file to a function, one after the other.
+
+    Raises
+    ------
+    LogError
+        As :func:`numbered_lines` does; and where the function raises a ValueError, with the number of the line, and
+        whether the file ends within it.
+    """
+    for number, line in numbered_lines(path, max_bytes):
+        try:
+            take(line)
+        except ValueError as error:
+            cut = "" if line.endswith(b"\n") else "cut short: "
+            raise LogError(f"{fspath(path)}: line {number}: {cut}{error}") from error
 
 
 def parse_range(field: bytes, what: str) -> float:
@@ -282,29 +306,19 @@ _TRUTH = ("true_pose", "wall_seen")
 _ARRAYS = ("time", "ranges", "wheels", "action", *_TRUTH, "robot", "start_pose")
 
 
-def _refuse_size(path: FilePath, lines: int, size: int, limits: Limits) -> None:
-    try:
-        limits.check_events(lines, "lines")
-        limits.check_bytes(size)
-    except ValueError as error:
-        raise LogError(f"{fspath(path)}: {error}") from error
-
-
-def _load_arrays(path: FilePath, limits: Limits) -> dict[str, NDArray[Any]]:
+def _load_arrays(path: FilePath, max_bytes: int) -> dict[str, NDArray[Any]]:
     if first_bytes(path, len(ZIP_MAGIC)) != ZIP_MAGIC:
-        raise LogError(f"{fspath(path)}: is not an .npz file")
+        raise ValueError("is not an .npz file")
     try:
-        arrays = load_arrays(Path(path), _ARRAYS, limits.max_bytes)
+        arrays = load_arrays(Path(path), _ARRAYS, max_bytes)
     except OSError as error:
         raise _unreadable(path, error) from error
     except TooLargeError as error:
-        raise LogError(f"{fspath(path)}: {error}: --max-size raises this limit") from error
-    except ValueError as error:
-        raise LogError(f"{fspath(path)}: {error}") from error
+        raise ValueError(f"{error}: --max-size raises this limit") from error
     missing = [name for name in _ARRAYS if name not in arrays]
     # The log of a live robot has no truth at all.
     if missing and missing != list(_TRUTH):
-        raise LogError(f"{fspath(path)}: has no {' and no '.join(missing)}")
+        raise ValueError(f"has no {' and no '.join(missing)}")
     return arrays
 
 

@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from os import fspath
 
 import numpy as np
-from numpy.typing import NDArray
 
-from limslam_agent.logs.limits import DEFAULT_LIMITS, Limits
-from limslam_agent.logs.recorded_log import FilePath, LogError, numbered_lines, parse_number
+from limslam_agent.logs.limits import MAX_BYTES
+from limslam_agent.logs.recorded_log import FilePath, LogError, parse_number, read_lines
 from limslam_env.geometry import BoolArray, FloatArray, se2
 
 NEAREST_WITHIN = 0.1
@@ -24,6 +23,7 @@ OUTSIDE_BY = 1.0
 LOOP_AFTER = 60.0
 """Relations over more time than this (s) are loops. The mean over all relations would hide a failure there."""
 
+_COLUMNS = ("translation", "rotation", "is_loop")
 _FIELDS = ("t1", "t2", "x", "y", "z", "roll", "pitch", "yaw")
 
 
@@ -67,27 +67,25 @@ class RelationErrors:
     unmatched: int
 
 
-def read_relations(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> Relations:
+def read_relations(path: FilePath, max_bytes: int = MAX_BYTES) -> Relations:
     """Read relations, plain or gzip: lines ``t1 t2 x y z roll pitch yaw`` (s, m, rad), with comments after ``#``.
 
     Raises
     ------
     LogError
-        If the file is larger than the limits, cannot be read, is cut short, has a line with other fields, or has no
+        If the file is too large, cannot be read, is cut short, has a line with other fields, or has no
         relations.
     """
     rows: list[list[float]] = []
-    for number, line in numbered_lines(path, limits):
+
+    def add(line: bytes) -> None:
         fields = line.partition(b"#")[0].split()
-        if not fields:
-            continue
-        if len(fields) != len(_FIELDS):
-            wanted = f"{len(_FIELDS)} are needed: {' '.join(_FIELDS)}"
-            raise LogError(f"{fspath(path)}: line {number}: {len(fields)} fields where {wanted}")
-        try:
+        if fields and len(fields) != len(_FIELDS):
+            raise ValueError(f"{len(fields)} fields where {len(_FIELDS)} are needed: {' '.join(_FIELDS)}")
+        if fields:
             rows.append([parse_number(field, name) for field, name in zip(fields, _FIELDS, strict=True)])
-        except ValueError as error:
-            raise LogError(f"{fspath(path)}: line {number}: {error}") from error
+
+    read_lines(path, max_bytes, add)
     if not rows:
         raise LogError(f"{fspath(path)}: has no relations")
     table = np.array(rows)
@@ -126,14 +124,17 @@ def relation_errors(
     )
 
 
-def summary(errors: RelationErrors) -> dict[str, float | int | None]:
+def summary(*errors: RelationErrors) -> dict[str, float | int | None]:
     """Mean and standard deviation, m and deg, over all relations and over the loops. None if there are none."""
-    everything = np.ones_like(errors.is_loop)
-    return {
-        **_figures("", errors, everything),
-        **_figures("loop_", errors, errors.is_loop),
-        "relations_unmatched": errors.unmatched,
-    }
+    columns = (np.concatenate([getattr(each, name) for each in errors]) for name in _COLUMNS)
+    translation, rotation, is_loop = columns
+    figures: dict[str, float | int | None] = {}
+    for prefix, chosen in (("", np.ones_like(is_loop)), ("loop_", is_loop)):
+        for unit, values in (("m", translation[chosen]), ("deg", np.degrees(rotation[chosen]))):
+            figures[f"{prefix}relation_error_{unit}"] = float(values.mean()) if len(values) else None
+            figures[f"{prefix}relation_error_std_{unit}"] = float(values.std()) if len(values) else None
+        figures[f"{prefix}relations"] = int(chosen.sum())
+    return {**figures, "relations_unmatched": sum(each.unmatched for each in errors)}
 
 
 def _poses_at(wanted: FloatArray, time: FloatArray, poses: FloatArray, moves: FloatArray) -> FloatArray:
@@ -156,15 +157,3 @@ def _part_of_motion(start: FloatArray, end: FloatArray, fraction: FloatArray) ->
     position = start[:, :2] + fraction[:, None] * (end[:, :2] - start[:, :2])
     heading = start[:, 2] + fraction * se2.wrap_angle(end[:, 2] - start[:, 2])
     return se2.between(start, np.column_stack((position, heading)))
-
-
-def _figures(prefix: str, errors: RelationErrors, chosen: NDArray[np.bool_]) -> dict[str, float | int | None]:
-    translation, rotation = errors.translation[chosen], np.degrees(errors.rotation[chosen])
-    known = bool(chosen.any())
-    return {
-        f"{prefix}relation_error_m": float(translation.mean()) if known else None,
-        f"{prefix}relation_error_std_m": float(translation.std()) if known else None,
-        f"{prefix}relation_error_deg": float(rotation.mean()) if known else None,
-        f"{prefix}relation_error_std_deg": float(rotation.std()) if known else None,
-        f"{prefix}relations": int(chosen.sum()),
-    }

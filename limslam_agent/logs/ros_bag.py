@@ -10,8 +10,8 @@ from os import fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from limslam_agent.logs.limits import DEFAULT_LIMITS, Limits
-from limslam_agent.logs.recorded_log import FilePath, LogError, first_bytes
+from limslam_agent.logs.limits import MAX_BYTES, Counted
+from limslam_agent.logs.recorded_log import FilePath, LogError, first_bytes, naming
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -54,12 +54,10 @@ class Bag:
         Type of each topic in the notation of ROS 2: ``sensor_msgs/msg/LaserScan``.
     counts
         Number of messages of each topic.
-    limits
-        Largest number and size of the messages that are read.
     """
 
-    def __init__(self, path: FilePath, reader: "AnyReader", limits: Limits = DEFAULT_LIMITS) -> None:
-        self.path, self._reader, self.limits = path, reader, limits
+    def __init__(self, path: FilePath, reader: "AnyReader", max_bytes: int = MAX_BYTES) -> None:
+        self.path, self._reader, self._max_bytes = path, reader, max_bytes
         self.types: dict[str, str] = {}
         self.counts: dict[str, int] = {}
         for connection in reader.connections:
@@ -74,30 +72,23 @@ class Bag:
         Raises
         ------
         LogError
-            If the bag is cut short or damaged, or its messages are larger than the limits.
+            If the bag is cut short or damaged, or too large.
         """
         connections = [each for each in self._reader.connections if each.topic in topics]
         if not connections:
             return
         stream = self._reader.messages(connections)
-        count = size = 0
+        size = Counted(self._max_bytes)
         while True:
             with _one_line(self.path):
                 item = next(stream, None)
                 if item is None:
                     return
                 connection, nanoseconds, raw = item
-                count, size = count + 1, size + len(raw)
-                self._check_size(count, size)
+                with naming(self.path):
+                    size.add(len(raw))
                 content = self._reader.deserialize(raw, connection.msgtype)
             yield Message(connection.topic, 1e-9 * nanoseconds, content)
-
-    def _check_size(self, count: int, size: int) -> None:
-        try:
-            self.limits.check_events(count, "messages")
-            self.limits.check_bytes(size)
-        except ValueError as error:
-            raise LogError(f"{fspath(self.path)}: {error}") from error
 
     def first(self, topic: str) -> Any:
         """First message of a topic. None if the topic has no messages."""
@@ -106,7 +97,7 @@ class Bag:
 
 
 @contextmanager
-def open_bag(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> Iterator[Bag]:
+def open_bag(path: FilePath, max_bytes: int = MAX_BYTES) -> Iterator[Bag]:
     """Open a ROS 1 bag, a ROS 2 bag (a folder), or a single ``.mcap`` or ``.db3`` file.
 
     Raises
@@ -127,7 +118,7 @@ def open_bag(path: FilePath, limits: Limits = DEFAULT_LIMITS) -> Iterator[Bag]:
         reader.open()
     try:
         with _one_line(path):
-            bag = Bag(path, reader, limits)
+            bag = Bag(path, reader, max_bytes)
         yield bag
     finally:
         with _one_line(path):

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from limslam_agent.logs.limits import DEFAULT_LIMITS, Limits
+from limslam_agent.logs.limits import MAX_BYTES
 from limslam_agent.logs.pose_log import LARGEST_STEP_BACK, check_max_range, pose_log
 from limslam_agent.logs.recorded_log import FilePath, LogError, RecordedLog
 from limslam_agent.logs.ros_bag import Bag, Message, open_bag
@@ -34,41 +34,28 @@ def read_ros(
     beams_deg: Sequence[float] | None,
     max_range: float,
     topics: Topics | None = None,
-    limits: Limits = DEFAULT_LIMITS,
+    max_bytes: int = MAX_BYTES,
 ) -> RecordedLog:
     """Read a bag. Each scan becomes one event with the odometry at the time of the scan.
 
-    Parameters
-    ----------
-    path
-        A ``.bag``, the folder of a ROS 2 bag, or a single ``.mcap`` or ``.db3`` file.
-    beams_deg
-        Directions of the beams to keep, deg. None keeps all of up to 16 beams, and six of more beams.
-    max_range
-        Longest reading that is used, m; a longer one counts as "nothing seen".
-    topics
-        Topics to use. Topics that are not given are found by their types.
-    limits
-        Largest log that is read.
+    The parameters are those of `limslam_agent.logs.log_reader.read_log`. ``path`` is a ``.bag``, the folder of a ROS 2
+    bag, or a single ``.mcap`` or ``.db3`` file.
 
-    Returns
-    -------
-    RecordedLog
-        The times are those of the message headers. They are those of the bag if a header has no time or the clocks of
-        the topics differ. Odometry is interpolated. Sensors with different periods are combined at the times of the
-        slowest sensor.
+    The times are those of the message headers. They are those of the bag if a header has no time or the clocks of the
+    topics differ. Odometry is interpolated. Sensors with different periods are combined at the times of the slowest
+    sensor.
 
     Raises
     ------
     LogError
-        If the bag is larger than the limits, cannot be read, is cut short or damaged; if it is unclear which topics to
+        If the bag is too large, cannot be read, is cut short or damaged; if it is unclear which topics to
         use; if a topic holds something other than a number where one is needed, its times step back, or the times of
         the topics do not overlap.
     """
-    with open_bag(path, limits) as bag:
+    with open_bag(path, max_bytes) as bag:
         try:
             check_max_range(max_range)
-            plan = plan_for(bag, topics or Topics(), beams_deg, max_range)
+            plan = plan_for(bag, topics or {}, beams_deg, max_range)
             streams = _read(bag, [*plan.scans, *plan.moves])
             return _merge(plan, _on_one_clock(streams))
         except LogError:

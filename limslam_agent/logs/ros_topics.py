@@ -1,13 +1,14 @@
 """Chooses the topics of a bag that a log is made of, by their types or as given, and plans how to read them."""
 
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from limslam_agent.logs import crazyflie
 from limslam_agent.logs.directions import direction_of, is_vertical
+from limslam_agent.logs.limits import check_beams
 from limslam_agent.logs.pose_log import beam, choose_beams
 from limslam_agent.logs.ros_bag import Bag
 from limslam_agent.logs.ros_messages import (
@@ -27,31 +28,14 @@ from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.interface import SensorSpec
 
 _MOST_NAMED = 8
+_MOVES = (ODOMETRY, *POSES)
 _AT_ORIGIN = (np.eye(3), np.zeros(3))
 
 
-@dataclass(frozen=True)
-class Topics:
-    """Topics chosen by the user. Topics that are not given are found by their types.
-
-    Attributes
-    ----------
-    scans
-        Topics of LaserScans. Several scans are combined.
-    ranges
-        Topics of Ranges, each with the direction of its beam, deg, left positive, or None if the bag holds the
-        direction.
-    odometry
-        Topic of an Odometry or a pose.
-    """
-
-    scans: tuple[str, ...] = ()
-    ranges: Mapping[str, float | None] = field(default_factory=dict)
-    odometry: str | None = None
-
-    def __bool__(self) -> bool:
-        """Whether any topic was chosen."""
-        return bool(self.scans or self.ranges or self.odometry)
+Topics = Mapping[str, float | None]
+"""Topics chosen by the user: of LaserScans, which are combined, or Ranges, and of one Odometry or pose. A Range may
+have the direction of its beam, deg, left positive. What is not chosen is found by its type.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,14 +86,18 @@ def plan_for(bag: Bag, topics: Topics, beams_deg: Sequence[float] | None, max_ra
         If there are too few or too many candidates, or a requested topic is missing, empty or of another type.
     """
     if not topics and (found := crazyflie.find_topics(bag.types)) is not None:
-        ranger = Sensor(found.ranger, crazyflie.beams(max_range), crazyflie.ranges_of)
-        moves = [Reader(found.position, crazyflie.position_of), Reader(found.ranger, crazyflie.heading_of)]
-        return _choose([ranger], moves, beams_deg)
-    scans, ranges = _sensor_topics(bag, topics)
-    odometry = _odometry_topic(bag, topics.odometry)
+        ranger, position = found
+        moves = [Reader(position, crazyflie.position_of), Reader(ranger, crazyflie.heading_of)]
+        return _choose([Sensor(ranger, crazyflie.beams(max_range), crazyflie.ranges_of)], moves, beams_deg)
+    chosen = {name: degrees for topic, degrees in topics.items() for name in [_given(bag, topic)]}
+    directed = [topic for topic, degrees in chosen.items() if degrees is not None and bag.types[topic] != RANGE]
+    if directed:
+        raise ValueError(f"{directed[0]} holds {bag.types[directed[0]]}: only a Range has a direction to choose")
+    scans, ranges = _sensor_topics(bag, chosen)
+    odometry = _odometry_topic(bag, chosen)
     mounts = _mounts(bag, odometry)
     sensors = [_laser(bag, topic, mounts, max_range) for topic in scans]
-    given = [_range_sensor(bag, topic, degrees, mounts, max_range) for topic, degrees in ranges.items()]
+    given = [_range_sensor(bag, topic, chosen.get(topic), mounts, max_range) for topic in ranges]
     sensors += [sensor for sensor in given if sensor is not None]
     if not sensors:
         raise ValueError(f"all of {', '.join(ranges)} look up or down: no beam is left")
@@ -134,48 +122,48 @@ def _reader(sensor: Sensor, columns: IntArray) -> Reader:
     return Reader(sensor.topic, lambda message: sensor.read(message, columns))
 
 
-def _sensor_topics(bag: Bag, topics: Topics) -> tuple[list[str], dict[str, float | None]]:
-    """Topics of LaserScans, and topics of Ranges with their directions, deg, where these are given."""
-    if topics.scans or topics.ranges:
-        scans = [_given(bag, topic, (LASER_SCAN,)) for topic in topics.scans]
-        return scans, {_given(bag, topic, (RANGE,)): degrees for topic, degrees in topics.ranges.items()}
+def _sensor_topics(bag: Bag, chosen: Topics) -> tuple[list[str], list[str]]:
+    """Topics of LaserScans, and topics of Ranges."""
+    scans, ranges = (_of_type(bag, kind, chosen) for kind in (LASER_SCAN, RANGE))
+    if scans or ranges:
+        return scans, ranges
     scans, ranges = _of_type(bag, LASER_SCAN), _of_type(bag, RANGE)
     ranges = [topic for topic in ranges if not is_vertical(topic)]
     if scans and ranges:
         both = f"LaserScan ({', '.join(scans)}) and Range topics ({', '.join(ranges)})"
-        raise ValueError(f"has {both}: choose with --scan-topic or --range-topics")
+        raise ValueError(f"has {both}: choose with --topics")
     if len(scans) > 1:
-        raise ValueError(f"has {len(scans)} LaserScan topics, {', '.join(scans)}: choose with --scan-topic")
+        raise ValueError(f"has {len(scans)} LaserScan topics, {', '.join(scans)}: choose with --topics")
     if not scans and not ranges:
         raise ValueError(f"has no LaserScan and no Range; {_contents(bag)}")
-    return scans, dict.fromkeys(ranges)
+    return scans, ranges
 
 
-def _odometry_topic(bag: Bag, given: str | None) -> str:
-    if given is not None:
-        return _given(bag, given, (ODOMETRY, *POSES))
-    # Odometry messages are preferred, because poses are often goals or estimates of other programs.
-    for types in ((ODOMETRY,), POSES):
-        found = [topic for each in types for topic in _of_type(bag, each)]
+def _odometry_topic(bag: Bag, chosen: Topics) -> str:
+    """The topic of odometry, which is preferred to poses: they are often goals or estimates of other programs."""
+    wanted = [topic for kind in _MOVES for topic in _of_type(bag, kind, chosen)]
+    for found in (wanted, _of_type(bag, ODOMETRY), [topic for kind in POSES for topic in _of_type(bag, kind)]):
         if len(found) > 1:
-            raise ValueError(f"has {len(found)} topics with poses, {', '.join(found)}: choose with --odometry-topic")
+            raise ValueError(f"has {len(found)} topics with poses, {', '.join(found)}: choose one with --topics")
         if found:
             return found[0]
     raise ValueError(f"has no Odometry and no pose; {_contents(bag)}")
 
 
-def _of_type(bag: Bag, wanted: str) -> list[str]:
-    return sorted(topic for topic, kind in bag.types.items() if kind == wanted and bag.counts[topic])
+def _of_type(bag: Bag, wanted: str, among: Collection[str] | None = None) -> list[str]:
+    """The topics of a type, in the order of ``among`` if only those are asked for."""
+    topics = sorted(topic for topic in bag.types if bag.counts[topic]) if among is None else among
+    return [topic for topic in topics if bag.types[topic] == wanted]
 
 
-def _given(bag: Bag, topic: str, types: tuple[str, ...]) -> str:
+def _given(bag: Bag, topic: str) -> str:
     """The full name of a topic that can be used."""
     name = topic if topic in bag.types else f"/{topic}"
     if name not in bag.types:
         raise ValueError(f"has no topic {topic}; {_contents(bag)}")
-    if bag.types[name] not in types:
-        wanted = " or ".join(each.rpartition("/")[2] for each in types)
-        raise ValueError(f"{name} holds {bag.types[name]}, where {wanted} is needed")
+    if bag.types[name] not in (LASER_SCAN, RANGE, *_MOVES):
+        wanted = ", ".join(each.rpartition("/")[2] for each in (LASER_SCAN, RANGE, *_MOVES))
+        raise ValueError(f"{name} holds {bag.types[name]}, where one of {wanted} is needed")
     if not bag.counts[name]:
         raise ValueError(f"the topic {name} is empty")
     return name
@@ -199,7 +187,7 @@ def _mounts(bag: Bag, odometry: str) -> Mounts:
 
 def _laser(bag: Bag, topic: str, mounts: Mounts, max_range: float) -> Sensor:
     first = bag.first(topic)
-    bag.limits.check_beams(len(first.ranges))
+    check_beams(len(first.ranges))
     angles = scan_angles(first)
     mount = mounts.find(first.header.frame_id) or _AT_ORIGIN
     limits = sensor_limits(float(first.range_min), float(first.range_max), max_range)
@@ -234,4 +222,4 @@ def _guess(topic: str, frame: str) -> float:
     for name in (frame, topic.rpartition("/")[2], topic):
         if (degrees := direction_of(name)) is not None:
             return degrees
-    raise ValueError(f"where {topic} points is unknown: set it with --range-topics {topic}:DEGREES,...")
+    raise ValueError(f"where {topic} points is unknown: set it with --topics {topic}:DEGREES,...")

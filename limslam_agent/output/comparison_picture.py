@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from limslam_agent.output.drawing import MapPicture, legend, limit_bands, paint_map
+from limslam_agent.output.drawing import MapPicture, finish_errors, legend, paint_map
 from limslam_agent.output.finished_run import FinishedRun, heading_error, heading_std, position_error, position_std
 from limslam_env.geometry import FloatArray
 
@@ -120,10 +120,7 @@ def _draw_errors(left: Axes, right: Axes, runs: Sequence[FinishedRun]) -> None:
     for axes in (left, right):
         axes.set_xlabel("time, s (shaded: 2 standard deviations)", fontsize=9)
         axes.set_ylim(bottom=0.0)
-        limit_bands(axes)
-        axes.tick_params(labelsize=8)
-        axes.grid(color="0.9", linewidth=0.7)
-        axes.spines[["top", "right"]].set_visible(False)
+    finish_errors(left, right)
     # Above the plot, where it hides no curve.
     left.legend(fontsize=8, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
 

@@ -122,12 +122,16 @@ def paint_map(axes: Axes, picture: MapPicture) -> None:
     _draw_scale(axes, low, high)
 
 
-def limit_bands(axes: Axes) -> None:
-    """Limit the vertical axis of a plot, so that the wide band of a lost robot does not hide the curves."""
-    largest = max((float(np.nanmax(np.abs(line.get_ydata()), initial=0.0)) for line in axes.lines), default=0.0)
-    if largest > 0.0:
-        low, high = axes.get_ylim()
-        axes.set_ylim(max(low, -_WIDEST_BAND * largest), min(high, _WIDEST_BAND * largest))
+def finish_errors(*plots: Axes) -> None:
+    """Give plots of errors a grid, and limit their vertical axes: the band of a lost robot would hide the curves."""
+    for axes in plots:
+        largest = max((float(np.nanmax(np.abs(line.get_ydata()), initial=0.0)) for line in axes.lines), default=0.0)
+        if largest > 0.0:
+            low, high = axes.get_ylim()
+            axes.set_ylim(max(low, -_WIDEST_BAND * largest), min(high, _WIDEST_BAND * largest))
+        axes.tick_params(labelsize=8)
+        axes.grid(color="0.9", linewidth=0.7)
+        axes.spines[["top", "right"]].set_visible(False)
 
 
 def path_colours(robots: int) -> list[tuple[str, str]]:

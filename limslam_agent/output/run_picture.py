@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.typing import LineStyleType
 
-from limslam_agent.output.drawing import MapPicture, legend, limit_bands, paint_map, path_colours
+from limslam_agent.output.drawing import MapPicture, finish_errors, legend, paint_map, path_colours
 from limslam_agent.output.finished_run import FinishedRun, heading_error, heading_std, position_error, position_std
 from limslam_env.geometry import FloatArray
 
@@ -92,12 +92,8 @@ def _draw_errors(upper: Axes, lower: Axes, run: FinishedRun) -> None:
     lower.set_ylabel(f"heading {compared}, deg", fontsize=9)
     lower.set_xlabel("time, s", fontsize=9)
     upper.set_ylim(bottom=0.0)
-    upper.tick_params(labelsize=8, labelbottom=False)
-    lower.tick_params(labelsize=8)
-    for axes in (upper, lower):
-        limit_bands(axes)
-        axes.grid(color="0.9", linewidth=0.7)
-        axes.spines[["top", "right"]].set_visible(False)
+    upper.tick_params(labelbottom=False)
+    finish_errors(upper, lower)
     if upper.lines:
         # Between the plots, where it hides no curve.
         handles = _kinds(run) if len(colours) > _MOST_PATHS_NAMED else None

@@ -62,7 +62,7 @@ def read_saved_map(folder: Path) -> SavedMap:
         raise SavedMapError(f"{folder / 'map.json'}: is no map of limslam: {error}") from error
     if not len(segments) or not np.isfinite(segments).all() or np.abs(segments).max() > 1e6:
         raise SavedMapError(f"{folder / 'map.json'}: has no walls, or walls that are not finite")
-    return SavedMap(segments, landmarks, _read_grid(folder))
+    return SavedMap(segments, landmarks, read_grid(folder))
 
 
 def _landmark(number: int, found: dict[str, Any], walls: int) -> Landmark:
@@ -76,7 +76,14 @@ def _landmark(number: int, found: dict[str, Any], walls: int) -> Landmark:
     return Landmark(numbers[0], numbers[1], covariance, ends, int(found["observations"]), number, segments)
 
 
-def _read_grid(folder: Path) -> GridView:
+def read_grid(folder: Path) -> GridView:
+    """The occupancy grid in ``map.yaml`` and ``map.pgm`` of a folder.
+
+    Raises
+    ------
+    SavedMapError
+        If a file is missing or damaged.
+    """
     try:
         words = read_limited(folder / "map.yaml").decode("utf-8")
         cell = float(re.findall(r"^resolution: *(\S+)$", words, re.MULTILINE)[0])

@@ -87,29 +87,23 @@ def with_self_calibration(config: AgentConfig, *, enabled: bool) -> AgentConfig:
     return config
 
 
-def chosen_topics(scan: str | None, ranges: str | None, odometry: str | None) -> Topics:
-    """The topics in ``--scan-topic``, ``--range-topics`` and ``--odometry-topic``.
+def chosen_topics(text: str | None) -> Topics:
+    """The topics in ``--topics``, each with the direction (deg) after its colon: a number or a word like ``left``.
 
     Raises
     ------
     ValueError
-        If one of them is not what it should be.
+        If it is no list of topics, or one has something else after its colon.
     """
-    pairs = [_range_topic(each) for each in _parts("--range-topics", ranges)]
-    return Topics(_parts("--scan-topic", scan), dict(pairs), odometry)
-
-
-def _parts(option: str, text: str | None) -> tuple[str, ...]:
     if text is None:
-        return ()
-    parts = tuple(part.strip() for part in text.split(","))
+        return {}
+    parts = [part.strip() for part in text.split(",")]
     if not all(parts):
-        raise ValueError(f"{option}: {text!r} is not a list of topics like /a,/b")
-    return parts
+        raise ValueError(f"--topics: {text!r} is not a list of topics like /a,/b")
+    return dict(_topic(part) for part in parts)
 
 
-def _range_topic(text: str) -> tuple[str, float | None]:
-    """A topic with the direction (deg) after its colon: a number or a word like ``left``."""
+def _topic(text: str) -> tuple[str, float | None]:
     topic, colon, direction = text.partition(":")
     if not colon:
         return topic, None
@@ -118,8 +112,8 @@ def _range_topic(text: str) -> tuple[str, float | None]:
     except ValueError:
         named = direction_of(direction)
         if named is None:
-            raise ValueError(f"--range-topics: {direction!r} is no direction: degrees, or a word like left") from None
+            raise ValueError(f"--topics: {direction!r} is no direction: degrees, or a word like left") from None
         return topic, named
     if not -360.0 <= degrees <= 360.0:
-        raise ValueError(f"--range-topics: {direction} is not within 360 deg")
+        raise ValueError(f"--topics: {direction} is not within 360 deg")
     return topic, degrees

@@ -34,7 +34,6 @@ from benchmarks.suite.store import Row, read_rows
 from benchmarks.suite.suite import load_suite
 from limslam_agent.cli.settings import Given, ReplayOptions, replay_agent, run_config, run_options
 from limslam_agent.cli.show import true_edges
-from limslam_agent.logs.limits import Limits
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.relations import read_relations
 from limslam_agent.output.finished_run import read_run
@@ -52,7 +51,6 @@ EXTREMES = (
     '""', "[]", "{}", "[[]]", '"\\u001b[2J"', '"\\ud800"', "-9223372036854775809", "4294967296", "x" * 3000,
     "9" * 5000, "1979-05-27", "{ a = 1 }", "[", "]", "=", ",", "'", '"', "0x", "\0", "#", "[[walls]]", "1_0", "\\u0000",
 )  # fmt: skip
-LIMITS = Limits()
 
 
 @dataclass(frozen=True)
@@ -193,7 +191,7 @@ def targets() -> list[Target]:
         Target("table", {"l.csv": table}, "l.csv", _log),
         Target("table.gz", {"l.csv.gz": gzip.compress(table)}, "l.csv.gz", _log),
         Target("log.npz", {"l.npz": _log_npz()}, "l.npz", _log),
-        Target("relations", {"r": relations}, "r", lambda path: read_relations(path, LIMITS)),
+        Target("relations", {"r": relations}, "r", read_relations),
         Target("suite", {"s.toml": SUITE.encode()}, "s.toml", lambda path: load_suite(str(path))),
         Target("results", {"r.jsonl": json.dumps(row).encode() + b"\n"}, "r.jsonl", read_rows),
         Target("run.toml", {"r.toml": SETTINGS.encode()}, "r.toml", _set_up),
@@ -218,7 +216,7 @@ def _map(path: Path) -> None:
 
 
 def _log(path: Path) -> None:
-    log = read_log(path, limits=LIMITS)
+    log = read_log(path)
     assert not np.isinf(log.ranges).any()
     assert np.isfinite(log.wheels if log.odometry is None else log.odometry).all()
 

@@ -4,14 +4,10 @@ import time
 from importlib.util import find_spec
 from typing import Any
 
-import numpy as np
-
-from limslam_agent.grid.occupancy import GridView
 from limslam_agent.live.ros2.link import RosLink
 from limslam_agent.live.ros2.node import RosNode
 from limslam_agent.live.ros2.odometer import map_to_odom
 from limslam_agent.live.session import Session
-from limslam_agent.output.formats.content import Grid
 from limslam_agent.policies.way_home import WayHome
 
 STOPPED = "stopped: a message on explore/stop"
@@ -74,7 +70,7 @@ class Outputs:
     def _publish_map(self, session: Session) -> None:
         sample, frame, build = self._link.newest, self._node.parameters.map_frame, self._node.build
         assert sample is not None  # noqa: S101 (a session has decided)
-        self._map(build.grid(sample.time, frame, ros_grid(session.agent.mapper.grid)))
+        self._map(build.grid(sample.time, frame, session.agent.mapper.grid))
         self._walls(build.walls(sample.time, frame, session.agent.slam.segments))
         self._status(self._diagnosis(session, sample.time))
 
@@ -107,9 +103,3 @@ def state_of(session: Session) -> str:
     if session.is_paused:
         return "paused"
     return "driving home" if policy_of(session).is_going_home else "exploring"
-
-
-def ros_grid(view: GridView) -> Grid:
-    """The occupancy grid as ROS has it: 0 free, 100 occupied, -1 unknown."""
-    cells = np.select([view.free, view.occupied], [0, 100], -1).astype(np.int8)
-    return Grid(cells, view.cell, view.low)

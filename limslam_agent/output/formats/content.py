@@ -5,11 +5,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import yaml
 from numpy.typing import NDArray
 
+from limslam_agent.grid.occupancy import GridView
 from limslam_agent.output.finished_run import LOG, FinishedRun, FolderError, read_run
-from limslam_agent.safe_files import load_arrays, read_limited
+from limslam_agent.places.saved_map import SavedMapError, read_grid
+from limslam_agent.safe_files import load_arrays
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 
@@ -36,25 +37,6 @@ class Readings:
 
 
 @dataclass(frozen=True, eq=False)
-class Grid:
-    """An occupancy grid.
-
-    Attributes
-    ----------
-    cells
-        (rows, columns) int8, row 0 at the bottom: 0 free, 100 occupied, -1 unknown, as in ROS.
-    resolution
-        Side of a cell, m.
-    origin
-        Position of the lower left corner (2,), m.
-    """
-
-    cells: NDArray[np.int8]
-    resolution: float
-    origin: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
 class ExportedRun:
     """A finished run with all that other programs may want of it.
 
@@ -70,7 +52,7 @@ class ExportedRun:
 
     run: FinishedRun
     readings: Readings | None
-    grid: Grid | None
+    grid: GridView | None
 
     def paths(self) -> dict[str, list[FloatArray]]:
         """The trajectories that exist, each with the poses (n, 3) of each robot."""
@@ -93,7 +75,11 @@ def read_exported(folder: Path) -> ExportedRun:
         If the folder is not that of a run, or a file in it cannot be used.
     """
     run = read_run(folder).with_one_time()
-    return ExportedRun(run, read_readings(run), _grid(folder / "map.yaml"))
+    try:
+        grid = read_grid(folder) if (folder / "map.yaml").is_file() else None
+    except SavedMapError as error:
+        raise FolderError(str(error)) from error
+    return ExportedRun(run, read_readings(run), grid)
 
 
 def read_readings(run: FinishedRun) -> Readings | None:
@@ -118,25 +104,3 @@ def read_readings(run: FinishedRun) -> Readings | None:
     except (OSError, ValueError) as error:
         raise FolderError(f"{path}: does not fit the run: {error}") from error
     return Readings(robot, ranges, wheels)
-
-
-def _grid(path: Path) -> Grid | None:
-    if not path.is_file():
-        return None
-    try:
-        described = yaml.safe_load(read_limited(path))
-        resolution, origin = float(described["resolution"]), np.array(described["origin"][:2], dtype=float)
-        pixels = _pgm(read_limited(path.with_name(str(described["image"]))))
-    except (OSError, KeyError, TypeError, ValueError, yaml.YAMLError) as error:
-        raise FolderError(f"{path}: is damaged: {error}") from error
-    cells = np.select([pixels >= 250, pixels <= 50], [0, 100], -1).astype(np.int8)
-    return Grid(cells[::-1], resolution, origin)
-
-
-def _pgm(content: bytes) -> NDArray[np.uint8]:
-    """Pixels (rows, columns) of a binary PGM file as this project writes it."""
-    magic, size, _, data = content.split(b"\n", 3)
-    columns, rows = map(int, size.split())
-    if magic != b"P5":
-        raise ValueError("the picture is not a binary PGM")
-    return np.frombuffer(data, dtype=np.uint8, count=rows * columns).reshape(rows, columns)

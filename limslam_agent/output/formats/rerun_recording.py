@@ -8,6 +8,7 @@ import numpy as np
 
 from limslam_agent.output.finished_run import heading_error, heading_std, position_error, position_std
 from limslam_agent.output.formats.content import ExportedRun
+from limslam_agent.output.formats.ros_builder import cells_of
 from limslam_agent.output.style import LEFT, ROBOTS, WALL, Colour
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.shapes import ellipse
@@ -89,14 +90,12 @@ class _Recording:
         grid = self._exported.grid
         if grid is None:
             return
-        rows, columns = grid.cells.shape
+        rows, columns = grid.values.shape
         size = self._rr.components.ImageFormat(width=columns, height=rows, color_model="L", channel_datatype="U8")
-        place, colours = (*grid.origin.tolist(), -0.01), self._rr.components.Colormap.RvizMap
+        place, colours = (*grid.low.tolist(), -0.01), self._rr.components.Colormap.RvizMap
         # The first row of an image is its highest one.
-        cells = np.ascontiguousarray(grid.cells[::-1]).tobytes()
-        picture = self._rr.GridMap(
-            data=cells, format=size, cell_size=grid.resolution, translation=place, colormap=colours
-        )
+        cells = np.ascontiguousarray(cells_of(grid)[::-1]).tobytes()
+        picture = self._rr.GridMap(data=cells, format=size, cell_size=grid.cell, translation=place, colormap=colours)
         self._stream.log("map/grid", picture, static=True)
 
     def write_robot(self, number: int, prefix: str) -> None:

@@ -5,12 +5,18 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
-from limslam_agent.output.formats.content import Grid
+from limslam_agent.grid.occupancy import GridView
 from limslam_env.geometry import FloatArray
 
 LINE_LIST = 5
 """Type of a Marker whose points are the ends of lines, two by two."""
+
+
+def cells_of(grid: GridView) -> NDArray[np.int8]:
+    """The cells of a grid as ROS has them: 0 is free, 100 is occupied, -1 is unknown."""
+    return np.select([grid.free, grid.occupied], [0, 100], -1).astype(np.int8)
 
 
 class MessageBuilder:
@@ -88,15 +94,16 @@ class MessageBuilder:
             min_range=limits[0], max_range=limits[1], range=seen,
         )  # fmt: skip
 
-    def grid(self, time: float, frame: str, grid: Grid) -> Any:
-        """An OccupancyGrid."""
-        rows, columns = grid.cells.shape
+    def grid(self, time: float, frame: str, view: GridView) -> Any:
+        """An OccupancyGrid: 0 is free, 100 is occupied, -1 is unknown."""
+        cells = cells_of(view)
+        rows, columns = cells.shape
         information = self.make(
-            "nav_msgs/msg/MapMetaData", map_load_time=self.stamp(time), resolution=grid.resolution, width=columns,
-            height=rows, origin=self.pose(np.array([*grid.origin, 0.0])),
+            "nav_msgs/msg/MapMetaData", map_load_time=self.stamp(time), resolution=view.cell, width=columns,
+            height=rows, origin=self.pose(np.array([*view.low, 0.0])),
         )  # fmt: skip
         return self.make(
-            "nav_msgs/msg/OccupancyGrid", header=self.header(time, frame), info=information, data=grid.cells.ravel()
+            "nav_msgs/msg/OccupancyGrid", header=self.header(time, frame), info=information, data=cells.ravel()
         )
 
     def walls(self, time: float, frame: str, segments: FloatArray) -> Any:

@@ -180,8 +180,8 @@ def test_laps_drive_round_the_square(tmp_path):
         (("replay", "{log}", "--odometry-bias", "1,0"), "--odometry-bias"),
         (("replay", "{log}", "--relations", "missing.relations"), "missing.relations"),
         (("replay", "{log}", "--calibrate", "{log}", "--odometry-bias", "1"), "--odometry-bias and --calibrate"),
-        (("replay", "{log}", "--odometry-topic", "/odom"), "is not a ROS bag"),
-        (("replay", "{log}", "--range-topics", "/left:somewhere"), "'somewhere' is no direction"),
+        (("replay", "{log}", "--topics", "/odom"), "is not a ROS bag"),
+        (("replay", "{log}", "--topics", "/left:somewhere"), "'somewhere' is no direction"),
     ],
 )
 def test_bad_arguments_get_one_line_and_leave_nothing(arguments, words, carmen_log, tmp_path):
@@ -282,7 +282,7 @@ def test_a_table_and_a_bag_are_replayed_like_any_log(tmp_path):
         at = 100 + 0.1 * step
         messages += [odometry(at, x), odometry(at, 0.0, topic="/other"), scan(at, [2.0, np.inf, 2.0])]
     bag = write_bag(tmp_path, messages, "mcap", "corridor")
-    for log, options in ((table, ()), (bag, ("--odometry-topic", "/odom"))):
+    for log, options in ((table, ()), (bag, ("--topics", "/odom"))):
         out = tmp_path / f"out-{log.suffix}"
         result = limslam("replay", log, *options, "--out", out)
         assert result.returncode == 0, result.stderr

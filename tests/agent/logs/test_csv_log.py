@@ -1,6 +1,5 @@
 """Logs as text: the header and its variants, what means "nothing seen", and one line for every fault."""
 
-import gzip
 import math
 
 import numpy as np
@@ -9,8 +8,6 @@ from support.data import data_folder, refusal
 
 from limslam_agent.logs.csv_log import is_csv
 from limslam_agent.logs.log_reader import read_log
-from limslam_agent.logs.recorded_log import LogError
-from limslam_agent.logs.table_options import TableOptions
 
 HEAD = "t,x,y,theta,r_-90,r_0,r_90\n"
 
@@ -53,18 +50,6 @@ def test_what_means_that_nothing_was_seen(write, nothing):
     assert log.has_scan[0]
 
 
-@pytest.mark.parametrize("missing", ["", " ", "nan", "NaN", "-0.1", "-inf"])
-def test_what_is_no_reading(write, missing):
-    log = read_log(write(f"{HEAD}0,0,0,0,1,{missing},1\n"))
-    np.testing.assert_array_equal(log.ranges[0], [1.0, math.nan, 1.0])
-    assert log.has_scan[0]
-
-
-def test_a_last_column_may_be_empty_and_readings_too_near_become_the_shortest(write):
-    log = read_log(write(f"{HEAD}0,0,0,0,0,0.01,\n"))
-    np.testing.assert_array_equal(log.ranges[0], np.float32([0.02, 0.02, math.nan]))
-
-
 def test_a_dash_says_that_there_was_no_scan(write):
     rows = "0,0,0,0,-,-,-\n0.1,0.1,0,0,1,1,1\n0.2,0.2,0,0,-\n"
     log = read_log(write(HEAD + rows))
@@ -99,23 +84,6 @@ def test_headers_may_be_written_in_many_ways(write, head):
     np.testing.assert_array_equal(log.ranges[0], np.float32([0.5, 1.0, 1.5]))
 
 
-@pytest.mark.parametrize("names", [HEAD, ""])
-@pytest.mark.parametrize(
-    "change", [lambda row: f"{row},", lambda row: f"{row},,", lambda row: '"' + row.replace(",", '","') + '"']
-)
-def test_quotation_marks_and_separators_at_the_ends_of_lines_do_not_matter(write, change, names):
-    rows = f"{names}0.0,1.0,2.0,3.0,0.5,1.5,2.5\n0.2,1.5,2.0,3.5,0.6,1.6,\n"
-    options = TableOptions(columns=() if names else tuple(HEAD.strip().split(",")))
-    log = read_log(write("".join(f"{change(row)}\n" for row in rows.splitlines())), table=options)
-    np.testing.assert_array_equal(log.ranges, np.float32([[0.5, 1.5, 2.5], [0.6, 1.6, math.nan]]))
-
-
-@pytest.mark.parametrize("mark", ["-,", "-,-,-,"])
-def test_a_row_without_a_scan_may_end_with_a_separator(write, mark):
-    log = read_log(write(f"{HEAD.strip()},\n0.0,1.0,2.0,3.0,{mark}\n0.2,1.5,2.0,3.5,0.6,1.6,2.5,\n"))
-    np.testing.assert_array_equal(log.has_scan, [False, True])
-
-
 def test_dots_stand_for_the_beams_between(write):
     path = write("t x y theta r[-90] r[-60] ... r[90]\n0 0 0 0 1 2 3 4 5 6 7\n")
     log = read_log(path, None, 10.0)
@@ -132,32 +100,6 @@ def test_beams_can_be_chosen_and_are_six_of_many(write):
     assert "no beam within 1 deg of 32 deg: the log's beams are from -90 to 90 deg" in refusal(path, (32.0,))
     few = write(HEAD + "0,0,0,0,1,1,1\n", "few.csv")
     assert "no beam within 1 deg of 45 deg: the log's beams are at -90, 0, 90 deg" in refusal(few, (45.0,))
-
-
-def test_the_largest_range_caps(write):
-    log = read_log(write(HEAD + "0,0,0,0,1.9,2.0,2.1\n"), None, 2.0)
-    np.testing.assert_array_equal(log.ranges[0], np.float32([1.9, 2.0, 2.0]))
-    for wrong in (0.0, -1.0, math.nan, math.inf):
-        assert "largest range must be above 0.02 m" in refusal(write(HEAD + "0,0,0,0,1,1,1\n"), None, wrong)
-
-
-def test_a_largest_range_in_millimetres_is_refused(write):
-    words = "the largest range is at most 1000 m, not 2000: is it in metres?"
-    assert words in refusal(write(HEAD + "0,0,0,0,1,1,1\n"), None, 2000.0)
-
-
-def test_gzip_is_told_by_its_bytes(write):
-    packed = gzip.compress((HEAD + "0,0,0,0,1,1,1\n").encode())
-    assert len(read_log(write(packed, "packed.csv.gz"))) == len(read_log(write(packed, "packed.txt"))) == 1
-
-
-def test_blank_lines_and_comments_are_skipped_and_the_last_newline_may_lack(write):
-    assert len(read_log(write(HEAD + "\n# a note\n0,0,0,0,1,1,1\r\n   \n0.1,0,0,0,1,1,1"))) == 2
-
-
-def test_small_steps_back_in_time_stay_as_they_are(write):
-    log = read_log(write(HEAD + "".join(f"{at},0,0,0,1,1,1\n" for at in (0.0, 0.3, 0.2, 0.4))))
-    np.testing.assert_array_equal(log.time, [0.0, 0.3, 0.2, 0.4])
 
 
 # What is refused
@@ -215,38 +157,6 @@ def test_a_bad_header_is_refused(write, head, words):
     assert words in refusal(write(f"{head}\n0,0,0,0,1,1,1\n"))
 
 
-def test_files_without_rows_are_refused(write):
-    assert "is empty: it has no header" in refusal(write(""))
-    assert "is empty: it has no header" in refusal(write("\n# nothing\n"))
-    assert "has no row with ranges" in refusal(write(HEAD))
-    assert "has no row with ranges" in refusal(write(HEAD + "0,0,0,0,-\n"))
-
-
-def test_text_with_the_ending_of_a_spreadsheet_is_read(write):
-    text = f"{HEAD}0,0,0,0,1,1,1\n".replace(",", "\t")
-    assert len(read_log(write(text, "table.xls"))) == 1
-
-
-def test_files_that_cannot_be_read_are_refused(write, tmp_path):
-    assert "No such file" in refusal(tmp_path / "absent.csv")
-    assert "this is not a text file" in refusal(write(b"t,x\0y"))
-    assert "this is a text in UTF-16: it must be saved as UTF-8" in refusal(write(HEAD.encode("utf-16")))
-    with pytest.raises(LogError, match="No such file"):
-        is_csv(tmp_path / "absent.txt")
-
-
-@pytest.mark.parametrize("kept", [1, 4, 8, 11])
-def test_a_last_row_that_is_cut_is_refused(write, kept):
-    text = f"{HEAD}0.0,0,0,0,1,1,1\n0.1,0,0,0,1,1,1\n"
-    first = text.index("0.1,")
-    assert "line 3: cut short: " in refusal(write(text[: first + kept]))
-
-
-def test_a_gzip_stream_that_is_cut_is_refused(write):
-    packed = gzip.compress((HEAD + "".join(f"{at / 10},0,0,0,1,1,1\n" for at in range(500))).encode())
-    assert "cut short" in refusal(write(packed[:-30], "cut.csv.gz"))
-
-
 # Which reader
 
 
@@ -276,11 +186,3 @@ def test_the_text_of_a_real_log_agrees_with_the_log(name, events, scans):
     np.testing.assert_allclose(text.ranges, log.ranges, atol=1e-6)
     np.testing.assert_allclose(text.odometry[:, :2], log.odometry[:, :2], atol=1e-5)
     np.testing.assert_allclose(text.time, log.time, atol=1e-6)
-
-
-def test_a_drones_text_is_read():
-    log = read_log(data_folder() / "crazyflie" / "olsson-demo.csv.gz", None, 2.0)
-    assert len(log) == 3431
-    np.testing.assert_allclose(degrees(log), [-90.0, 0.0, 90.0, 180.0])
-    assert [beam.side for beam in log.robot.beams] == ["right", "none", "left", "none"]
-    assert np.hypot(*np.diff(log.odometry[:, :2], axis=0).T).sum() == pytest.approx(211.5, abs=0.1)

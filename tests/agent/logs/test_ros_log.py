@@ -1,22 +1,19 @@
 """ROS bags: which topics are used, where beams point, how times meet, and how every fault is refused in one line."""
 
 import math
+import re
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from support import bags
 from support.bags import KINDS, Message, distance, fixed, odometry, scan, storage_of, write_bag
 from support.data import data_folder, refusal
 
-from limslam_agent.logs.directions import direction_of, is_vertical
+from limslam_agent.logs.directions import direction_of
 from limslam_agent.logs.log_reader import read_log
-from limslam_agent.logs.ros_messages import rotation_of, yaw_of
-from limslam_agent.logs.ros_topics import Topics
+from limslam_agent.replay.options import chosen_topics
 
 FIVE = [1.0, 2.0, 2.5, 1.5, 0.5]
 
@@ -54,23 +51,6 @@ def test_scans_and_odometry_are_brought_together_in_every_kind_of_bag(tmp_path, 
     assert {each.min_range for each in log.robot.beams} == {0.05}
 
 
-@pytest.mark.parametrize("kind", ["sqlite", "mcap"])
-def test_the_one_file_inside_a_ros_2_bag_reads_like_the_bag(tmp_path, kind):
-    bag = write_bag(tmp_path, drive(), kind)
-    whole, alone = read_log(bag), read_log(storage_of(bag))
-    np.testing.assert_array_equal(alone.time, whole.time)
-    np.testing.assert_array_equal(alone.ranges, whole.ranges)
-
-
-def test_readings_that_say_nothing(tmp_path):
-    readings = [math.nan, math.inf, -math.inf, 0.0, 7.9]
-    log = read_log(write_bag(tmp_path, [*drive(range_max=8.0), scan(10.9, readings)]), None, 9.0)
-    # Too far: nothing seen. Too near: something may be there, at the sensor's shortest range.
-    np.testing.assert_allclose(log.ranges[-2], np.float32([math.nan, 8.0, math.nan, 0.05, 7.9]))
-    capped = read_log(write_bag(tmp_path, drive(), name="capped"), None, 1.2)
-    np.testing.assert_allclose(capped.ranges[0], np.float32([1.0, 1.2, 1.2, 1.2, 0.5]))
-
-
 def test_a_rich_laser_gives_six_beams_and_those_asked_for(tmp_path):
     turn = {"angle_min": 0.0, "angle_increment": math.radians(1.0)}
     ranges = [0.5 + 0.005 * index for index in range(360)]
@@ -89,35 +69,12 @@ def test_a_rich_laser_gives_six_beams_and_those_asked_for(tmp_path):
     assert "at least one beam" in refusal(path, ())
 
 
-def test_a_laser_that_counts_its_beams_anew_keeps_its_directions(tmp_path):
-    messages = drive(5)
-    messages += [odometry(11.0, 1.0), scan(10.8, [*FIVE, 0.4], angle_increment=math.radians(45.0))]
-    log = read_log(write_bag(tmp_path, messages))
-    np.testing.assert_allclose(log.ranges[-1], np.float32(FIVE))
-    other = [*drive(5), odometry(11.0, 1.0), scan(10.8, FIVE, angle_min=0.5)]
-    assert "/scan: message 6: the scan's beams have changed" in refusal(write_bag(tmp_path, other, name="other"))
-
-
 def test_where_the_laser_is_mounted_comes_from_tf_static(tmp_path):
     mounts = fixed(("base_link", "plate", 0.1, 0.0, math.pi / 2, 0.0), ("plate", "laser", 0.2, 0.0, 0.0, 0.0))
     log = read_log(write_bag(tmp_path, [mounts, *drive()]))
     np.testing.assert_allclose([(b.x, b.y) for b in log.robot.beams], [[0.1, 0.2]] * 5, atol=1e-6)
     turned = np.radians(degrees(log) - [0.0, 45.0, 90.0, 135.0, 180.0])
     np.testing.assert_allclose(np.cos(turned), 1.0, atol=1e-9)
-
-
-def test_a_laser_on_its_head_sees_left_on_the_right(tmp_path):
-    mounts = fixed(("base_footprint", "base_link", 5.0, 5.0, 0.0, 0.0), ("base_link", "laser", 0.0, 0.0, 0.0, math.pi))
-    log = read_log(write_bag(tmp_path, [mounts, *drive()]))
-    np.testing.assert_allclose(degrees(log), [90.0, 45.0, 0.0, -45.0, -90.0], atol=1e-3)
-    # The frame that odometry speaks of is the body; what it stands on is not followed.
-    assert {(b.x, b.y) for b in log.robot.beams} == {(0.0, 0.0)}
-
-
-def test_a_circle_of_frames_tells_nothing(tmp_path):
-    mounts = fixed(("a", "laser", 1.0, 0.0, 0.0, 0.0), ("laser", "a", 1.0, 0.0, 0.0, 0.0))
-    log = read_log(write_bag(tmp_path, [mounts, *drive()]))
-    assert {(b.x, b.y) for b in log.robot.beams} == {(0.0, 0.0)}
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -138,8 +95,8 @@ def test_range_topics_may_be_given_with_their_directions(tmp_path):
     messages = [odometry(10.0 + step, 0.1 * step) for step in range(3)]
     messages += [each for step in range(3) for each in four_ranges(10.0 + step, names=("a", "b", "c", "left"))]
     path = write_bag(tmp_path, messages)
-    assert "where /range/a points is unknown: set it with --range-topics /range/a:DEGREES" in refusal(path)
-    log = read_log(path, None, None, Topics(ranges={"/range/c": 30.0, "range/left": None}))
+    assert "where /range/a points is unknown: set it with --topics /range/a:DEGREES" in refusal(path)
+    log = read_log(path, None, None, chosen_topics("/range/c:30,range/left"))
     np.testing.assert_allclose(degrees(log), [30.0, 90.0])
     np.testing.assert_allclose(log.ranges[0], [1.5, 2.0])
 
@@ -155,21 +112,14 @@ def test_the_slowest_sensor_sets_the_pace_and_incomplete_events_are_left_out(tmp
     np.testing.assert_allclose(log.ranges[1, left], 1.04, rtol=1e-6)
 
 
-def test_a_sensor_that_fell_silent_is_named(tmp_path):
-    messages = [odometry(10.0 + step, 0.1 * step) for step in range(20)]
-    messages += [distance(10.0 + step, 1.0, "/left") for step in range(20)]
-    messages += [distance(10.0 + 0.1 * step, 2.0, "/right") for step in range(25)]
-    assert "/right has no messages for most of the time" in refusal(write_bag(tmp_path, messages))
-
-
 def test_two_scanners_are_put_together_when_both_are_asked_for(tmp_path):
     mounts = fixed(("base_link", "laser", 0.2, 0.0, 0.0, 0.0), ("base_link", "behind", -0.2, 0.0, math.pi, 0.0))
     messages = drive() + [scan(10.06 + 0.1 * step, [0.3, 0.4, 0.6], "/rear", frame="behind") for step in range(10)]
     path = write_bag(tmp_path, [mounts, *messages])
-    log = read_log(path, (0.0, 180.0, 45.0), None, Topics(scans=("/scan", "/rear")))
+    log = read_log(path, (0.0, 180.0, 45.0), None, chosen_topics("/scan, /rear"))
     np.testing.assert_allclose(log.ranges[0], [2.5, 0.4, 1.5], rtol=1e-6)
     np.testing.assert_allclose([b.x for b in log.robot.beams], [0.2, -0.2, 0.2], atol=1e-6)
-    assert "has 2 LaserScan topics, /rear, /scan: choose with --scan-topic" in refusal(path)
+    assert "has 2 LaserScan topics, /rear, /scan: choose with --topics" in refusal(path)
 
 
 POSES = {
@@ -198,9 +148,9 @@ def test_odometry_goes_before_poses_and_two_of_a_kind_are_refused(tmp_path):
     path = write_bag(tmp_path, [goal, *drive()])
     assert len(read_log(path)) == 10
     second = write_bag(tmp_path, [*drive(), odometry(10.0, 0.0, topic="/wheel_odom")], name="second")
-    words = "has 2 topics with poses, /odom, /wheel_odom: choose with --odometry-topic"
+    words = "has 2 topics with poses, /odom, /wheel_odom: choose one with --topics"
     assert words in refusal(second)
-    assert len(read_log(second, None, None, Topics(odometry="odom"))) == 10
+    assert len(read_log(second, None, None, {"odom": None})) == 10
 
 
 # Times
@@ -215,28 +165,6 @@ def test_without_stamps_or_with_clocks_that_differ_the_bags_times_are_used(tmp_p
     apart += [scan(50.5 + step, FIVE, stamp=1000.0 + step) for step in range(3)]
     log = read_log(write_bag(tmp_path, apart, name="apart"))
     np.testing.assert_allclose(log.odometry[:, 0], [0.05, 0.15, 0.25])
-
-
-def test_stamps_count_even_if_they_come_late_and_out_of_order(tmp_path):
-    messages = [odometry(20.0 + 0.1 * step, 0.1 * step, stamp=10.0 + 0.1 * step) for step in range(11)]
-    messages += [scan(20.0 + at, FIVE, stamp=10.0 + stamp) for at, stamp in ((0.2, 0.15), (0.3, 0.35), (0.4, 0.25))]
-    log = read_log(write_bag(tmp_path, messages))
-    np.testing.assert_allclose(log.time, [10.15, 10.25, 10.35], atol=1e-6)
-    np.testing.assert_allclose(log.odometry[:, 0], [0.15, 0.25, 0.35], atol=1e-6)
-
-
-def test_times_that_step_back_are_refused(tmp_path):
-    messages = [*drive(), scan(10.8, FIVE, stamp=8.5)]
-    assert "/scan: message 9: the time steps back by 2.2 s" in refusal(write_bag(tmp_path, messages))
-
-
-def test_scans_outside_of_the_odometrys_time_are_left_out(tmp_path):
-    early = [scan(9.0, FIVE), scan(9.9, FIVE), scan(12.0, FIVE)]
-    assert len(read_log(write_bag(tmp_path, drive() + early))) == 10
-    apart = [odometry(10.0, 0.0, stamp=0.0), odometry(11.0, 0.1, stamp=0.0), scan(12.0, FIVE), scan(13.0, FIVE)]
-    assert "do not overlap: ranges from 12.000 to 13.000 s, odometry from 10.000 to 11.000 s" in refusal(
-        write_bag(tmp_path, apart, name="apart")
-    )
 
 
 # What is refused
@@ -281,14 +209,16 @@ def test_bags_that_lack_or_offer_too_much_are_refused(tmp_path, messages, words)
 @pytest.mark.parametrize(
     ("topics", "words"),
     [
-        (Topics(scans=("/front",)), "has no topic /front; it has /odom (nav_msgs/msg/Odometry), /scan"),
-        (Topics(scans=("/odom",)), "/odom holds nav_msgs/msg/Odometry, where LaserScan is needed"),
-        (Topics(ranges={"/scan": 0.0}), "/scan holds sensor_msgs/msg/LaserScan, where Range is needed"),
-        (Topics(odometry="/scan"), "where Odometry or PoseStamped or PoseWithCovarianceStamped or TransformStamped is"),
+        ("/front", "has no topic /front; it has /odom (nav_msgs/msg/Odometry), /scan"),
+        ("/scan:0", "/scan holds sensor_msgs/msg/LaserScan: only a Range has a direction to choose"),
+        ("/a,,/b", "--topics: '/a,,/b' is not a list of topics"),
+        ("/scan:somewhere", "--topics: 'somewhere' is no direction"),
+        ("/scan:999", "--topics: 999 is not within 360 deg"),
     ],
 )
 def test_topics_that_cannot_be_used_are_refused(tmp_path, topics, words):
-    assert words in refusal(write_bag(tmp_path, drive(2)), None, None, topics)
+    with pytest.raises(ValueError, match=re.escape(words)):
+        read_log(write_bag(tmp_path, drive(2)), None, None, chosen_topics(topics))
 
 
 def test_empty_topics_are_not_candidates(tmp_path):
@@ -299,7 +229,7 @@ def test_empty_topics_are_not_candidates(tmp_path):
             kind = "sensor_msgs/msg/LaserScan" if "scan" in topic else "nav_msgs/msg/Odometry"
             writer.add_connection(topic, kind, typestore=bags._STORES[1])
     assert len(read_log(path)) == 2
-    assert "the topic /scan_2 is empty" in refusal(path, None, None, Topics(scans=("/scan_2",)))
+    assert "the topic /scan_2 is empty" in refusal(path, None, None, {"/scan_2": None})
     nothing = tmp_path / "nothing.bag"
     with bags.Writer1(nothing):
         pass
@@ -317,26 +247,10 @@ def test_a_sensor_that_looks_up_is_no_beam(tmp_path):
 def test_topics_are_for_bags_alone(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text("t,x,y,theta,r_0\n0,0,0,0,1\n")
-    assert "is not a ROS bag, so topics cannot be chosen" in refusal(path, None, None, Topics(odometry="/odom"))
-
-
-@pytest.mark.parametrize("max_range", [0.0, -1.0, math.nan, math.inf])
-def test_a_largest_range_that_makes_no_sense_is_refused(tmp_path, max_range):
-    assert "largest range must be above 0.02 m" in refusal(write_bag(tmp_path, drive(2)), None, max_range)
+    assert "is not a ROS bag, so topics cannot be chosen" in refusal(path, None, None, {"/odom": None})
 
 
 # Files
-
-
-def test_an_ending_that_is_not_the_contents_is_refused(tmp_path):
-    bag = write_bag(tmp_path, drive(2))
-    renamed = bag.rename(tmp_path / "some.mcap")
-    assert "has the content of a .bag file, so its name must end in .bag" in refusal(renamed)
-    stored = storage_of(write_bag(tmp_path, drive(2), "mcap", "folder"))
-    assert "has the content of a .mcap file" in refusal(stored.rename(tmp_path / "log.txt"))
-    text = tmp_path / "text.bag"
-    text.write_text("ODOM 1 2 3\n")
-    assert "is not a bag: its first bytes are not those of .bag, .mcap, .db3" in refusal(text)
 
 
 def test_folders_and_missing_files_are_refused(tmp_path):
@@ -357,16 +271,6 @@ def test_folders_and_missing_files_are_refused(tmp_path):
     assert "Some database files are missing" in refusal(bag)
 
 
-def test_a_file_that_may_not_be_read_is_refused(tmp_path, monkeypatch):
-    path = write_bag(tmp_path, drive(2))
-
-    def deny(*_arguments, **_keywords):
-        raise PermissionError(13, "Permission denied")
-
-    monkeypatch.setattr("rosbags.highlevel.AnyReader.open", deny)
-    assert "cannot be read: Permission denied" in refusal(path)
-
-
 def test_without_rosbags_the_extra_is_named(tmp_path):
     path = write_bag(tmp_path, drive(2))
     code = (
@@ -378,16 +282,6 @@ def test_without_rosbags_the_extra_is_named(tmp_path):
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
     assert "pip install 'limslam[ros]'" in shown
     assert shown.count("\n") == 1
-
-
-def test_reading_other_logs_does_not_load_rosbags(tmp_path):
-    path = tmp_path / "log.csv"
-    path.write_text("t,x,y,theta,r_0\n0,0,0,0,1\n")
-    code = f"import sys; from limslam_agent.logs.log_reader import read_log; read_log({str(path)!r}); "
-    shown = subprocess.run(
-        [sys.executable, "-c", code + "print('rosbags' in sys.modules)"], capture_output=True, text=True, check=True
-    )
-    assert shown.stdout == "False\n"
 
 
 # Names and rotations
@@ -405,18 +299,6 @@ def test_reading_other_logs_does_not_load_rosbags(tmp_path):
 )  # fmt: skip
 def test_directions_in_names(name, expected):
     assert direction_of(name) == (None if expected is None else pytest.approx(expected))
-
-
-def test_names_of_what_looks_up_or_down():
-    assert all(map(is_vertical, ("/cf/zrange", "range_up", "cliff_left", "ground")))
-    assert not any(map(is_vertical, ("/setup/left", "downtown_left", "front")))
-
-
-@given(st.floats(-3.1, 3.1), st.floats(0.01, 100.0))
-def test_heading_of_a_quaternion(yaw, length):
-    parts = [length * part for part in bags.rotation(yaw).values()]
-    assert yaw_of(parts) == pytest.approx(yaw, abs=1e-9)
-    np.testing.assert_allclose(rotation_of(parts) @ rotation_of(parts).T, np.eye(3), atol=1e-12)
 
 
 # Real bags
@@ -456,8 +338,3 @@ def test_a_drones_arrays_are_told_by_their_topics(tmp_path):
     assert f"{ranger}: message 6: " in refusal(write_bag(tmp_path, short, name="short"))
     other = [each for each in messages if each.topic == ranger]
     assert "has no LaserScan and no Range" in refusal(write_bag(tmp_path, other, name="other"))
-
-
-def test_a_path_may_be_text_or_a_path(tmp_path):
-    path = write_bag(tmp_path, drive(2), "mcap")
-    assert len(read_log(str(path))) == len(read_log(Path(path))) == 2

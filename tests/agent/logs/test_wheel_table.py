@@ -8,7 +8,6 @@ import pytest
 from support.data import refusal
 
 from limslam_agent.logs.log_reader import read_log
-from limslam_agent.logs.recorded_log import LogError
 from limslam_agent.logs.table_options import TableOptions
 from limslam_agent.replay.plausibility import log_warnings
 from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim
@@ -40,34 +39,12 @@ def test_a_row_is_the_travel_since_the_row_before(write):
     assert log.robot.control_period == pytest.approx(0.1)
 
 
-def test_beams_are_those_of_the_robot_in_the_order_of_the_header(write):
-    log = read_log(write(HEAD + METRES), table=TableOptions(ROBOT))
-    assert log.robot.beams == (ROBOT.beams[0], ROBOT.beams[1], ROBOT.beams[3])
-
-
 def test_ticks_millimetres_and_milliseconds_give_the_same_log(write):
     metres = read_log(write(HEAD + METRES), table=TableOptions(ROBOT))
     ticks = read_log(write(HEAD + TICKS, "ticks.csv"), table=TICK_OPTIONS)
     np.testing.assert_allclose(ticks.wheels, metres.wheels)
     np.testing.assert_allclose(ticks.time, metres.time)
     np.testing.assert_array_equal(ticks.ranges, metres.ranges)
-
-
-@pytest.mark.parametrize("names", ["t,left,right", "time,left_wheel,right_wheel", "stamp,wheel_left,wheel_right"])
-def test_the_columns_have_several_names(write, names):
-    path = write(f"{names},r_90\n" + "0,0,0,1\n0.1,0.01,0.01,1\n", "named.txt")
-    assert len(read_log(path, table=TableOptions(ROBOT))) == 2
-
-
-def test_a_row_may_have_no_scan(write):
-    log = read_log(write(HEAD + "0,0,0,1,1,1\n0.1,0.01,0.01,-\n"), table=TableOptions(ROBOT))
-    np.testing.assert_array_equal(log.has_scan, [True, False])
-
-
-def test_the_largest_range_is_the_robots_unless_a_shorter_one_is_chosen(write):
-    path = write(HEAD + METRES)
-    assert read_log(path, None, 1.05, table=TableOptions(ROBOT)).robot.max_ranges.tolist() == [1.05] * 3
-    assert read_log(path, None, 9.0, table=TableOptions(ROBOT)).robot.max_ranges.tolist() == [2.0] * 3
 
 
 def test_a_table_of_poses_takes_the_places_of_the_beams_from_the_robot(write):
@@ -113,13 +90,6 @@ def test_a_clock_of_32_bits_is_continued_where_it_begins_again(write, unit, begi
     assert log.restarts == ()
 
 
-@pytest.mark.parametrize("order", [(0, 2, 1, 3, 4), (1, 0, 2, 3, 4), (0, 1, 3, 2, 4), (0, 3, 1, 2, 4), (2, 1, 3, 4, 0)])
-def test_late_rows_around_the_beginning_of_a_clock_keep_their_times(write, order):
-    rows = "".join(f"{(2**32 - 200_000 + row * 100_000) % 2**32},0,0,1,1,1\n" for row in order)
-    log = read_log(write(HEAD + rows), table=TableOptions(ROBOT, time_unit="us"))
-    np.testing.assert_allclose(log.time - log.time[0], 0.1 * (np.array(order) - order[0]), atol=1e-6)
-
-
 @pytest.mark.parametrize(("bits", "has_sign"), [(16, False), (16, True), (12, False), (32, True)])
 def test_a_counter_is_continued_where_it_begins_again(write, bits, has_sign):
     low = -(2 ** (bits - 1)) if has_sign else 0
@@ -137,19 +107,6 @@ def test_a_counter_that_begins_again_elsewhere_may_begin_again_in_a_pause(write)
     rows += f"{150},{10500 % 4096},{10500 % 4096},1,1,1\n"
     log = read_log(write(HEAD + rows), table=TableOptions(ROBOT, 1e-3, accumulated=True))
     np.testing.assert_allclose(log.wheels[-2:, 0], [0.09, 1.59])
-
-
-def test_a_long_way_in_a_pause_is_no_counter_that_begins_again(write):
-    rows = "0,0,0,1,1,1\n0.1,20,20,1,1,1\n20.1,3000,3000,1,1,1\n20.2,3020,3020,1,1,1\n"
-    log = read_log(write(HEAD + rows), table=TableOptions(ROBOT, 1e-3, accumulated=True))
-    np.testing.assert_allclose(log.wheels[:, 0], [0.0, 0.02, 2.98, 0.02])
-
-
-def test_both_counters_may_begin_again_in_the_same_row(write):
-    counts = np.arange(0, 400 * 200, 200) % 65536
-    rows = "".join(f"{0.1 * row:.1f},{count},{count},1,1,1\n" for row, count in enumerate(counts))
-    log = read_log(write(HEAD + rows), table=TableOptions(ROBOT, 1e-4, accumulated=True))
-    np.testing.assert_allclose(log.wheels[1:], 0.02)
 
 
 @pytest.mark.parametrize(("gap", "first"), [(0.1, 0), (0.1, 7), (2.0, 30), (30.0, 0)])
@@ -184,43 +141,6 @@ def test_columns_can_be_named_in_place_of_the_header(write, head):
     without = replace(options, columns=("t", "left", "right", "-", "r_54", "r_-90"))
     fewer = read_log(write(head + TICKS.replace(",", ";"), "named.log"), table=without)
     np.testing.assert_array_equal(fewer.ranges, ticks.ranges[:, 1:])
-
-
-@pytest.mark.parametrize(("head", "separator"), [(HEAD, ";"), (HEAD, "\t"), ("", ";")])
-def test_a_comma_is_a_decimal_mark_between_other_separators(write, head, separator):
-    metres = read_log(write(HEAD + METRES), table=TableOptions(ROBOT))
-    text = (head + METRES).replace(",", separator).replace(".", ",")
-    columns = () if head else tuple(HEAD.strip().split(","))
-    commas = read_log(write(text, "commas.csv"), table=TableOptions(ROBOT, columns=columns))
-    np.testing.assert_array_equal(commas.wheels, metres.wheels)
-    np.testing.assert_array_equal(commas.ranges, metres.ranges)
-    np.testing.assert_array_equal(commas.time, metres.time)
-
-
-def test_a_file_without_header_may_begin_with_the_mark_of_an_editor(write):
-    options = replace(TICK_OPTIONS, columns=tuple(HEAD.strip().split(",")))
-    assert len(read_log(write(f"\ufeff{TICKS}"), table=options)) == 3
-
-
-def test_columns_may_stand_in_any_order(write):
-    ticks = read_log(write(HEAD + TICKS), table=TICK_OPTIONS)
-    options = replace(TICK_OPTIONS, columns=("r_-90", "right", "-", "t", "r_90", "left", "r_54"))
-    order = (5, 2, 3, 0, 3, 1, 4)
-    rows = [",".join(line.split(",")[place] for place in order) for line in TICKS.split()]
-    named = read_log(write("\n".join(rows) + "\n", "named.log"), table=options)
-    np.testing.assert_array_equal(named.ranges, ticks.ranges[:, [2, 0, 1]])
-    np.testing.assert_array_equal(named.wheels, ticks.wheels)
-
-
-@pytest.mark.parametrize("columns", ["t,left,right,r_90,r_54", "t,-,left,right,r_90,-,r_54"])
-def test_a_row_may_have_no_scan_where_columns_are_named(write, columns):
-    options = replace(TICK_OPTIONS, columns=tuple(columns.split(",")))
-    first = options.columns.index("r_90")
-    rows = ["9"] * len(options.columns), [*["9"] * first, "-"]
-    log = read_log(write("\n".join(map(",".join, rows)) + "\n", "named.log"), table=options)
-    np.testing.assert_array_equal(log.has_scan, [True, False])
-    rows = ["9"] * len(options.columns), [*["9"] * (first - 1), "-"]
-    assert "where --columns names" in refusal(write("\n".join(map(",".join, rows)) + "\n"), table=options)
 
 
 def test_columns_that_do_not_fit_are_refused(write):
@@ -277,11 +197,6 @@ def test_a_range_of_0_says_that_something_is_near_unless_it_says_nothing(write):
     np.testing.assert_allclose(nothing.ranges, [[2.0, 1.0, 2.0], [1.0, 2.0, 2.0]])
 
 
-def test_a_gap_in_the_log_allows_a_longer_travel(write):
-    rows = "".join(f"{0.1 * step:.1f},0.02,0.02,1,1,1\n" for step in range(5)) + "9.0,1.5,1.5,1,1,1\n"
-    assert read_log(write(HEAD + rows), table=TableOptions(ROBOT)).wheels[-1, 0] == 1.5
-
-
 def zone_readings(pose, zones, width=1.0):
     """Perpendicular distances, m, of a multi-zone sensor between walls at y = -width and y = width, zone by zone.
 
@@ -315,11 +230,6 @@ def test_zones_of_perpendicular_distances_give_the_walls_that_they_measured(writ
     assert log.ranges[0, 0] == pytest.approx(as_rays.ranges[0, 0] / math.cos(math.radians(16.875)))
 
 
-def test_a_column_far_from_all_axes_is_refused(write):
-    words = "--zone-axes: no axis lies within 45 deg of the column at -90 deg"
-    assert words in refusal(write(HEAD + METRES), table=TableOptions(ROBOT, zone_axes=(72.0,)))
-
-
 @pytest.mark.parametrize(
     ("wrong", "words"),
     [
@@ -333,13 +243,3 @@ def test_a_column_far_from_all_axes_is_refused(write):
 def test_impossible_units_are_refused(wrong, words):
     with pytest.raises(ValueError, match=words):
         TableOptions(**wrong)
-
-
-def test_other_logs_take_no_such_options(write):
-    words = "is not a table in plain text, so --robot, units, --columns and --zero-is-nothing do not go with it"
-    assert words in refusal(write("ODOM 0 0 0 0 0 0 0 a 0\n", "a.log"), table=TICK_OPTIONS)
-
-
-def test_counters_beyond_any_number_of_bits_are_refused(write):
-    with pytest.raises(LogError, match="travels"):
-        read_log(write(HEAD + "0,0,0,500,500,500\n50,1.7e308,0,500,500,500\n"), table=TICK_OPTIONS)

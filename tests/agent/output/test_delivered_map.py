@@ -94,16 +94,6 @@ def test_a_landmark_with_a_door_is_written_as_two_segments(tmp_path):
     assert metrics.doors_open(doors, rows([mark["ends"] for mark in final["landmarks"]])) == 0.0
 
 
-def test_each_segment_belongs_to_the_landmark_that_it_lies_on(explored):
-    final = content(explored, "map.json")
-    owned = [index for mark in final["landmarks"] for index in mark["segments"]]
-    assert sorted(owned) == list(range(len(final["segments"])))
-    for mark in final["landmarks"]:
-        points = rows([final["segments"][index] for index in mark["segments"]]).reshape(-1, 2)
-        distances = points @ [np.cos(mark["theta"]), np.sin(mark["theta"])] - mark["r"]
-        np.testing.assert_allclose(distances, 0.0, atol=1e-9)
-
-
 def test_a_replay_and_show_have_the_walls_that_were_scored(explored, tmp_path, monkeypatch):
     replays, shown = [], []
 

@@ -5,8 +5,7 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image as Pictures
 
-from limslam_agent.grid.occupancy import GridView
-from limslam_agent.output.drawing import MapPicture, draw_map, legend, limit_bands, paint_map, path_colours
+from limslam_agent.output.drawing import MapPicture, draw_map, finish_errors, legend, paint_map, path_colours
 
 WALLS = np.array([(0.0, 0.0, 4.0, 0.0), (4.0, 0.0, 4.0, 3.0)])
 NOTHING = np.zeros((0, 4))
@@ -54,13 +53,6 @@ def test_the_legend_names_what_is_there_and_nothing_else():
     assert labels(full)[1:] == ["estimated path", "start", "end", "path by odometry alone", "true path", "true walls"]
 
 
-def test_all_that_is_drawn_lies_within_the_picture():
-    picture = MapPicture("far", WALLS, [path(1.0), path(9.0)], [path(1.0), path(2.0)], WALLS, [path(-7.0), path(2.0)])
-    axes = painted(picture)
-    assert axes.get_ylim()[0] < -7.0
-    assert axes.get_ylim()[1] > 9.0
-
-
 def test_odometry_that_runs_away_is_cut_off_and_the_legend_says_so():
     picture = MapPicture("log", WALLS, [path(1.0)], [path(1.0, drift=30.0)])
     axes = painted(picture)
@@ -68,39 +60,6 @@ def test_odometry_that_runs_away_is_cut_off_and_the_legend_says_so():
     assert axes.get_ylim()[1] < 5.0
     assert "path by odometry alone, runs out of the picture" in labels(picture)
     assert "path by odometry alone" in labels(MapPicture("log", WALLS, [path(1.0)], [path(1.0, drift=0.1)]))
-
-
-def test_the_legend_of_a_narrow_map_is_not_cut_off(tmp_path):
-    narrow = np.column_stack((0.1 * np.sin(np.arange(40)), np.linspace(0.0, 9.0, 40)))
-    away = narrow * (1.0, 30.0)
-    grid = GridView(low=np.zeros(2), cell=0.1, values=np.full((90, 4), -2.0))
-    draw_map(tmp_path / "map.png", MapPicture("log", NOTHING, [narrow], [away], grid=grid, online=[narrow + 0.1]))
-    with Pictures.open(tmp_path / "map.png") as image:
-        legend_rows = np.array(image.convert("L"))[-100:]
-    assert (legend_rows < 250).any()
-    assert (legend_rows[:, :8] == 255).all()
-    assert (legend_rows[:, -8:] == 255).all()
-
-
-def test_the_grid_lies_behind_everything_and_start_and_end_are_marked():
-    values = np.zeros((30, 40))
-    values[5:20, 5:30], values[0] = 3.0, -2.0
-    grid = GridView(low=np.zeros(2), cell=0.1, values=values)
-    picture = MapPicture("log", WALLS, [path(1.0)], [], grid=grid)
-    axes = painted(picture)
-    (image,) = axes.images
-    assert image.get_extent() == pytest.approx((0.0, 4.0, 0.0, 3.0))
-    assert image.get_zorder() < min(artist.get_zorder() for artist in (*axes.lines, *axes.collections))
-    assert labels(picture)[-2:] == ["seen free", "seen occupied"]
-    marks = {line.get_marker(): line.get_xydata()[0].tolist() for line in axes.lines if len(line.get_xydata()) == 1}
-    assert marks == {"o": [0.5, 1.0], "s": [3.5, 1.0]}
-
-
-def test_end_points_lie_under_the_walls():
-    axes = painted(MapPicture("short", np.array([[0.0, 0.0, 0.05, 0.0]]), [path(1.0)], []))
-    (ends,) = [line for line in axes.lines if line.get_linestyle() == "None" and len(line.get_xydata()) == 2]
-    assert ends.get_zorder() < axes.collections[-1].get_zorder()
-    assert ends.get_markersize() < 3.0
 
 
 @pytest.mark.parametrize("robots", [1, 2, 8])
@@ -133,15 +92,8 @@ def test_the_band_of_a_lost_robot_does_not_hide_the_errors(band, high):
     axes = Figure().add_subplot()
     axes.plot([0.0, 1.0, 2.0], [0.0, np.nan, 0.5])
     axes.fill_between([0.0, 2.0], [-band, -band], [band, band])
-    limit_bands(axes)
+    finish_errors(axes)
     assert axes.get_ylim() == pytest.approx((-high, high), rel=0.06)
-
-
-def test_a_plot_without_errors_keeps_its_limits():
-    axes = Figure().add_subplot()
-    before = axes.get_ylim()
-    limit_bands(axes)
-    assert axes.get_ylim() == before
 
 
 @pytest.mark.parametrize("height", [3.0, 40.0])

@@ -13,6 +13,7 @@ from limslam_agent.cli.export import export
 from limslam_agent.logs.table_options import TableOptions
 from limslam_agent.output.finished_run import position_error, read_run
 from limslam_agent.output.formats.content import read_exported
+from limslam_agent.output.formats.ros_builder import cells_of
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import write_episode
 from limslam_agent.runs.run_config import RunConfig
@@ -124,7 +125,7 @@ def test_mcap_is_read_by_its_own_library(folder, tmp_path):
     np.testing.assert_allclose(np.reshape(ends, (-1, 4)), run.segments)
     grid = told["/map"][0]
     cells = np.reshape(grid.data, (grid.info.height, grid.info.width))
-    np.testing.assert_array_equal(cells, exported.grid.cells)
+    np.testing.assert_array_equal(cells, cells_of(exported.grid))
     assert set(np.unique(cells)) == {-1, 0, 100}
     # The chain of frames leads from the map to the estimate.
     to_odom, to_base = told["/tf"][-1].transforms
@@ -133,10 +134,9 @@ def test_mcap_is_read_by_its_own_library(folder, tmp_path):
 
 def test_the_grid_lies_where_the_map_says(folder):
     exported = read_exported(folder)
-    free = np.argwhere(exported.grid.cells == 0)
-    centres = exported.grid.origin + exported.grid.resolution * (free[:, ::-1] + 0.5)
+    centres = exported.grid.centres(np.argwhere(exported.grid.free))
     position = exported.run.smoothed[0][0, :2]
-    assert np.linalg.norm(centres - position, axis=1).min() < exported.grid.resolution
+    assert np.linalg.norm(centres - position, axis=1).min() < exported.grid.cell
 
 
 def test_each_robot_of_a_team_has_tables_and_topics_of_its_own(team_folder, tmp_path):
@@ -240,5 +240,5 @@ class TestRefusals:
 
         damaged = shutil.copytree(folder, tmp_path / "damaged")
         (damaged / "map.pgm").write_bytes(b"P5\n10 10\n255\nshort")
-        with pytest.raises(ValueError, match=r"map\.yaml: is damaged"):
+        with pytest.raises(ValueError, match=r"map\.pgm is not as limslam writes it"):
             run_export(damaged, "--csv")

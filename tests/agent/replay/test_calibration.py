@@ -13,9 +13,7 @@ from limslam_agent.config.shared import OdometryConfig
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations, read_relations
-from limslam_agent.replay.calibration import LONGEST_DRIVE, OdometryBias, calibrated, estimate_bias
-from limslam_agent.replay.options import chosen_topics
-from limslam_agent.slam.core.motion import motion_from_odometry
+from limslam_agent.replay.calibration import LONGEST_DRIVE, calibrated, estimate_bias
 from limslam_env.geometry import se2
 from limslam_env.interface import RobotSpec, SensorSpec
 
@@ -75,17 +73,6 @@ def test_without_noise_the_bias_is_found_again(turn, scale, seed):
     assert bias.distance_scale == pytest.approx(scale, abs=1e-6)
 
 
-def test_what_is_found_is_what_motion_puts_right():
-    true = drive()
-    log = as_log(reported(true, math.radians(0.99), 1.075))
-    bias = estimate_bias(log, known(true, log))
-    config = OdometryConfig(turn_bias=bias.turn_per_metre, distance_scale=bias.distance_scale)
-    pose = true[0]
-    for observation in log.observations():
-        pose = se2.compose(pose, motion_from_odometry(observation["odometry"], config).increment)
-    np.testing.assert_allclose(pose[:2], true[-1, :2], atol=1e-5)
-
-
 def test_with_noise_the_errors_are_as_large_as_they_are_said_to_be():
     turns, scales = [], []
     for seed in range(40):
@@ -110,13 +97,6 @@ def test_a_wheel_that_slipped_is_no_bias():
     bias = estimate_bias(log, known(true, log))
     assert math.degrees(bias.turn_per_metre) == pytest.approx(1.0, abs=0.25)
     assert bias.distance_scale == pytest.approx(1.05, abs=0.01)
-
-
-def test_a_good_robot_has_none():
-    true = drive()
-    log = as_log(reported(true, 0.0, 1.0))
-    bias = estimate_bias(log, known(true, log))
-    assert (bias.turn_per_metre, bias.distance_scale) == (pytest.approx(0.0, abs=1e-9), pytest.approx(1.0, abs=1e-9))
 
 
 def test_relations_may_run_backwards_between_events_and_over_times_that_step_back():
@@ -187,49 +167,7 @@ def relations_file(path, relations):
     return path
 
 
-def test_the_bias_is_applied_and_said():
-    true = drive()
-    log = as_log(reported(true, math.radians(1.0), 1.1))
-    bias = estimate_bias(log, known(true, log), OdometryConfig(distance_variance=0.1))
-    corrected = bias.applied_to(OdometryConfig(distance_variance=0.1))
-    assert corrected.distance_variance == 0.1
-    assert corrected.distance_scale == pytest.approx(1.1, abs=1e-6)
-    assert bias.figures["calibration_turn_deg_per_m"] == pytest.approx(1.0, abs=1e-5)
-    assert bias.words.startswith("1.000 +- ")
-
-
 def test_a_refusal_names_the_relations(tmp_path):
     path = relations_file(tmp_path / "known", Relations(np.zeros(1), np.ones(1), np.zeros((1, 3))))
     with pytest.raises(ValueError, match=f"--calibrate {path}: 0.00 m are driven"):
         calibrated(path, as_log(np.zeros((5, 3))), OdometryConfig())
-
-
-def test_topics_are_read_with_their_directions():
-    topics = chosen_topics("/a, /b", "/r/left,/r/x:-30,/r/y:front_right", "/odom")
-    assert topics.scans == ("/a", "/b")
-    assert topics.ranges == {"/r/left": None, "/r/x": -30.0, "/r/y": -45.0}
-    assert topics.odometry == "/odom"
-    assert not chosen_topics(None, None, None)
-
-
-@pytest.mark.parametrize(
-    ("scan", "ranges", "words"),
-    [
-        ("/a,,/b", None, "--scan-topic: '/a,,/b' is not a list of topics"),
-        (None, "", "--range-topics: '' is not a list of topics"),
-        (None, "/left:somewhere", "--range-topics: 'somewhere' is no direction"),
-        (None, "/left:", "--range-topics: '' is no direction"),
-        (None, "/left:999", "--range-topics: 999 is not within 360 deg"),
-        (None, "/left:nan", "--range-topics: nan is not within 360 deg"),
-    ],
-)
-def test_topics_that_make_no_sense_are_refused(scan, ranges, words):
-    with pytest.raises(ValueError, match=words):
-        chosen_topics(scan, ranges, None)
-
-
-@pytest.mark.parametrize(
-    ("relations", "words"), [(1, "from 1 relation over 5.0 m"), (2, "from 2 relations over 5.0 m")]
-)
-def test_the_line_on_the_screen_counts_its_relations(relations, words):
-    assert OdometryBias(0.01, 1.0, 0.001, 0.01, relations, 5.0).words.endswith(words)

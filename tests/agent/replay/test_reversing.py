@@ -79,16 +79,3 @@ def test_a_corridor_with_stops_stays_as_it_is():
     assert with_reversing(log, CONFIG) is log
     by_score_alone = replace(CONFIG, reversing=replace(CONFIG.reversing, contradicted=0.0, fewest=1))
     assert reversed_distance(log, with_reversing(log, by_score_alone))[0] > 0.3
-
-
-@pytest.mark.parametrize("later", [0.0, 0.01])
-def test_a_pose_that_is_recorded_twice_is_no_stop(later):
-    # Some logs record odometry with each scan and for itself as well.
-    corridor = np.vstack((room(0.0, 0.0, 24.0, 2.0), room(9.0, -0.3, 9.9, 0.0), room(14.0, 1.8, 15.0, 2.0)))
-    log = recorded_drive(corridor, straight(20.0))
-    counts = np.where(np.arange(len(log.time)) % 7 == 0, 2, 1)
-    rows = {name: np.repeat(getattr(log, name), counts, axis=0) for name in ("time", "odometry", "ranges", "hit")}
-    twice = replace(log, **rows)
-    twice.time[np.append(False, np.diff(twice.time) == 0.0)] += later
-    by_score_alone = replace(CONFIG, reversing=replace(CONFIG.reversing, contradicted=0.0, fewest=1))
-    assert with_reversing(twice, by_score_alone) is twice

@@ -12,8 +12,7 @@ from limslam_agent.output.export import map_content, write_json, write_map
 from limslam_agent.output.finished_run import UNPLACED
 from limslam_agent.output.tum import write_tum
 from limslam_agent.replay.replay import write_replay
-from limslam_agent.replay.two_logs import JointReplay
-from limslam_env.geometry import BoolArray, FloatArray
+from limslam_agent.two_logs.joint import JointReplay
 
 LOG_FOLDERS = ("log_0", "log_1")
 """The folders of the results of each log by itself."""
@@ -27,55 +26,36 @@ def relation_scores(joint: JointReplay, relations: tuple[Relations | None, Relat
     Relations between the logs are known only if one set of relations is given for both logs, and the times of the logs
     do not overlap.
     """
-    paths = {"": joint.online(), "odometry_": joint.odometry(), "smoothed_": joint.poses}
-    scores: dict[str, Any] = {}
-    for prefix, poses in paths.items():
+    logs, scores = [each.log for each in joint.replays], dict[str, Any]()
+    paths = joint.paths()
+    for prefix, kind in (("", "est"), ("odometry_", "odometry"), ("smoothed_", "smoothed")):
         errors = [
-            relation_errors(known, replay.log.time, path, replay.log.odometry)
-            for known, replay, path in zip(relations, joint.replays, poses, strict=True)
+            relation_errors(known, log.time, path, log.odometry)
+            for known, log, path in zip(relations, logs, paths[kind], strict=True)
             if known is not None
         ]
         if errors:
-            scores |= {prefix + name: value for name, value in summary(_together(errors)).items()}
+            scores |= {prefix + name: value for name, value in summary(*errors).items()}
     one, other = relations
-    if joint.is_joined and one is not None and one is other and _are_apart(joint):
-        found = summary(_between(joint, one))
+    is_apart = logs[0].time.max() < logs[1].time.min() or logs[1].time.max() < logs[0].time.min()
+    if joint.is_joined and one is not None and one is other and is_apart:
+        found = summary(_errors_between(joint, one))
         scores |= {f"smoothed_between_{name}": value for name, value in found.items() if "loop" not in name}
     return scores
 
 
-def _together(errors: list[RelationErrors]) -> RelationErrors:
-    return RelationErrors(
-        np.concatenate([each.translation for each in errors]),
-        np.concatenate([each.rotation for each in errors]),
-        np.concatenate([each.is_loop for each in errors]),
-        sum(each.unmatched for each in errors),
-    )
-
-
-def _are_apart(joint: JointReplay) -> bool:
-    one, other = (each.log.time for each in joint.replays)
-    return bool(one.max() < other.min() or other.max() < one.min())
-
-
-def _between(joint: JointReplay, relations: Relations) -> RelationErrors:
+def _errors_between(joint: JointReplay, known: Relations) -> RelationErrors:
     """Errors of the relations that begin in one log and end in the other one."""
     logs = [each.log for each in joint.replays]
-    begins, ends = (_inside(when, logs[0].time) for when in (relations.start_time, relations.end_time))
-    others = [_inside(when, logs[1].time) for when in (relations.start_time, relations.end_time)]
-    chosen = (begins & others[1]) | (ends & others[0])
-    known = Relations(relations.start_time[chosen], relations.end_time[chosen], relations.relative[chosen])
-    odometry = [log.odometry for log in logs if log.odometry is not None]
-    return relation_errors(
-        known,
-        np.concatenate([log.time for log in logs]),
-        np.concatenate(joint.poses),
-        np.concatenate(odometry) if odometry else None,
+    begins, ends = (
+        [(when >= log.time.min()) & (when <= log.time.max()) for log in logs]
+        for when in (known.start_time, known.end_time)
     )
-
-
-def _inside(when: FloatArray, time: FloatArray) -> BoolArray:
-    return np.asarray((when >= time.min()) & (when <= time.max()))
+    chosen = (begins[0] & ends[1]) | (begins[1] & ends[0])
+    known = Relations(known.start_time[chosen], known.end_time[chosen], known.relative[chosen])
+    odometry = [log.odometry for log in logs if log.odometry is not None]
+    time, poses = np.concatenate([log.time for log in logs]), np.concatenate(joint.poses)
+    return relation_errors(known, time, poses, np.concatenate(odometry) if odometry else None)
 
 
 def write_joint_replay(
@@ -104,9 +84,8 @@ def write_joint_replay(
     for name, replay, source, each in zip(LOG_FOLDERS, joint.replays, sources, scores[:2], strict=True):
         (folder / name).mkdir()
         own.append(write_replay(folder / name, replay, source, each, versions))
-    kinds = {"est": joint.online(), "odometry": joint.odometry(), "smoothed": joint.poses}
     for number, replay in enumerate(joint.replays):
-        for kind, paths in kinds.items():
+        for kind, paths in joint.paths().items():
             write_tum(folder / f"trajectory_{kind}_{number}.tum", replay.log.time, paths[number])
     true = [(each.log.time, each.log.true_pose) for each in joint.replays if each.log.true_pose is not None]
     if joint.is_joined and len(true) == len(joint.replays):
@@ -169,9 +148,7 @@ def _draw(path: Path, joint: JointReplay, sources: tuple[Source, Source]) -> Non
     names = " and ".join(str(each["log"]) for each in sources[:count])
     beams = " and ".join(str(number) for number in dict.fromkeys(len(each.log.robot.beams) for each in joint.replays))
     true_paths = [each.log.true_pose[:, :2] for each in joint.replays[:count] if each.log.true_pose is not None]
-    smoothed, online, odometry = (
-        [poses[:, :2] for poses in paths[:count]] for paths in (joint.poses, joint.online(), joint.odometry())
-    )
+    online, odometry, smoothed = ([poses[:, :2] for poses in paths[:count]] for paths in joint.paths().values())
     picture = MapPicture(
         f"{names}, {beams} beams, {joint.replays[0].config.preset}", joint.segments, smoothed, odometry,
         true=true_paths if len(true_paths) == count else [],

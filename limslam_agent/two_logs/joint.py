@@ -1,0 +1,97 @@
+"""The result of two logs, joined or apart."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from limslam_agent.grid.occupancy import GridView, OccupancyGrid
+from limslam_agent.places.revisions import Unplaced
+from limslam_agent.replay.replay import Replay
+from limslam_agent.slam.core.line_map import Landmark
+from limslam_agent.status.status import Status
+from limslam_env.geometry import FloatArray, se2
+from limslam_env.interface import RobotSpec
+
+Replays = tuple[Replay, Replay]
+
+
+@dataclass(frozen=True, eq=False)
+class JointReplay:
+    """The result of two logs.
+
+    Attributes
+    ----------
+    replays
+        Each log by itself.
+    poses
+        Smoothed poses (n, 3) and (m, 3) of all events: in the frame of the first log, or each in its own frame.
+    landmarks, segments, grid
+        The map; that of the first log if the logs were not joined.
+    status
+        Whether map and paths can be trusted.
+    record
+        The joining, or why the logs were not joined.
+    figures
+        For the metrics of ``result.json``.
+    loops
+        For ``loops.json``. None without the graph of local maps.
+    seconds
+        CPU time of the joining, s.
+    """
+
+    replays: Replays
+    poses: tuple[FloatArray, FloatArray]
+    landmarks: list[Landmark]
+    segments: FloatArray
+    grid: GridView
+    status: Status
+    record: dict[str, Any]
+    figures: dict[str, Any] = field(default_factory=dict)
+    loops: list[dict[str, Any]] | None = None
+    seconds: float = 0.0
+
+    @property
+    def is_joined(self) -> bool:
+        """Whether both logs have one map, in the frame of the first log."""
+        return bool(self.record["event"] == "joined")
+
+    @property
+    def frame(self) -> FloatArray:
+        """Pose (3,) of the second log's own frame in the frame of ``poses``."""
+        return frame_of(self.replays[1], self.poses[1]) if self.is_joined else np.zeros(3)
+
+    @property
+    def unplaced(self) -> Unplaced | None:
+        """The map of the second log in its own frame, if the logs were not joined."""
+        other = self.replays[1]
+        return None if self.is_joined else Unplaced(0, other.segments, other.landmarks, other.grid)
+
+    def paths(self) -> dict[str, tuple[FloatArray, FloatArray]]:
+        """Poses of all events, (n, 3) and (m, 3), in the frames of ``poses``.
+
+        They are by the names of their files: as they were believed while driving, by odometry alone, and smoothed.
+        """
+        one, other = self.replays
+        return {
+            "est": (one.estimated, se2.compose(self.frame, other.estimated)),
+            "odometry": (one.odometry, se2.compose(self.frame, other.odometry)),
+            "smoothed": self.poses,
+        }
+
+
+def frame_of(replay: Replay, poses: FloatArray) -> FloatArray:
+    """Pose (3,) of a log's own frame in the frame of poses (n, 3) of its events."""
+    return se2.compose(poses[0], se2.inverse(replay.log.start_pose))
+
+
+def grid_of(replays: Sequence[Replay], poses: Sequence[FloatArray], robot: RobotSpec | None = None) -> GridView:
+    """The occupancy grid of the readings of several logs from poses (n, 3) of each, by their own or another robot."""
+    grid = OccupancyGrid(replays[0].config.grid)
+    for replay, path in zip(replays, poses, strict=True):
+        log = replay.log
+        rows = np.flatnonzero(log.has_scan)
+        ranges = log.ranges[rows].astype(np.float64)
+        grid.draw(robot or log.robot, path[rows, None], ranges[:, None], np.isfinite(ranges)[:, None])
+    return grid.view
