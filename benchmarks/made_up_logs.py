@@ -273,7 +273,7 @@ def sparse_sensor(seed: int) -> str:
 
 
 def smoothing_table(
-    seeds: Sequence[int], variations: Sequence[str], folder: Path, length: float | None, *, sparse: bool = False
+    seeds: Sequence[int], variations: Sequence[str], folder: Path, *, sparse: bool = False
 ) -> Iterator[str]:
     """Write the logs of these seeds, and yield the lines of a table of their smoothed paths in all variations.
 
@@ -293,7 +293,7 @@ def smoothing_table(
     yield "|---|---|---|---|---|---|---|---|---|---|"
     found = list[Outcome]()
     for seed in seeds:
-        log = made_up_log(seed, length, revisits=not sparse or seed // 4 % 2 == 0)
+        log = made_up_log(seed, revisits=not sparse or seed // 4 % 2 == 0)
         path, relations = write_log(log, folder)
         driven = np.hypot(*np.diff(log.truth[:, :2], axis=0).T).sum()
         for added in variations:

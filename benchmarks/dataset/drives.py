@@ -4,7 +4,6 @@ The names of the arrays are their paths in the files of Minari. The group ``trut
 Minari's reader does not return it.
 """
 
-import time
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -143,7 +142,6 @@ def record_drive(config: DatasetConfig, job: Job) -> Outcome:
     ValueError
         If the policy stops before its first action.
     """
-    begin, begin_cpu = time.perf_counter(), time.process_time()
     env = config.environment().env
     simulation: Any = env.unwrapped
     arrays, stop_reason = _driven(env, simulation, config, job)
@@ -158,8 +156,7 @@ def record_drive(config: DatasetConfig, job: Job) -> Outcome:
         "lost_s": simulation.robot.control_period * int((arrays["infos/status"] == LEVELS.index("lost")).sum()),
         "stop_reason": stop_reason,
     }  # fmt: skip
-    cost = {"job_s": time.perf_counter() - begin, "job_cpu_s": time.process_time() - begin_cpu}
-    return Outcome(metrics, cost, arrays, digest([FORMAT, asdict(config)]))
+    return Outcome(metrics, {}, arrays, digest([FORMAT, asdict(config)]))
 
 
 def _driven(env: gym.Env[Any, Any], simulation: Any, config: DatasetConfig, job: Job) -> tuple[Arrays, str]:
