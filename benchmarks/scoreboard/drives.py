@@ -7,8 +7,8 @@ from typing import cast
 
 import numpy as np
 
-from benchmarks.scoreboard.rows import FAULTS, Row
-from benchmarks.suite.faults import Fault, drawn_slips, with_fault
+from benchmarks.scoreboard.rows import Row
+from benchmarks.suite.faults import DRIVE_FAULTS, Fault, drawn_slips, with_fault
 from benchmarks.suite.work import world_source
 from limslam_agent.belief import Belief
 from limslam_agent.logs.recorded_log import RecordedLog
@@ -62,7 +62,7 @@ def recorded_drive(row: Row, world: World, seed: int, jitter: float) -> Recorded
     robot, generator = RobotSpec(), np.random.default_rng([seed, 1])
     turns = np.zeros(len(robot.beams))
     if row.fault == "turned beam":
-        turns[seed % len(robot.beams)] = math.radians(FAULTS[row.fault])
+        turns[seed % len(robot.beams)] = math.radians(DRIVE_FAULTS[row.fault])
     true_robot = RangeSensor(0.0, turns=tuple(turns.tolist())).mounted(robot)
     noise = row.true_noise if row.true_noise.sensor_noise else replace(row.true_noise, sensor_noise=row.noise)
     env = LimSlamParallelEnv(world, robot=true_robot, noise=noise, num_robots=1, coverage_goal=None, max_cycles=None)
@@ -79,9 +79,9 @@ def recorded_drive(row: Row, world: World, seed: int, jitter: float) -> Recorded
     ranges = shaken(ranges, robot, jitter, seed)
     time = robot.control_period * np.arange(float(len(rows)))
     if row.fault:
-        size, begin = FAULTS[row.fault], time[round(_BEAM_BEGINS * len(rows))] if row.fault == "delayed" else 0.0
-        slips = drawn_slips(len(rows), size, generator) if row.fault == "slips" else {}
-        ranges, wheels = with_fault(Fault(row.fault, size, begin, seed, robot, slips), ranges, wheels, time)
+        begin = time[round(_BEAM_BEGINS * len(rows))] if row.fault == "delayed" else 0.0
+        slips = drawn_slips(len(rows), generator) if row.fault == "slips" else {}
+        ranges, wheels = with_fault(Fault(row.fault, begin, seed, robot, slips), ranges, wheels, time)
     return RecordedLog(
         robot=robot, time=time, ranges=ranges.astype(np.float32),
         has_scan=np.ones(len(rows), dtype=np.bool_), start_pose=true[0], wheels=wheels, true_pose=true,

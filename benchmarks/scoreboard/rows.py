@@ -7,7 +7,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Literal
 
-from benchmarks.suite.jobs import FAULTS as SUITE_FAULTS
+from benchmarks.suite.faults import DRIVE_FAULTS
 from benchmarks.suite.jobs import Job
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.tables import SettingsError, built, read_toml
@@ -16,13 +16,6 @@ from limslam_env.config import NoiseConfig
 SHIPPED = Path(__file__).parent / "rows.toml"
 
 Kind = Literal["drive", "exploration", "log", "made-up log"]
-
-
-FAULTS = {**SUITE_FAULTS, "turned beam": 5.0, "slips": 14.0}
-"""Faults of drives, and their sizes: those of suites from the start on (``delayed``: in the second half of the drive),
-and ``turned beam``: one beam is mounted so many degrees to the left; ``slips``: three times the robot turns by so many
-degrees, to either side, and its wheels do not notice.
-"""
 
 
 @dataclass(frozen=True)
@@ -48,7 +41,9 @@ class Row:
     bumps
         Whether the robot of a drive drives straight on until it hits something, instead of from place to place.
     fault
-        A fault that the estimator is not told of, one of :data:`FAULTS`.
+        A fault that the estimator is not told of, one of ``DRIVE_FAULTS`` of
+        :mod:`benchmarks.suite.faults`, from the start on
+        (``delayed``: in the second half of the drive).
     robots, unknown_starts, kidnapped
         Number of robots of an exploration, whether the second one's start is unknown, and the earliest and the latest
         time at which the robot is kidnapped, s.
@@ -81,8 +76,8 @@ class Row:
             raise ValueError("the noise is 0 m or more, and the time is above 0 s")
         if self.kind == "log" and not (self.file and self.relations and self.beams):
             raise ValueError("a log needs its file, relations and beams")
-        if self.fault is not None and self.fault not in FAULTS:
-            raise ValueError(f"no fault is called {self.fault!r}; there are {', '.join(FAULTS)}")
+        if self.fault is not None and self.fault not in DRIVE_FAULTS:
+            raise ValueError(f"no fault is called {self.fault!r}; there are {', '.join(DRIVE_FAULTS)}")
         if self.kind != "drive" and (self.fault or self.bumps):
             raise ValueError("fault and bumps go with the kind drive")
         if self.kind != "exploration" and (self.robots > 1 or self.kidnapped):

@@ -14,6 +14,11 @@ from limslam_env.geometry import BoolArray, FloatArray, ReadingArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import Observation, RobotSpec
 
+DRIVE_FAULTS = {**FAULTS, "turned beam": 5.0, "slips": 14.0}
+"""Faults of recorded drives, and their sizes: ``turned beam``: one beam is mounted so many degrees to the left, by the
+simulator; ``slips``: the robot turns by so many degrees, to either side, and its wheels do not notice.
+"""
+
 RIGHT_PLACE, RIGHT_HEADING = 0.5, np.radians(15.0)
 """A robot is at the right place if its pose is not farther off, m and rad."""
 
@@ -25,9 +30,7 @@ class Fault:
     Attributes
     ----------
     kind
-        One of :data:`~benchmarks.suite.jobs.FAULTS`.
-    size
-        How large it is: see :data:`~benchmarks.suite.jobs.FAULTS`.
+        One of :data:`DRIVE_FAULTS`.
     begin
         Time at which the fault begins, s.
     seed
@@ -39,7 +42,6 @@ class Fault:
     """
 
     kind: str
-    size: float = 0.0
     begin: float = 0.0
     seed: int = 0
     robot: RobotSpec = field(default_factory=RobotSpec)
@@ -47,6 +49,11 @@ class Fault:
     _earlier: deque[ReadingArray] = field(default_factory=deque)
     _steps: int = 0
     _has_begun: bool = False
+
+    @property
+    def size(self) -> float:
+        """How large it is."""
+        return DRIVE_FAULTS[self.kind]
 
     @property
     def beam(self) -> int:
@@ -90,11 +97,6 @@ class Fault:
         return self._earlier.popleft() if len(self._earlier) > round(self.size / self.robot.control_period) else ranges
 
 
-def fault_of(job: Job, begin: float) -> Fault:
-    """The fault of a job, which begins at a time, s."""
-    return Fault(str(job.fault), FAULTS[str(job.fault)], begin, job.seed)
-
-
 def fault_begins(job: Job) -> float | None:
     """When the fault of a job begins, s: at a whole step that the seed chooses. None for a healthy robot.
 
@@ -129,9 +131,9 @@ def with_fault(
     return np.array([each["ranges"] for each in told]), np.array([each["wheels"] for each in told])
 
 
-def drawn_slips(steps: int, size: float, generator: np.random.Generator, count: int = 3) -> dict[int, float]:
-    """Slips of ``size`` deg to either side, spread over a drive: turns (rad) by the numbers of their steps."""
-    turns = math.radians(size) * generator.choice((-1.0, 1.0), count)
+def drawn_slips(steps: int, generator: np.random.Generator, count: int = 3) -> dict[int, float]:
+    """Slips to either side, spread over a drive: turns (rad) by the numbers of their steps."""
+    turns = math.radians(DRIVE_FAULTS["slips"]) * generator.choice((-1.0, 1.0), count)
     places = np.linspace(0.0, steps, count + 2)[1:-1].astype(int)
     return dict(zip((places + generator.integers(-50, 50, count)).tolist(), turns.tolist(), strict=True))
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.suite.faults import fault_begins, fault_of, fault_scores
+from benchmarks.suite.faults import Fault, fault_begins, fault_scores
 from benchmarks.suite.jobs import KIDNAPPED, PLAN, RANDOM, Job, LogSource, Outcome, digest
 from limslam_agent.config.ablations import ablated
 from limslam_agent.config.presets import OdometryConfig, preset
@@ -141,7 +141,7 @@ def _explored(job: Job) -> Outcome:
     begin = fault_begins(job)
     if job.fault is None or begin is None:
         return simulated(run_config(job))
-    episode = run_episode(run_config(job), alter=fault_of(job, begin).altered)
+    episode = run_episode(run_config(job), alter=Fault(job.fault, begin, job.seed).altered)
     scores = fault_scores(episode, begin)
     outcome = _scored(episode)
     return replace(outcome, metrics={**outcome.metrics, **scores})

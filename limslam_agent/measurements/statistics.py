@@ -92,7 +92,7 @@ def estimate(statistic: Statistic, *samples: ArrayLike) -> Estimate | None:
 
 def median(values: ArrayLike) -> Estimate | None:
     """The median of values (n,) with its interval; None if there are none."""
-    return estimate(lambda drawn: np.median(drawn, axis=1), values)
+    return estimate(lambda drawn: np.median(drawn, axis=1), np.sort(values))
 
 
 def mean(values: ArrayLike) -> Estimate | None:
@@ -101,7 +101,7 @@ def mean(values: ArrayLike) -> Estimate | None:
     The mean of times that are bounded by a longest time is the restricted mean of survival analysis: it exists although
     not every run came to its end.
     """
-    return estimate(lambda drawn: drawn.mean(axis=1), values)
+    return estimate(lambda drawn: drawn.mean(axis=1), np.sort(values))
 
 
 @dataclass(frozen=True, eq=False)
