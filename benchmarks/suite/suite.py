@@ -81,14 +81,14 @@ class _Grid:
         axes = (
             [each for world in self.worlds for each in _worlds(world)], self.noises, self.robots, self.presets,
             self.policies, [None if each == NO_ABLATION else each for each in self.ablations], self.laps,
-            [seed + moved for seed in chosen], self.faults,
+            self.faults, [seed + moved for seed in chosen],
         )  # fmt: skip
         return [
             Job(
                 world, noise, robots, preset, policy, ablation, laps, seed, self.max_time, self.limit, self.until,
                 fault, self.fault_time, self.after_fault,
             )
-            for world, noise, robots, preset, policy, ablation, laps, seed, fault in itertools.product(*axes)
+            for world, noise, robots, preset, policy, ablation, laps, fault, seed in itertools.product(*axes)
         ]  # fmt: skip
 
 
