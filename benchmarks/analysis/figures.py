@@ -327,8 +327,9 @@ def _sweep(worlds: Sequence[list[Group]], setting: Setting) -> Drawing:
             noises, middle = [noise for noise, _ in points], [each.value for _, each in points]
             low = [each.value if each.low is None else each.low for _, each in points]
             high = [each.value if each.high is None else each.high for _, each in points]
-            axis.plot(noises, middle, clip_on=False, **_line_style(number))
-            axis.fill_between(noises, low, high, color=COLOURS[number], alpha=BAND, linewidth=0.0)
+            if points:  # a line of no points has no place, and the layout fails
+                axis.plot(noises, middle, clip_on=False, **_line_style(number))
+                axis.fill_between(noises, low, high, color=COLOURS[number], alpha=BAND, linewidth=0.0)
         if value == "anees":
             axis.set_yscale("log")
         else:
