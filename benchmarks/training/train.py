@@ -158,11 +158,14 @@ class _Keeper(BaseCallback):
         super().__init__()
         self._config, self._phase, self._folder, self._begin = config, phase, folder, begin
         self._trial = Trial(config.held_out.seeds, config.noise, ExploreConfig(pose=phase.pose, range_std=config.noise))
-        self._tried: int | None = None
+        self._tried = 0
 
     @property
     def _minutes(self) -> float:
         return (time.process_time() - self._begin) / 60.0
+
+    def _on_training_start(self) -> None:
+        self._tried = self.num_timesteps
 
     def _on_step(self) -> bool:
         return self._minutes < self._config.minutes
@@ -170,7 +173,7 @@ class _Keeper(BaseCallback):
     def _on_rollout_end(self) -> None:
         left = float(self.model._current_progress_remaining)  # noqa: SLF001 (it has no other name)
         self.model.ent_coef = self._config.entropy * max(left, LEAST_SHARE)
-        if self.num_timesteps - (self._tried or 0) >= self._config.try_every:
+        if self.num_timesteps - self._tried >= self._config.try_every:
             self._try()
 
     def _on_training_end(self) -> None:
