@@ -184,13 +184,6 @@ def test_a_command_does_not_write_its_own_result(tmp_path, make):
     assert not path.is_symlink()
 
 
-def test_a_request_to_end_is_no_failure_of_the_entry(tmp_path, short_plans):
-    body = POLICY.format(body="raise SystemExit(143)")
-    entry = made_entry(tmp_path / "mine", PYTHON.format(name="Mine"), mine=body)
-    with pytest.raises(SystemExit):
-        run_job(Job(entry, short_plans[0], None, {}, ""))
-
-
 def test_a_process_that_has_died_is_named_with_its_plan(tmp_path, short_plans):
     body = POLICY.format(body="import os; os._exit(1)")
     entry = made_entry(tmp_path / "mine", PYTHON.format(name="Mine"), mine=body)

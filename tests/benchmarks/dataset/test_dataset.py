@@ -9,7 +9,6 @@ import tomllib
 from dataclasses import replace
 from pathlib import Path
 
-import gymnasium as gym
 import numpy as np
 import pytest
 from support.command_line import call
@@ -23,7 +22,6 @@ from benchmarks.suite.suite import FOLDER
 from limslam_agent.arena.tracks import plans_of
 from limslam_agent.measurements.processes import Failure
 from limslam_agent.team import LimSlamTeam
-from limslam_agent.wrappers.single import SlamObservation
 
 SMALL = DatasetConfig(plans=2, policies=("learned", "random"), size=20, max_time=1.5)
 
@@ -133,13 +131,6 @@ def test_minari_loads_what_was_recorded(made, minari):
     assert data.observation_space["grid"].shape == (1, 20, 20)
 
 
-def test_the_environment_is_recovered(made, minari):
-    env = loaded(minari, made[0], "random").recover_environment()
-    assert isinstance(env, SlamObservation)
-    assert env.observation_space == SMALL.environment().observation_space
-    assert env.spec.max_episode_steps == 15
-
-
 def test_a_learner_gets_no_truth_and_an_evaluation_does(made, minari):
     episode = loaded(minari, made[0], "learned")[0]
     assert set(episode.observations) == {"pose", "covariance", "grid", "ranges"}
@@ -234,12 +225,6 @@ def test_what_is_no_dataset_is_refused_in_one_line(tmp_path, arguments, message)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert message in done.stderr
     assert not (tmp_path / "dataset").exists()
-
-
-def test_the_wrapper_is_part_of_the_spec():
-    spec = SlamObservation(gym.make("LimSlam-Env1-v0", sensor_noise=0.02), size=12).spec
-    again = gym.make(gym.envs.registration.EnvSpec.from_json(spec.to_json()))
-    assert again.observation_space["grid"].shape == (1, 12, 12)
 
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "offline_rl.py"

@@ -12,7 +12,7 @@ from benchmarks.scoreboard.compare import NOISE, compared, comparison_table
 from benchmarks.scoreboard.drives import recorded_drive, world_of
 from benchmarks.scoreboard.measure import at_the_end, measure, while_driving
 from benchmarks.scoreboard.rows import Row, read_rows
-from benchmarks.scoreboard.sources import estimator_files, size_of
+from benchmarks.scoreboard.sources import size_of
 from limslam_env.config import NoiseConfig
 
 TINY = """
@@ -243,9 +243,3 @@ def test_the_size_of_sources_is_counted(tmp_path):
         "lines": 11, "files": 1, "constants": 2, "largest_file": f"{tmp_path.name}/part.py (11)",
         "largest_function": f"{tmp_path.name}/part.py:f (2)",
     }  # fmt: skip
-
-
-def test_the_estimator_is_the_one_that_is_imported():
-    found = size_of(estimator_files())
-    assert found["files"] > 30
-    assert found["lines"] > 5000

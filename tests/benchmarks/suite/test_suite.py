@@ -11,7 +11,6 @@ from benchmarks.__main__ import main
 from benchmarks.suite.jobs import LogSource
 from benchmarks.suite.suite import load_suite, shipped_suites
 from benchmarks.suite.work import run_config
-from limslam_agent.config.ablations import ABLATIONS
 
 HEAD = 'name = "tiny"\ndescription = "A few."\n'
 GRID = HEAD + '[[grid]]\nworlds = ["env1"]\nnoises = [0.02]\nseeds = [0]\n'
@@ -65,21 +64,11 @@ def test_every_key_of_a_grid_reaches_the_jobs():
     assert {(job.preset, job.policy, job.max_time, job.limit) for job in jobs} == {("odometry", "random", 60.0, True)}
 
 
-def test_laps_are_called_laps_in_the_results():
-    (job,) = parse_suite(GRID.replace("env1", "square") + "laps = [4]\n").jobs
-    assert (job.identity["policy"], job.identity["laps"]) == ("laps", 4)
-
-
 def test_each_grid_begins_with_the_seed_that_is_asked_for():
     text = GRID.replace("[0]", "[3, 5]") + GRID.removeprefix(HEAD).replace("env1", "random:seed:18x12")
     jobs = parse_suite(text, first_seed=1000).jobs
     assert [(job.world, job.seed) for job in jobs] == [("env1", 1000), ("env1", 1002), ("random:1000:18x12", 1000)]
     assert [job.world for job in parse_suite(text).jobs] == ["env1", "env1", "random:0:18x12"]
-
-
-def test_a_suite_without_seeds_has_no_first_one():
-    with pytest.raises(ValueError, match=r"^my.toml: --first-seed: there is no \[\[grid\]\]"):
-        parse_suite(HEAD + LOG, first_seed=7)
 
 
 def test_faults_begin_when_the_seed_says():
@@ -165,11 +154,6 @@ def test_logs_make_jobs():
     assert jobs[0].log == LogSource("fr079", "fr079/fr079_raw.clf.gz", (90.0, -90.0), odometry_bias=(0.99, 1.0))
 
 
-def test_two_logs_of_one_name_are_refused():
-    data_folder()
-    assert "2 jobs are the same to the tables: log:fr079" in refusal(HEAD + LOG + LOG + "max_range = 5\n")
-
-
 @pytest.mark.parametrize("suite", ["plans", "real", "large"])
 def test_without_the_data_folder_one_line_says_so(suite, monkeypatch, tmp_path):
     monkeypatch.setenv("LIMSLAM_DATA", str(tmp_path / "nowhere"))
@@ -220,10 +204,6 @@ def test_the_papers_suite_is_the_papers_grid():
         ("square", noise, 4, seed) for noise in (0.0, 0.02, 0.04) for seed in range(10)
     }
     assert len(grid) + len(laps) == 210
-
-
-def test_the_ablations_are_all_there():
-    assert {job.ablation for job in load_suite("ablations").jobs} == {None, *ABLATIONS}
 
 
 def test_no_such_suite(tmp_path):
