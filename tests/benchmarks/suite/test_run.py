@@ -7,8 +7,9 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -100,15 +101,16 @@ def count_lines(path):
     return path.read_bytes().count(b"\n") if path.is_file() else 0
 
 
-def await_end_of_group(group):
-    """Wait until no process of a group is left; a test that waits in vain fails."""
+def workers_of(run):
+    return [Path("/proc", number) for number in Path(f"/proc/{run.pid}/task/{run.pid}/children").read_text().split()]
+
+
+def await_end(workers):
+    """Wait until no worker is left; a test that waits in vain fails."""
     deadline = time.monotonic() + GUARD
-    with suppress(ProcessLookupError):
-        while time.monotonic() < deadline:
-            os.killpg(group, 0)
-            time.sleep(0.05)
-        os.killpg(group, signal.SIGKILL)
-        pytest.fail("workers have outlived the run that started them")
+    while any(each.exists() for each in workers):
+        assert time.monotonic() < deadline, "workers have outlived the run that started them"
+        time.sleep(0.05)
 
 
 def test_rows_hold_metrics_series_and_what_made_them(rows, tiny):
@@ -144,9 +146,10 @@ def test_killed_at_random_moments_and_resumed_the_rows_are_the_same(rows, tmp_pa
         while run.poll() is None and (count_lines(out / RESULTS) < enough or not (out / STAMP).is_file()):
             time.sleep(0.01)
         time.sleep(draw.uniform(0.0, 0.4))
+        workers = workers_of(run)
         run.kill()
         _, err = run.communicate()
-        await_end_of_group(run.pid)
+        await_end(workers)
         assert run.returncode == -signal.SIGKILL, err.decode()
     before = count_lines(out / RESULTS)
     done = subprocess.run(command(suite, out), capture_output=True, text=True, check=True)
@@ -160,9 +163,11 @@ def test_ctrl_c_keeps_what_is_done_and_ends_with_130(tmp_path):
     run = subprocess.Popen(command(suite, out), stderr=subprocess.PIPE, start_new_session=True)
     while run.poll() is None and count_lines(out / RESULTS) < 1:
         time.sleep(0.01)
+    workers = workers_of(run)
+    assert workers
     os.killpg(run.pid, signal.SIGINT)
     _, err = run.communicate(timeout=GUARD)
-    await_end_of_group(run.pid)
+    await_end(workers)
     assert run.returncode == 130
     assert err.decode() == "benchmarks: stopped; what is done is kept, and the same command goes on\n"
     assert len(comparable(out)) >= 1
