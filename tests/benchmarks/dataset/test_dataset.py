@@ -212,11 +212,8 @@ def test_a_drive_that_fails_is_named(tmp_path, monkeypatch):
     ("arguments", "message"),
     [
         (["--plans", "0"], "a dataset has 1 to 1000000 plans, not 0"),
-        (["--first-plan", "-1"], "the first plan is a seed"),
         (["--policies", "oracle"], "no policy 'oracle' can drive for a dataset"),
         (["--policies", "random,random"], "each policy is named once"),
-        (["--noise", "nan"], "the noise is a standard deviation"),
-        (["--size", "0"], "the grid has 1 to 256 cells a side"),
         (["--max-time", "0"], "a drive takes at most"),
     ],
 )

@@ -134,12 +134,9 @@ def test_a_decision_is_several_steps():
         np.testing.assert_array_equal(seen, np.concatenate(last, axis=1))
 
 
-@pytest.mark.parametrize(
-    ("setting", "message"), [({"steps": 0}, "steps must be 1 or more"), ({"noise": -1.0}, "noise")]
-)
-def test_what_is_no_budget_is_refused(setting, message):
+def test_what_is_no_budget_is_refused():
     pytest.importorskip("sb3_contrib", reason="needs the extra rl")
     from benchmarks.training.baseline_envs import BaselineConfig
 
-    with pytest.raises(ValueError, match=message):
-        BaselineConfig(**setting)
+    with pytest.raises(ValueError, match="steps and seeds must be 1 or more"):
+        BaselineConfig(steps=0)
