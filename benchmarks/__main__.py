@@ -7,8 +7,8 @@ import os
 import re
 import signal
 import sys
+from collections.abc import Iterable
 from dataclasses import replace
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -17,7 +17,8 @@ import typer
 from limslam_agent.cli.terminal import run_command
 
 if TYPE_CHECKING:
-    from benchmarks.suite.engines import Engine
+    from benchmarks.suite.runner import Summary
+    from limslam_agent.measurements.processes import Processes
 
 app = typer.Typer(
     add_completion=False,
@@ -28,28 +29,39 @@ app = typer.Typer(
 
 # How the commands that keep what is done go on after Ctrl-C.
 _GO_ON = {
-    **dict.fromkeys(("run", "dataset", "peers", "scoreboard"), "the same command goes on"),
-    "train": "--resume goes on from the last checkpoint",
+    **dict.fromkeys(("run", "dataset", "scoreboard", "baselines"), "the same command goes on"),
     "made-up-logs": "--seeds chooses the rest",
 }
 
 Folder = Annotated[Path, typer.Argument(help="Folder of results that `run` has made.")]
-Log = Annotated[Path, typer.Argument(help="A recorded log.")]
+Folders = Annotated[list[Path], typer.Argument(help="Folders of results that `run` has made.")]
+Workers = Annotated[int | None, typer.Option(min=1, help="Jobs at once.", show_default="one a core")]
+Retry = Annotated[bool, typer.Option("--retry-failed", help="Do again what has failed.")]
 
 
-class EngineName(StrEnum):
-    """The engines that can run jobs."""
+def _processes(workers: int | None, timeout: float = 3600.0) -> "Processes":
+    from limslam_agent.measurements.processes import Processes
 
-    PROCESS = "process"
-    RAY = "ray"
+    return Processes(workers or os.cpu_count() or 1, timeout)
+
+
+def _names(text: str) -> tuple[str, ...]:
+    return tuple(name.strip() for name in text.split(",") if name.strip())
+
+
+def _end(summary: "Summary", lines: Iterable[str]) -> int:
+    """Print what has failed, and lines; the exit code."""
+    for title, reason in summary.failures:
+        typer.echo(f"failed: {title}: {reason}", err=True)
+    for line in lines:
+        typer.echo(line)
+    return 1 if summary.failures else 0
 
 
 @app.command()
 def run(
     suite: Annotated[str, typer.Option(help="Name of a suite, or a FILE.toml.")],
-    engine: Annotated[EngineName, typer.Option(help="Processes of this machine, or Ray.")] = EngineName.PROCESS,
-    address: Annotated[str | None, typer.Option(help="Of a Ray cluster.", show_default="a Ray of its own")] = None,
-    workers: Annotated[int | None, typer.Option(min=1, help="Jobs at once.", show_default="one a core")] = None,
+    workers: Workers = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the results.", show_default="runs/suite-NAME")] = None,
     timeout: Annotated[float, typer.Option(help="Wall-clock time after which a job has failed, s.")] = 3600.0,
     first_seed: Annotated[
@@ -61,7 +73,7 @@ def run(
         ),
     ] = None,
     dry_run: Annotated[bool, typer.Option("--dry-run", help="List the jobs, run none.")] = False,
-    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Do again what has failed.")] = False,
+    retry_failed: Retry = False,
 ) -> int:
     """Do what is missing of a suite. The same command goes on after a kill."""
     from benchmarks.suite.runner import run_suite
@@ -69,8 +81,6 @@ def run(
 
     if not timeout > 0.0:
         raise ValueError(f"--timeout: a time above 0 s is needed, not {timeout:g}")
-    if address is not None and engine is not EngineName.RAY:
-        raise ValueError("--address goes with --engine ray")
     chosen = load_suite(suite, first_seed)
     if dry_run:
         for job in chosen.jobs:
@@ -78,21 +88,8 @@ def run(
         typer.echo(f"{chosen.name}: {len(chosen.jobs)} jobs")
         return 0
     folder = out or Path("runs") / f"suite-{chosen.name}"
-    summary = run_suite(chosen, folder, _engine(engine, workers, timeout, address), retry_failed=retry_failed)
-    for title, reason in summary.failures:
-        typer.echo(f"failed: {title}: {reason}", err=True)
-    typer.echo(f"{chosen.name}: {summary.words}; {folder}")
-    return 1 if summary.failures else 0
-
-
-def _engine(name: EngineName, workers: int | None, timeout: float, address: str | None) -> "Engine":
-    if name is EngineName.RAY:
-        from benchmarks.suite.ray_engine import RayEngine
-
-        return RayEngine(workers, timeout, address)
-    from benchmarks.suite.engines import ProcessEngine
-
-    return ProcessEngine(workers or os.cpu_count() or 1, timeout)
+    summary = run_suite(chosen, folder, _processes(workers, timeout), retry_failed=retry_failed)
+    return _end(summary, [f"{chosen.name}: {summary.words}; {folder}"])
 
 
 @app.command()
@@ -100,7 +97,6 @@ def train(
     suite: Annotated[str, typer.Option(help="Name of a suite with a [train] table, or a FILE.toml.")] = "explore",
     out: Annotated[Path | None, typer.Option(help="Folder of the training.", show_default="runs/train-NAME")] = None,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed of the training.", show_default="the suite's")] = None,
-    resume: Annotated[bool, typer.Option("--resume", help="Go on from the folder's checkpoint.")] = False,
 ) -> None:
     """Train an explorer by PPO, for the suite's budget (extra rl)."""
     from benchmarks.suite.suite import load_suite
@@ -113,7 +109,7 @@ def train(
     except ModuleNotFoundError as error:
         raise ValueError(f"training needs {error.name}: pip install -e '.[rl]'") from error
     settings = chosen.train if seed is None else replace(chosen.train, seed=seed)
-    typer.echo(f"weights     {learn(settings, out or Path('runs') / f'train-{chosen.name}', resume=resume)}")
+    typer.echo(f"weights     {learn(settings, out or Path('runs') / f'train-{chosen.name}')}")
 
 
 @app.command()
@@ -121,20 +117,16 @@ def baselines(
     out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("runs/baselines"),
     steps: Annotated[int, typer.Option(help="Decisions of training for each learner and seed.")] = 100_000,
     seeds: Annotated[int, typer.Option(help="Number of seeds.")] = 5,
-    learners: Annotated[str, typer.Option(help="Names of the learners, with commas.")] = "recurrent,belief",
-    table_only: Annotated[bool, typer.Option("--table-only", help="Train nothing, print what is there.")] = False,
 ) -> None:
     """Train PPO without a map and PPO on the belief, and print their sample efficiency (extra rl)."""
     from benchmarks.training.efficiency import draw_efficiency, efficiency_table
 
-    if not table_only:
-        try:
-            from benchmarks.training.baseline_envs import BaselineConfig
-            from benchmarks.training.baselines import train_baselines
-        except ModuleNotFoundError as error:
-            raise ValueError(f"training needs {error.name}: pip install -e '.[rl]'") from error
-        names = tuple(name.strip() for name in learners.split(","))
-        train_baselines(BaselineConfig(steps, seeds), out, names, typer.echo)
+    try:
+        from benchmarks.training.baseline_envs import BaselineConfig
+        from benchmarks.training.baselines import train_baselines
+    except ModuleNotFoundError as error:
+        raise ValueError(f"training needs {error.name}: pip install -e '.[rl]'") from error
+    train_baselines(BaselineConfig(steps, seeds), out, typer.echo)
     typer.echo(efficiency_table(out).rstrip("\n"))
     draw_efficiency(out, out / "efficiency.png")
     typer.echo(f"plot        {out / 'efficiency.png'}")
@@ -144,14 +136,11 @@ def baselines(
 def dataset(
     out: Annotated[Path, typer.Option(help="Folder of the datasets.")] = Path("runs/dataset"),
     plans: Annotated[int, typer.Option(help="Number of random floor plans.")] = 1000,
-    first_plan: Annotated[int, typer.Option(help="Seed of the first plan; the next seeds follow.")] = 300_000,
     policies: Annotated[str, typer.Option(help="Names of the policies, with commas.")] = "frontier,learned,random",
-    noise: Annotated[float, typer.Option(help="Standard deviation of the ranges, m.")] = 0.02,
-    size: Annotated[int, typer.Option(help="Side of the observed grid, cells of 0.10 m.")] = 128,
     max_time: Annotated[float, typer.Option(help="Longest simulated time of a drive, s.")] = 300.0,
-    workers: Annotated[int | None, typer.Option(min=1, help="Drives at once.", show_default="one a core")] = None,
+    workers: Workers = None,
     check: Annotated[bool, typer.Option("--check", help="Only check the datasets in the folder.")] = False,
-    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Do again what has failed.")] = False,
+    retry_failed: Retry = False,
 ) -> int:
     """Record drives as Minari datasets (extra datasets). The same command goes on after a kill."""
     from benchmarks.dataset.check import check_dataset
@@ -159,53 +148,18 @@ def dataset(
     from benchmarks.dataset.make import make_dataset
     from benchmarks.dataset.minari_files import require_minari
 
+    require_minari()
     if check:
-        require_minari()
         typer.echo(f"checked: {check_dataset(out)}")
         return 0
-    config = DatasetConfig(
-        plans, first_plan, tuple(name.strip() for name in policies.split(",")), noise, size, max_time
-    )
-    made = make_dataset(config, out, _engine(EngineName.PROCESS, workers, 3600.0, None), retry_failed=retry_failed)
-    for title, reason in made.failures:
-        typer.echo(f"failed: {title}: {reason}", err=True)
-    for line in (*made.words, f"dataset     {out}"):
+    config = DatasetConfig(plans, policies=_names(policies), max_time=max_time)
+    summary = make_dataset(config, out, _processes(workers), retry_failed=retry_failed)
+    if summary is not None and summary.failures:
+        return _end(summary, [f"drives: {summary.words}"])
+    for line in ("complete" if summary is None else f"drives: {summary.words}", f"checked: {check_dataset(out)}"):
         typer.echo(line)
-    return 1 if made.failures else 0
-
-
-@app.command()
-def peers(
-    maps: Annotated[Path, typer.Option(help="Folder of PNG maps.")],
-    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("runs/peers"),
-    count: Annotated[int, typer.Option(help="Most maps, in the order of the peers' test.")] = 100,
-    scale: Annotated[float, typer.Option(help="Side of a pixel for our robot, m.")] = 0.05,
-    noise: Annotated[float, typer.Option(help="Standard deviation of the six beams' ranges, m.")] = 0.02,
-    max_time: Annotated[float, typer.Option(help="Longest driving time of a run, s.")] = 3600.0,
-    lidar: Annotated[str, typer.Option(help="Explorers with 720 rays, with commas.")] = "point,frontier_fast,learned",
-    six: Annotated[str, typer.Option(help="Explorers with six beams, with commas.")] = "frontier_fast,learned",
-    stand_ins: Annotated[int, typer.Option(min=0, help="Write so many stand-in maps into --maps first.")] = 0,
-    workers: Annotated[int | None, typer.Option(min=1, help="Runs at once.", show_default="one a core")] = None,
-    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Do again what has failed.")] = False,
-) -> int:
-    """Explore maps of other work with its sensor and true pose, and with six beams. The same command goes on."""
-    from benchmarks.peers.comparison import PeersConfig, compare_peers
-    from benchmarks.peers.stand_ins import write_stand_ins
-
-    config = PeersConfig(maps, count, scale, noise, max_time, _names(lidar), _names(six))
-    if stand_ins:
-        write_stand_ins(maps, stand_ins)
-    summary, text = compare_peers(
-        config, out, _engine(EngineName.PROCESS, workers, 10.0 * max_time, None), retry_failed=retry_failed
-    )
-    for title, reason in summary.failures:
-        typer.echo(f"failed: {title}: {reason}", err=True)
-    typer.echo(f"peers: {summary.words}; {out}\n\n{text.rstrip()}")
-    return 1 if summary.failures else 0
-
-
-def _names(text: str) -> tuple[str, ...]:
-    return tuple(name.strip() for name in text.split(",") if name.strip())
+    typer.echo(f"dataset     {out}")
+    return 0
 
 
 @app.command()
@@ -217,35 +171,27 @@ def scoreboard(
     ] = None,
     jitter: Annotated[float, typer.Option(min=0.0, help="Further noise of recorded ranges, m.")] = 0.0,
     unused: Annotated[bool, typer.Option("--unused", help="The seeds of figures that are published.")] = False,
-    workers: Annotated[int | None, typer.Option(min=1, help="Cells at once.", show_default="one a core")] = None,
+    workers: Workers = None,
     rows_file: Annotated[
         Path | None, typer.Option(help="Rows of your own, a TOML file.", show_default="the shipped ones")
     ] = None,
-    retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Do again what has failed.")] = False,
+    retry_failed: Retry = False,
 ) -> int:
     """Measure whether a change of the estimator is kept. The same command goes on after a kill."""
     from benchmarks.scoreboard.board import FILE, read_board, run_scoreboard, table
-    from benchmarks.scoreboard.compare import closing, compared, comparison_table, pooled
+    from benchmarks.scoreboard.compare import compared, comparison_table
     from benchmarks.scoreboard.rows import SHIPPED, read_rows
 
     before = None if against is None else read_board(against)
     board, summary, skipped = run_scoreboard(
-        read_rows(rows_file or SHIPPED), _names(rows), out, _engine(EngineName.PROCESS, workers, 3600.0, None),
+        read_rows(rows_file or SHIPPED), _names(rows), out, _processes(workers),
         unused=unused, jitter=jitter, retry_failed=retry_failed,
     )  # fmt: skip
-    for line in table(board):
-        typer.echo(line)
-    if before is not None:
-        found = compared(before["cells"], board["cells"])
-        everything = pooled(before["cells"], board["cells"])
-        typer.echo("\n" + "\n".join(comparison_table([*found, everything])) + f"\n\n{closing(found)}")
     for name in skipped:
         typer.echo(f"left out: {name}: it needs the folder of recorded data: set LIMSLAM_DATA", err=True)
-    for title, reason in summary.failures:
-        typer.echo(f"failed: {title}: {reason}", err=True)
+    against_it = [] if before is None else ["", *comparison_table(compared(before["cells"], board["cells"]))]
     counts = f"{len(board['cells'])} cells, {len(summary.failures)} failed, {summary.seconds:.0f} s"
-    typer.echo(f"\nscoreboard: {counts}; {out / FILE}")
-    return 1 if summary.failures else 0
+    return _end(summary, [*table(board), *against_it, "", f"scoreboard: {counts}; {out / FILE}"])
 
 
 @app.command("made-up-logs")
@@ -256,7 +202,6 @@ def made_up_logs(
         list[str] | None,
         typer.Option("--variation", help="As log-variations takes it; may be repeated.", show_default="none"),
     ] = None,
-    length: Annotated[float | None, typer.Option(min=10.0, help="Driven, m.", show_default="100 to 220")] = None,
     sparse: Annotated[
         bool, typer.Option("--sparse", help="4 to 11 beams, 5 to 40 points a metre; few revisits in half of the logs.")
     ] = False,
@@ -264,7 +209,7 @@ def made_up_logs(
     """Make up CARMEN logs with relations, smooth them with six beams, and print their errors."""
     from benchmarks.made_up_logs import smoothing_table
 
-    for line in smoothing_table(_seeds(seeds), variations or [""], out, length, sparse=sparse):
+    for line in smoothing_table(_seeds(seeds), variations or [""], out, sparse=sparse):
         typer.echo(line)
 
 
@@ -278,7 +223,7 @@ def _seeds(text: str) -> range:
 
 @app.command("log-variations")
 def log_variations(
-    log: Log,
+    log: Annotated[Path, typer.Argument(help="A recorded log.")],
     relations: Annotated[Path, typer.Argument(help="The true relations of the log.")],
     variations: Annotated[
         list[str] | None,
@@ -295,56 +240,21 @@ def log_variations(
 
 
 @app.command()
-def revisits(
-    log: Log,
-    folders: Annotated[list[Path], typer.Argument(help="Folders of replays of the log.")],
-) -> None:
-    """Print how well visits of one place coincide in smoothed paths of a log. No truth is needed."""
-    from benchmarks.revisits import revisits_of
-
-    for folder in folders:
-        typer.echo(f"{folder}: {revisits_of(log, folder).words}")
-
-
-@app.command("right-angles")
-def right_angles(folders: Annotated[list[Path], typer.Argument(help="Folders of runs or replays.")]) -> None:
-    """Print how well the walls of maps stand at right angles. No truth is needed."""
-    from benchmarks.right_angles import right_angles_of
-
-    for folder in folders:
-        typer.echo(f"{folder}: {right_angles_of(folder).words}")
-
-
-@app.command()
-def table(
-    folders: Annotated[list[Path], typer.Argument(help="Folders of results that `run` has made.")],
-    latex: Annotated[bool, typer.Option("--latex", help="LaTeX instead of Markdown.")] = False,
-    out: Annotated[Path | None, typer.Option(help="File to write to.", show_default="standard output")] = None,
-) -> None:
+def table(folders: Folders) -> None:
     """Print medians with intervals, as the paper's grid."""
     from benchmarks.analysis.tables import table as tabulate
-    from benchmarks.suite.store import read_jobs
-    from limslam_agent.output.atomic_write import atomic_write
+    from benchmarks.suite.store import read_rows
 
-    rows = read_jobs(folders)
-    # The series of runs are read from the folder of the results. With several folders there is no single folder.
-    is_one = len({folder.resolve() for folder in folders}) == 1
-    text = tabulate(rows, latex=latex, folder=folders[0] if is_one else None)
-    if out is None:
-        typer.echo(text.rstrip("\n"))
-        return
-    with atomic_write(out) as beside:
-        beside.write_text(text, encoding="utf-8")
-    typer.echo(f"table       {out}")
+    typer.echo(tabulate(read_rows(*folders)).rstrip("\n"))
 
 
 @app.command()
 def curves(
-    folders: Annotated[list[Path], typer.Argument(help="Folders of results that `run` has made.")],
+    folders: Folders,
     out: Annotated[Path | None, typer.Option(help="PNG of coverage over time.", show_default="none")] = None,
 ) -> None:
     """Print how soon explorers see the same floor plans, and draw it."""
-    from benchmarks.training.explore_table import curve_table, draw_curves, read_curves
+    from benchmarks.analysis.coverage import curve_table, draw_curves, read_curves
 
     found = read_curves(folders)
     typer.echo(curve_table(found).rstrip("\n"))
@@ -357,12 +267,11 @@ def curves(
 def plot(
     folder: Folder,
     out: Annotated[Path | None, typer.Option(help="Folder for the plots.", show_default="FOLDER/plots")] = None,
-    svg: Annotated[bool, typer.Option("--svg", help="Vector graphics too.")] = False,
 ) -> None:
-    """Draw the paper's figures again, and sweeps and coverage besides."""
-    from benchmarks.analysis.plots import plot as draw
+    """Draw the paper's figures again: maps, errors over laps, and scores over noise."""
+    from benchmarks.analysis.figures import plot as draw
 
-    for path in draw(folder, out or folder / "plots", svg=svg):
+    for path in draw(folder, out or folder / "plots"):
         typer.echo(f"plot        {path}")
 
 

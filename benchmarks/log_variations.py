@@ -6,7 +6,6 @@ settings are the fields of :class:`Variation`. Only the smoothing is done, witho
 """
 
 import math
-import sys
 import time
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -41,43 +40,29 @@ class Variation:
         Directions of the beams that are used, deg, and their longest range, m.
     noise
         Stated standard deviation of the ranges, m.
-    hop
-        Distance driven between local maps, m.
     mirrored, backwards
         Whether left and right are exchanged, and whether the robot drives the same way back.
-    turn, gain, scale
-        Errors added to odometry: heading per metre, deg; share of turns; share of distances.
-    odometry_noise, range_noise, clock_noise, seed
+    odometry_noise, range_noise, seed
         Standard deviations of noise that is added: of the heading in deg per square root of a metre (and 2 cm per
-        square root of a metre of both components), of the ranges, m, and of the times of odometry, s; and the seed of
-        all that is drawn.
+        square root of a metre of both components), and of the ranges, m; and the seed of all that is drawn.
     drop_outs, slips
         Share of the readings that are lost; and number of places where the robot turns without odometry noticing it,
         by 15 deg (standard deviation).
     points
         Readings of walls that are left in a metre of driving, by leaving out whole scans; 0 for all.
-    begin, end
-        The part of the log that is used, as shares of its time.
     """
 
     beams: tuple[float, ...] = (90.0, 54.0, 18.0, -18.0, -54.0, -90.0)
     max_range: float = 5.0
     noise: float = 0.02
-    hop: float = 2.5
     mirrored: bool = False
     backwards: bool = False
-    turn: float = 0.0
-    gain: float = 0.0
-    scale: float = 0.0
     odometry_noise: float = 0.0
     range_noise: float = 0.0
-    clock_noise: float = 0.0
     seed: int = 1
     drop_outs: float = 0.0
     slips: int = 0
     points: float = 0.0
-    begin: float = 0.0
-    end: float = 1.0
 
 
 def variation(text: str) -> Variation:
@@ -116,8 +101,7 @@ def varied(data: LogData, relations: Relations, how: Variation) -> tuple[LogData
 
 
 def _driven(data: LogData, relations: Relations, how: Variation) -> tuple[LogData, Relations]:
-    """The part of the log that is used, in the direction in which it is driven, and its relations."""
-    data = _part(data, how.begin, how.end)
+    """The log in the direction in which it is driven, and its relations."""
     if how.backwards:
         data, relations = _backwards(data, relations)
     if how.mirrored:
@@ -136,35 +120,13 @@ def _with_errors(data: LogData, how: Variation, generator: np.random.Generator) 
     """Motions (n - 1, 3) of odometry with the errors of a variation."""
     moves = moves_of(data)
     root = np.sqrt(np.hypot(moves[:, :1], moves[:, 1:2]))
-    moves[:, 2] += np.radians(how.turn) * moves[:, 0] + how.gain * moves[:, 2]
-    moves[:, :2] *= 1.0 + how.scale
     if how.odometry_noise:
         stds = root * np.array([_POSITION_NOISE, _POSITION_NOISE, np.radians(how.odometry_noise)])
         moves += stds * generator.standard_normal(moves.shape)
     if how.slips:
         places = generator.choice(len(moves), how.slips, replace=False)
         moves[places, 2] += _SLIP * generator.standard_normal(how.slips)
-    if how.clock_noise:
-        moves = _at_times(integrate(np.zeros(3), moves), data.time, how.clock_noise, generator)
     return moves
-
-
-def _at_times(odometry: FloatArray, time: FloatArray, noise: float, generator: np.random.Generator) -> FloatArray:
-    """Motions (n - 1, 3) of odometry that was read at slightly other times."""
-    read = time + noise * generator.standard_normal(len(time))
-    nodes = np.maximum.accumulate(time)
-    columns = [*odometry[:, :2].T, np.unwrap(odometry[:, 2])]
-    poses = np.column_stack([np.interp(read, nodes, each) for each in columns])
-    poses[:, 2] = se2.wrap_angle(poses[:, 2])
-    return se2.between(poses[:-1], poses[1:])
-
-
-def _part(data: LogData, begin: float, end: float) -> LogData:
-    """The events between two shares of the log's time."""
-    share = (data.time - data.time.min()) / max(float(np.ptp(data.time)), 1e-9)
-    kept = (share >= begin) & (share <= end)
-    rows = {name: getattr(data, name)[kept] for name in ("time", "odometry", "ranges", "hit")}
-    return replace(data, **rows)
 
 
 def _mirrored(data: LogData, relations: Relations) -> tuple[LogData, Relations]:
@@ -237,7 +199,7 @@ def outcome(path: Path, known: Path, how: Variation, truth: tuple[FloatArray, Fl
     config = GraphConfig()
     begin = time.process_time()
     directed = with_reversing(data, config)
-    found, signals = trusted_path(directed, np.zeros(3), replace(config, maps=replace(config.maps, hop=how.hop)))
+    found, signals = trusted_path(directed, np.zeros(3), config)
     seconds = time.process_time() - begin
     errors = summary(relation_errors(relations, data.time, found.poses, data.odometry))
     if truth is None:
@@ -251,7 +213,3 @@ def outcome(path: Path, known: Path, how: Variation, truth: tuple[FloatArray, Fl
 def _aligned_error(true: FloatArray, poses: FloatArray) -> float:
     """Root mean square error of the positions of poses (n, 3) after rigid alignment, m."""
     return float(np.sqrt((distances_after_alignment(poses, true) ** 2).mean()))
-
-
-if __name__ == "__main__":
-    sys.exit("the command is now: python -m benchmarks log-variations")

@@ -273,12 +273,12 @@ def sparse_sensor(seed: int) -> str:
 
 
 def smoothing_table(
-    seeds: Sequence[int], variations: Sequence[str], folder: Path, length: float | None, *, sparse: bool = False
+    seeds: Sequence[int], variations: Sequence[str], folder: Path, *, sparse: bool = False, length: float | None = None
 ) -> Iterator[str]:
     """Write the logs of these seeds, and yield the lines of a table of their smoothed paths in all variations.
 
     With ``sparse``, each log has few points by :func:`sparse_sensor`, to which the variations are added, and every
-    other four logs have few revisits.
+    other four logs have few revisits. ``length`` is the distance driven, m; None to draw it.
 
     Raises
     ------

@@ -118,6 +118,7 @@ AGENT = {
         *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("belief", "config", "grid", "mapper", "slam.batch"),
     },
     "limslam_agent.logs": {*WHAT_AN_AGENT_MAY_KNOW, *agent("readings", "safe_files")},
+    "limslam_agent.measurements": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output", "safe_files")},
     "limslam_agent.output": {*WHAT_AN_AGENT_MAY_KNOW, *agent("slam.core", "grid", "safe_files")},
     "limslam_agent.output.formats": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "output", "places", "safe_files")},
     "limslam_agent.replay": {
@@ -159,24 +160,18 @@ BENCHMARKS = {
     "benchmarks.analysis": {"benchmarks.suite"},
     "benchmarks.training": {"benchmarks.suite", "benchmarks.analysis"},
     "benchmarks.dataset": {"benchmarks.suite"},
-    "benchmarks.peers": {"benchmarks.suite"},
     "benchmarks.scoreboard": {"benchmarks.suite", "benchmarks.log_variations", "benchmarks.made_up_logs"},
     "benchmarks.speed": set(),
-    "benchmarks.right_angles": set(),
     "benchmarks.log_variations": set(),
     "benchmarks.made_up_logs": {"benchmarks.log_variations", "benchmarks.suite"},
-    "benchmarks.revisits": set(),
     "benchmarks.__main__": {
         "benchmarks.suite",
         "benchmarks.analysis",
         "benchmarks.training",
         "benchmarks.dataset",
-        "benchmarks.peers",
         "benchmarks.scoreboard",
         "benchmarks.made_up_logs",
         "benchmarks.log_variations",
-        "benchmarks.revisits",
-        "benchmarks.right_angles",
     },
 }
 RULES = ENV | AGENT | BENCHMARKS

@@ -108,19 +108,16 @@ def test_a_run_or_a_replay_that_is_killed_leaves_its_results_whole(tmp_path, kin
     print(dict(command.outcomes))  # noqa: T201 (seen with pytest -s)
 
 
-@pytest.mark.parametrize(("engine", "kills"), [("process", KILLS), ("ray", 3)])
-def test_a_suite_that_is_killed_goes_on(tmp_path, engine, kills):
-    if engine == "ray":
-        pytest.importorskip("ray")
+def test_a_suite_that_is_killed_goes_on(tmp_path):
     (tmp_path / "kills.toml").write_text(SUITE)
     out, kept = tmp_path / "out", 0
-    arguments = ("benchmarks", "run", "--suite", "kills.toml", "--out", str(out), "--workers", "1", "--engine", engine)
+    arguments = ("benchmarks", "run", "--suite", "kills.toml", "--out", str(out), "--workers", "1")
     command = Command(arguments, tmp_path)
     command.finish()
     expected = {row.key: row.metrics for row in read_rows(out)}
     shutil.rmtree(out)
     chance = random.Random(1)  # noqa: S311 (moments, not secrets)
-    for _ in range(kills):
+    for _ in range(KILLS):
         command.kill(command.seconds * chance.uniform(0.2, 1.05))
         rows = read_rows(out) if (out / "results.jsonl").is_file() else []
         assert len(rows) >= kept, "a row is lost"

@@ -3,7 +3,7 @@
 import math
 import re
 from collections.abc import Callable, Hashable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -15,7 +15,7 @@ from limslam_env.geometry import FloatArray
 PUBLISHED = "paper"
 """The preset of the published method."""
 
-FRONTIER, TOUR, ORACLE = "frontier", "tour", "oracle"
+FRONTIER, TOUR = "frontier", "tour"
 """Policies that the tables refer to by name, in addition to the policies named in :mod:`benchmarks.suite.jobs`."""
 
 Value: TypeAlias = Callable[[Row], float | None]
@@ -29,13 +29,15 @@ class Setting:
     Attributes
     ----------
     world
-        Name of the world; all random floor plans form one world, ``random plans``.
-    noise, robots, preset, policy, ablation, laps
+        Name of the world; all random floor plans form one world, ``random plans``. ``all`` in sums over worlds.
+    noise
+        As in a job; None in sums over noises.
+    robots, preset, policy, ablation, laps
         As in a job.
     """
 
     world: str
-    noise: float
+    noise: float | None
     robots: int
     preset: str
     policy: str
@@ -48,15 +50,41 @@ class Setting:
         return self.preset if self.ablation is None else f"{self.preset}, {self.ablation}"
 
     @property
-    def is_published(self) -> bool:
-        """Whether the setting is the unchanged published method."""
-        return self.preset == PUBLISHED and self.ablation is None
+    def noise_text(self) -> str:
+        """The noise in centimetres, as text."""
+        return "all" if self.noise is None else f"{100.0 * self.noise:g} cm"
+
+    @property
+    def pooled(self) -> "Setting":
+        """The setting of a sum over all worlds and noises."""
+        return replace(self, world="all", noise=None)
+
+    @property
+    def is_exploration(self) -> bool:
+        """Whether healthy robots explored, with any policy."""
+        return not (self.is_drive or self.is_log or self.is_faulty)
+
+    @property
+    def is_drive(self) -> bool:
+        """Whether robots drove a known path, without exploration."""
+        return self.policy in {LAPS_POLICY, TOUR}
+
+    @property
+    def is_faulty(self) -> bool:
+        """Whether a fault began in the middle of an exploration."""
+        return self.policy in FAULTS
+
+    @property
+    def is_log(self) -> bool:
+        """Whether the setting is a recorded log."""
+        return self.policy == LOG_POLICY
 
     @property
     def order(self) -> tuple[object, ...]:
         """Key for sorting tables: worlds first, the published method before other methods."""
-        name = tuple((not part.isdigit(), int(part) if part.isdigit() else part) for part in _parts(self.world))
-        method = (not self.is_published, self.preset != PUBLISHED, self.preset, self.ablation or "")
+        parts = [part for part in re.split(r"(\d+)", self.world) if part]
+        name = tuple((not part.isdigit(), int(part) if part.isdigit() else part) for part in parts)
+        method = (self.preset != PUBLISHED, self.preset, self.ablation or "")
         return (self.world.startswith("random"), name, self.laps, self.robots, self.policy, method, self.noise)
 
 
@@ -76,9 +104,9 @@ class Group:
     rows: Sequence[Row]
 
     @property
-    def failed(self) -> int:
-        """Number of failed runs."""
-        return sum(row.error is not None for row in self.rows)
+    def ended(self) -> int:
+        """Number of runs that did not fail."""
+        return sum(row.error is None for row in self.rows)
 
     def values(self, of: Value) -> FloatArray:
         """The values (k,) of the runs. Runs without a value are left out, and the caller reports their number."""
@@ -102,27 +130,6 @@ def metric(name: str) -> Value:
     return value
 
 
-def cost(name: str) -> Value:
-    """The cost of a run with this name in ``docs/metrics.md``."""
-
-    def value(row: Row) -> float | None:
-        found = row.cost.get(name)
-        return None if found is None or not math.isfinite(found) else float(found)
-
-    return value
-
-
-def ratio(above: str, below: str) -> Value:
-    """Ratio of two metrics of the same run; None if a metric is missing or the denominator is 0."""
-    upper, lower = metric(above), metric(below)
-
-    def value(row: Row) -> float | None:
-        one, other = upper(row), lower(row)
-        return None if one is None or other is None or other == 0.0 else one / other
-
-    return value
-
-
 def setting_of(row: Row) -> Setting:
     """The setting of a row."""
     world = "random plans" if row.world.startswith(RANDOM) else row.world
@@ -137,38 +144,10 @@ def groups(rows: Iterable[Row]) -> list[Group]:
     return [Group(setting, found[setting]) for setting in sorted(found, key=lambda each: each.order)]
 
 
-def merged(parts: Iterable[Group], key: Callable[[Setting], Setting]) -> list[Group]:
-    """Merge groups whose settings have the same ``key``, in order of appearance."""
-    found: dict[Setting, list[Row]] = {}
+def with_sums(parts: Sequence[Group]) -> list[Group]:
+    """Groups, followed by the sums over all worlds and noises of those that have several."""
+    pooled: dict[Setting, list[Row]] = {}
     for part in parts:
-        found.setdefault(key(part.setting), []).extend(part.rows)
-    return [Group(setting, rows) for setting, rows in found.items()]
-
-
-def centimetres(noise: float) -> str:
-    """A noise in centimetres, as text."""
-    return f"{100.0 * noise:g} cm"
-
-
-def is_exploration(setting: Setting) -> bool:
-    """Whether healthy robots explored, with any policy."""
-    return setting.policy not in {LAPS_POLICY, TOUR, LOG_POLICY, *FAULTS}
-
-
-def is_drive(setting: Setting) -> bool:
-    """Whether robots drove a known path, without exploration."""
-    return setting.policy in {LAPS_POLICY, TOUR}
-
-
-def is_faulty(setting: Setting) -> bool:
-    """Whether a fault began in the middle of an exploration."""
-    return setting.policy in FAULTS
-
-
-def is_log(setting: Setting) -> bool:
-    """Whether the setting is a recorded log."""
-    return setting.policy == LOG_POLICY
-
-
-def _parts(name: str) -> list[str]:
-    return [part for part in re.split(r"(\d+)", name) if part]
+        pooled.setdefault(part.setting.pooled, []).extend(part.rows)
+    several = {setting for setting in pooled if sum(part.setting.pooled == setting for part in parts) > 1}
+    return [*parts, *(Group(setting, rows) for setting, rows in pooled.items() if setting in several)]

@@ -85,24 +85,6 @@ def read_series(folder: Path, row: Row) -> Series | None:
     return Series(**arrays)
 
 
-def lap_errors(series: Series, poses: FloatArray, laps: int) -> FloatArray:
-    """Root mean squares (laps, 3) of the errors of poses (k, n, 3) in x, y and heading, in each lap, m and rad.
-
-    A lap is an equal part of the true path.
-
-    Raises
-    ------
-    ValueError
-        If the truth is not known, or the path is too short for so many laps.
-    """
-    errors, driven = series.errors(poses), distance(series)
-    lap = np.minimum((laps * driven / max(driven[-1], 1e-9)).astype(int), laps - 1)
-    if len(np.unique(lap)) < laps:
-        raise ValueError(f"the path is too short for {laps} laps")
-    squares = np.square(errors)
-    return np.asarray(np.sqrt([squares[lap == number].mean(axis=(0, 1)) for number in range(laps)]))
-
-
 def distance(series: Series) -> FloatArray:
     """Distance (k,) driven by the first robot on its true path, m.
 

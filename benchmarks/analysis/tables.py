@@ -1,134 +1,51 @@
-"""The results of a suite as tables: ``table`` gives text, and ``sheets`` gives data for the report.
+"""The results of a suite as tables.
 
 No table depends on the name of a world. Groups are formed from the worlds, noises, robots, presets, policies and
 ablations in the rows, and a table without a group is left out.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import replace
-from pathlib import Path
+from typing import TypeAlias
 
-from benchmarks.analysis.claims import Verdict, claims
-from benchmarks.analysis.comparison_tables import ablation_sheet, limit_sheet, team_sheet
-from benchmarks.analysis.groups import (
-    FRONTIER,
-    PUBLISHED,
-    Group,
-    Setting,
-    centimetres,
-    cost,
-    groups,
-    is_drive,
-    is_exploration,
-    is_faulty,
-    is_log,
-    merged,
-    metric,
-    ratio,
-)
-from benchmarks.analysis.outcome_tables import fault_sheet, outcome_sheet
-from benchmarks.analysis.sheets import MISSING, Column, Sheet, counted, median_cells, render, written
-from benchmarks.analysis.statistics import interquartile_means, medians
-from benchmarks.suite.jobs import PLAN
+import numpy as np
+
+from benchmarks.analysis.groups import FRONTIER, PUBLISHED, Group, Setting, Value, groups, metric, setting_of, with_sums
+from benchmarks.analysis.sheets import Sheet
+from benchmarks.suite.jobs import KIDNAPPED
 from benchmarks.suite.store import Row
+from limslam_agent.measurements.statistics import MISSING, Estimate, Pairs, median, number, paired
 
 READING = (
     "Medians over runs with 95 % bootstrap intervals; the interval is left out where it has no width or there are "
     "fewer than 3 values; of fewer than 6 it is their range at most, which holds the median less often. "
     "n: runs that ended well (failed). A number in brackets behind a value: so many runs have one."
 )
+NOTICED_WITHIN, PLACED_WITHIN = 10.0, 30.0
+"""Times after a fault within which it should be noticed, and a kidnapped robot be placed, s."""
 
-_SCORES = (
-    Column("F1 aligned", metric("wall_f1_aligned")),
-    Column("F1", metric("wall_f1")),
-    Column("F1 5 cm", metric("wall_f1_5cm")),
-    Column("spurious walls", metric("spurious_walls"), 1),
-    Column("doors open", metric("doors_open")),
-)
-_POSE = (
-    Column("ATE m", metric("ate_m"), 3),
-    Column("ATE / limit", metric("ate_over_limit"), 1),
-    Column("ANEES", metric("anees"), 1),
-)
-_GRID = (
-    *_SCORES, *_POSE, Column("time s", metric("exploration_time_s"), 0), Column("covered", metric("coverage_true"), 3),
-)  # fmt: skip
-_DRIVE = (
-    *_POSE,
-    Column("odometry ATE m", metric("odometry_ate_m"), 3),
-    Column("ATE / odometry", ratio("ate_m", "odometry_ate_m")),
-    Column("limit ATE m", metric("limit_ate_m"), 3),
-    Column("heading deg", metric("heading_rmse_deg")),
-    Column("odometry deg", metric("odometry_heading_rmse_deg")),
-    Column("final error m", metric("final_error_m"), 3),
-    Column("NEES in 95 %", metric("nees_in_95")),
-    *_SCORES,
-)
-_POLICIES = (
-    Column("50 % s", metric("time_to_50_s"), 0),
-    Column("90 % s", metric("time_to_90_s"), 0),
-    Column("95 % s", metric("time_to_95_s"), 0),
-    Column("time s", metric("exploration_time_s"), 0),
-    Column("path m", metric("path_m"), 1),
-    Column("covered", metric("coverage_true"), 3),
-    Column("claimed and correct", metric("coverage_correct"), 3),
-    Column("collisions", metric("collisions"), 1),
-)
-_LOGS = (
-    Column("estimate m", metric("relation_error_m")),
-    Column("odometry m", metric("odometry_relation_error_m")),
-    Column("raw m", metric("raw_odometry_relation_error_m")),
-    Column("estimate deg", metric("relation_error_deg"), 1),
-    Column("odometry deg", metric("odometry_relation_error_deg"), 1),
-    Column("loops: estimate m", metric("loop_relation_error_m")),
-    Column("loops: odometry m", metric("odometry_loop_relation_error_m")),
-    Column("loops: estimate deg", metric("loop_relation_error_deg"), 1),
-    Column("loops: odometry deg", metric("odometry_loop_relation_error_deg"), 1),
-    Column("relations", metric("relations"), 0),
-)
-_COSTS = (
-    Column("mapping, ms a step", cost("slam_ms_median"), 3),
-    Column("mapping, ms a step, 99 %", cost("slam_ms_p99"), 3),
-    Column("exploring, ms a step", cost("explore_ms_median"), 3),
-    Column("times real time", cost("speed_x_real_time"), 0),
-    Column("run s", cost("job_s"), 1),
-    Column("memory MB", cost("peak_rss_mb"), 0),
-)
-_ROOMS = "random plans"
-_WORST = 5
+TOLERATED_ATE = 0.5
+"""Root mean square error of a smoothed path above which the status should not be ok, m."""
+
+Column: TypeAlias = tuple[str, Callable[[Group], str]]
+"""The heading of a column, and the text of its cell for a group."""
+
+TIMES = "\N{MULTIPLICATION SIGN}"
 
 
-def table(rows: Sequence[Row], *, latex: bool = False, folder: Path | None = None) -> str:
-    """All tables of the given rows, as Markdown or LaTeX (packages booktabs, graphicx, longtable).
-
-    Parameters
-    ----------
-    rows
-        Rows of one folder of results.
-    latex
-        Write LaTeX instead of Markdown.
-    folder
-        Folder of the rows. Some claims are about the course of a run, which is stored in the series of the folder.
+def table(rows: Sequence[Row]) -> str:
+    """All tables of the given rows, as Markdown.
 
     Raises
     ------
     ValueError
         If there are no rows.
     """
-    parts = [render(sheet, "latex" if latex else "markdown") for sheet in sheets(rows, folder)]
-    return "\n\n".join((["% \\usepackage{booktabs,graphicx,longtable}"] if latex else []) + parts) + "\n"
+    return "\n\n".join(sheet.markdown() for sheet in sheets(rows)) + "\n"
 
 
-def sheets(rows: Sequence[Row], folder: Path | None = None) -> list[Sheet]:
-    """All tables of the given rows; parameters and errors as for :func:`table`."""
-    found = number_sheets(rows)
-    failures = failure_sheet(rows)
-    verdicts = [claim_sheet(claims(rows, folder))] if any(row.preset == PUBLISHED for row in rows) else []
-    return [*found, *([] if failures is None else [failures]), *verdicts]
-
-
-def number_sheets(rows: Sequence[Row]) -> list[Sheet]:
-    """The tables of numbers, without the tables of failures and claims.
+def sheets(rows: Sequence[Row]) -> list[Sheet]:
+    """All tables of the given rows.
 
     Raises
     ------
@@ -138,146 +55,213 @@ def number_sheets(rows: Sequence[Row]) -> list[Sheet]:
     if not rows:
         raise ValueError("no results: there is not one row to make a table of")
     parts = groups(rows)
-    explored = [part for part in parts if is_exploration(part.setting)]
+    explored = [part for part in parts if part.setting.is_exploration]
     by_frontier = [part for part in explored if part.setting.policy == FRONTIER]
-    own = [part for part in by_frontier if part.setting.world != _ROOMS and not part.setting.world.startswith(PLAN)]
+    others = {(part.setting.world, part.setting.noise) for part in explored if part.setting.policy != FRONTIER}
+    smoothed = [part for part in by_frontier if len(part.values(metric("ate_smoothed_m")))]
     found = [
-        _scores("Exploration", own, _GRID),
-        _overall(own),
-        outcome_sheet(by_frontier),
-        team_sheet(by_frontier),
-        _scores("Driven paths", [part for part in parts if is_drive(part.setting)], _DRIVE),
-        ablation_sheet(parts),
-        _policies(explored),
-        limit_sheet(explored),
-        _scores("Random floor plans", [part for part in by_frontier if part.setting.world == _ROOMS], _GRID),
-        _worst([row for part in by_frontier if part.setting.world == _ROOMS for row in part.rows]),
-        _scores("Floor plans", [part for part in by_frontier if part.setting.world.startswith(PLAN)], _GRID),
-        fault_sheet([part for part in parts if is_faulty(part.setting)]),
-        _scores("Recorded logs", [part for part in parts if is_log(part.setting)], _LOGS),
-    ]
+        _sheet("Exploration", READING, with_sums(by_frontier), _GRID),
+        _sheet("Outcomes of explorations", _ENDS, with_sums(smoothed), _OUTCOMES),
+        _pairs_sheet("Several robots against one", "one robot", by_frontier, _alone),
+        _sheet("Driven paths", READING, [part for part in parts if part.setting.is_drive], _DRIVE),
+        _pairs_sheet("Other methods against the published one", "the published method", parts, _published),
+        _sheet(
+            "Policies", READING,
+            [part for part in explored if (part.setting.world, part.setting.noise) in others], _POLICIES,
+        ),
+        _sheet("Faults", _FAULTY, with_sums([part for part in parts if part.setting.is_faulty]), _FAULTS),
+        _sheet("Recorded logs", READING, [part for part in parts if part.setting.is_log], _LOGS),
+        _failures(rows),
+    ]  # fmt: skip
     return [sheet for sheet in found if sheet is not None]
 
 
-def failure_sheet(rows: Sequence[Row]) -> Sheet | None:
+def _sheet(title: str, note: str, parts: Sequence[Group], columns: Sequence[Column]) -> Sheet | None:
+    """A table with a row for each group; None without groups. Words that all groups share are left out."""
+    if not parts:
+        return None
+    facts: dict[str, Callable[[Setting], str]] = {
+        "world": lambda setting: setting.world,
+        "laps": lambda setting: str(setting.laps or MISSING),
+        "noise": lambda setting: setting.noise_text,
+        "robots": lambda setting: str(setting.robots),
+        "policy": lambda setting: setting.policy,
+        "method": lambda setting: setting.method,
+    }
+    words = {name: [fact(part.setting) for part in parts] for name, fact in facts.items()}
+    words = {name: cells for name, cells in words.items() if name in {"world", "noise"} or len(set(cells)) > 1}
+    all_columns = [("n", _ended), *columns]
+    rows = tuple(
+        (*about, *(text(part) for _, text in all_columns))
+        for about, part in zip(zip(*words.values(), strict=True), parts, strict=True)
+    )
+    return Sheet(title, note, (*words, *(name for name, _ in all_columns)), rows, len(words)).without_empty()
+
+
+def _ended(part: Group) -> str:
+    failed = len(part.rows) - part.ended
+    return f"{part.ended} ({failed})" if failed else str(part.ended)
+
+
+def _median(heading: str, of: str | Value, decimals: int = 2) -> Column:
+    """A column of medians of a metric or of another value."""
+    value = metric(of) if isinstance(of, str) else of
+    return heading, lambda part: _text(median(part.values(value)), decimals, part.ended)
+
+
+def _text(found: Estimate | None, decimals: int, runs: int) -> str:
+    """An estimate, with its number of values if that is not the number of runs."""
+    if found is None:
+        return MISSING
+    return found.text(decimals) + ("" if found.count == runs else f" ({found.count})")
+
+
+def _of(heading: str, statistic: Callable[..., float], name: str, decimals: int) -> Column:
+    """A column of another statistic of a metric."""
+
+    def text(part: Group) -> str:
+        values = part.values(metric(name))
+        return number(float(statistic(values)), decimals) if len(values) else MISSING
+
+    return heading, text
+
+
+def _count(heading: str, name: str, holds: Callable[[float], bool] = lambda value: value > 0.0) -> Column:
+    """A column of how many of the runs have a metric for which this holds."""
+    return heading, lambda part: f"{sum(map(holds, part.values(metric(name)).tolist()))} of {part.ended}"
+
+
+def _ended_ok(part: Group, above: float = -np.inf) -> str:
+    """How many of the runs have the status ok at their end, and an error of the smoothed path above a limit (m)."""
+    ok = [row for row in part.rows if row.metrics.get("status") == "ok"]
+    return f"{sum((metric('ate_smoothed_m')(row) or 0.0) > above for row in ok)} of {part.ended}"
+
+
+def _placed(part: Group) -> str:
+    """How many of the robots that were carried away were placed in time."""
+    _, in_time = _count("", "fault_placed_s", lambda value: value <= PLACED_WITHIN)
+    return in_time(part) if part.setting.policy == KIDNAPPED else MISSING
+
+
+def _over_odometry(row: Row) -> float | None:
+    estimated, odometry = metric("ate_m")(row), metric("odometry_ate_m")(row)
+    return estimated / odometry if estimated is not None and odometry else None
+
+
+_SCORES = (
+    _median("F1 aligned", "wall_f1_aligned"), _median("F1", "wall_f1"), _median("F1 5 cm", "wall_f1_5cm"),
+    _median("spurious walls", "spurious_walls", 1), _median("doors open", "doors_open"),
+)  # fmt: skip
+_POSE = (_median("ATE m", "ate_m", 3), _median("ATE / limit", "ate_over_limit", 1), _median("ANEES", "anees", 1))
+_GRID = (*_SCORES, *_POSE, _median("time s", "exploration_time_s", 0), _median("covered", "coverage_true", 3))
+_DRIVE = (
+    *_POSE, _median("odometry ATE m", "odometry_ate_m", 3), _median("ATE / odometry", _over_odometry),
+    _median("limit ATE m", "limit_ate_m", 3), _median("heading deg", "heading_rmse_deg"),
+    _median("odometry deg", "odometry_heading_rmse_deg"), _median("final error m", "final_error_m", 3),
+    _median("NEES in 95 %", "nees_in_95"), *_SCORES,
+)  # fmt: skip
+_POLICIES = (
+    *(_median(f"{share} % s", f"time_to_{share}_s", 0) for share in (50, 90, 95)),
+    _median("time s", "exploration_time_s", 0), _median("path m", "path_m", 1),
+    _median("covered", "coverage_true", 3), _median("claimed and correct", "coverage_correct", 3),
+    _median("collisions", "collisions", 1),
+)  # fmt: skip
+_LOGS = (
+    _median("estimate m", "relation_error_m"), _median("odometry m", "odometry_relation_error_m"),
+    _median("estimate deg", "relation_error_deg", 1), _median("odometry deg", "odometry_relation_error_deg", 1),
+    _median("loops: estimate m", "loop_relation_error_m"),
+    _median("loops: odometry m", "odometry_loop_relation_error_m"), _median("relations", "relations", 0),
+)  # fmt: skip
+_OUTCOMES = (
+    _count("ended by itself", "exploration_time_s", lambda _: True), ("ok at the end", _ended_ok),
+    _count("unsure at some time", "unsure_s"), _count("lost at some time", "lost_s"),
+    _count("touched a wall", "collisions"), _median("odometry ATE m", "odometry_ate_m"), _median("ATE m", "ate_m", 3),
+    _of("worst ATE m", np.max, "ate_m", 3), _median("smoothed ATE m", "ate_smoothed_m", 3),
+    _of("worst smoothed ATE m", np.max, "ate_smoothed_m", 3), _of("mean ANEES", np.mean, "anees", 1),
+    _of("mean smoothed ANEES", np.mean, "anees_smoothed", 1), _median("F1 aligned 5 cm", "wall_f1_aligned_5cm"),
+    _of("worst F1 aligned 5 cm", np.min, "wall_f1_aligned_5cm", 2), _median("recall", "wall_recall", 3),
+)  # fmt: skip
+_FAULTS = (
+    _count("not ok within 10 s", "fault_doubted_s", lambda value: value <= NOTICED_WITHIN),
+    _count("lost within 10 s", "fault_lost_s", lambda value: value <= NOTICED_WITHIN),
+    _median("not ok after s", "fault_doubted_s", 1), _of("ok though wrong, at most s", np.max, "fault_unnoticed_s", 1),
+    ("placed within 30 s", _placed), _median("placed after s", "fault_placed_s", 1),
+    _count("at a wrong place", "fault_wrong_place_s"), _count("of these ok", "fault_wrong_place_ok_s"),
+    _count("not ok before", "fault_alarms_before_s"), _median("smoothed ATE m", "ate_smoothed_m", 3),
+    ("ok at the end, smoothed ATE above 0.5 m", lambda part: _ended_ok(part, TOLERATED_ATE)),
+)  # fmt: skip
+_ENDS = (
+    "Medians over runs with 95 % bootstrap intervals, the worst runs, means, and numbers of runs. The walls are those "
+    "of the final map, which is the smoothed one where there is one."
+)
+_FAULTY = (
+    "Numbers of runs, and medians with 95 % bootstrap intervals over those that were noticed or placed. A right pose "
+    "is at most 0.5 m and 15 degrees off. At a wrong place: the robot was lost, and then not lost with a wrong pose."
+)
+# Heading, metric, whether a ratio is shown and not a difference, and decimals.
+_MEASURES = (
+    (f"time, {TIMES}", "exploration_time_s", True, 2), (f"ATE, {TIMES}", "ate_m", True, 2),
+    ("F1 aligned, +", "wall_f1_aligned", False, 2), ("spurious walls, +", "spurious_walls", False, 1),
+    ("doors open, +", "doors_open", False, 2), ("associations right, +", "association_right_share", False, 3),
+)  # fmt: skip
+
+
+def _alone(setting: Setting) -> Setting | None:
+    return replace(setting, robots=1) if setting.robots > 1 else None
+
+
+def _published(setting: Setting) -> Setting | None:
+    is_published = setting.preset == PUBLISHED and setting.ablation is None
+    return None if is_published else replace(setting, preset=PUBLISHED, ablation=None)
+
+
+def _pairs_sheet(
+    title: str, other: str, parts: Sequence[Group], base: Callable[[Setting], Setting | None]
+) -> Sheet | None:
+    """Settings compared with others, run by run; None if there are none. The last rows are sums."""
+    known = {part.setting: part for part in parts}
+    matched = [(known[one], part) for part in parts if (one := base(part.setting)) is not None and one in known]
+    lines: dict[Setting, list[tuple[Group, Group]]] = {pair[1].setting: [pair] for pair in matched}
+    for pair in matched if len(matched) > 1 else []:
+        lines.setdefault(pair[1].setting.pooled, []).append(pair)
+    rows = [_pairs_row(setting, pairs) for setting, pairs in lines.items()]
+    if not rows:
+        return None
+    header = ("method", "world", "noise", "robots", "policy", "pairs", "left out", "unpaired")
+    note = (
+        f"{TIMES}: over {other}; +: minus {other}. Medians over pairs of runs that share world, noise and seed, with "
+        "95 % bootstrap intervals. Left out: pairs of which a run failed; unpaired: runs without a partner. A number "
+        "in brackets behind a value: so many pairs have one."
+    )
+    return Sheet(title, note, (*header, *(name for name, *_ in _MEASURES)), tuple(rows), 5).without_empty()
+
+
+def _pairs_row(setting: Setting, pairs: Sequence[tuple[Group, Group]]) -> tuple[str, ...]:
+    def values(of: Value) -> Pairs:
+        first, second = dict[Hashable, float | None](), dict[Hashable, float | None]()
+        for one, other in pairs:
+            first |= one.by_job(of)
+            second |= other.by_job(of)
+        return paired(first, second)
+
+    ended = values(lambda row: None if row.error else 0.0)
+    count = len(ended.first)
+    cells = [
+        _text(found.ratio if is_ratio else found.difference, decimals, count)
+        for found, is_ratio, decimals in ((values(metric(name)), ratio, each) for _, name, ratio, each in _MEASURES)
+    ]
+    world = f"{setting.world}, {setting.laps} laps" if setting.laps else setting.world
+    words = (setting.method, world, setting.noise_text, str(setting.robots), setting.policy)
+    return (*words, str(count), str(ended.left_out), str(ended.unpaired or MISSING), *cells)
+
+
+def _failures(rows: Sequence[Row]) -> Sheet | None:
     """All failed runs with the reasons; None if no run failed."""
     failed = [
-        (row.world, centimetres(row.noise), str(row.robots), _method(row), row.policy, str(row.seed), row.error)
-        for row in rows
+        (row.world, setting.noise_text, str(row.robots), setting.method, row.policy, str(row.seed), row.error)
+        for row, setting in ((row, setting_of(row)) for row in rows)
         if row.error is not None
     ]
     header = ("world", "noise", "robots", "method", "policy", "seed", "reason")
     note = f"{len(failed)} of {len(rows)} runs failed. They are in every count, and in no median."
     return Sheet("Failures", note, header, tuple(failed), len(header)) if failed else None
-
-
-def cost_sheet(rows: Sequence[Row]) -> Sheet | None:
-    """The cost of runs by number of robots and method; None if no row has a cost."""
-    parts = merged(groups(rows), lambda each: replace(each, world="all", noise=0.0, policy="", laps=0))
-    cells = median_cells(parts, _COSTS)
-    named = zip(parts, cells, strict=True)
-    lines = tuple((str(part.setting.robots), part.setting.method, counted(part), *numbers) for part, numbers in named)
-    header = ("robots", "method", "n", *(column.heading for column in _COSTS))
-    note = "Medians; they depend on the machine and on what else it did, and are part of no comparison."
-    found = Sheet("Cost", note, header, lines, 2).without_empty()
-    return found if len(found.header) > 3 else None
-
-
-def claim_sheet(verdicts: Sequence[Verdict]) -> Sheet:
-    """The claims of the paper with their verdicts."""
-    rows = tuple((each.claim, each.source, each.outcome, each.evidence) for each in verdicts)
-    note = (
-        "Judged on the rows of the published method. Intervals are 95 %; undecided: the interval holds both answers, "
-        "and more runs would tell. What counts as confirmed is our choice, since the paper gives no numbers."
-    )
-    return Sheet("Claims of the paper", note, ("claim", "where", "outcome", "measured"), rows, words=4)
-
-
-def _method(row: Row) -> str:
-    return row.preset if row.ablation is None else f"{row.preset}, {row.ablation}"
-
-
-_FACTS: dict[str, Callable[[Setting], str]] = {
-    "world": lambda setting: setting.world,
-    "laps": lambda setting: str(setting.laps) if setting.laps else MISSING,
-    "noise": lambda setting: centimetres(setting.noise),
-    "robots": lambda setting: str(setting.robots),
-    "policy": lambda setting: setting.policy,
-    "method": lambda setting: setting.method,
-}
-_ALWAYS = {"world", "noise", "robots"}
-
-
-def _described(parts: Sequence[Group]) -> dict[str, list[str]]:
-    """The facts that distinguish groups: a column of words for each fact that differs between the groups."""
-    columns = {name: [fact(part.setting) for part in parts] for name, fact in _FACTS.items()}
-    return {name: cells for name, cells in columns.items() if name in _ALWAYS or len(set(cells)) > 1}
-
-
-def _scores(title: str, parts: Sequence[Group], columns: Sequence[Column]) -> Sheet | None:
-    """A table with one row for each group; None without groups."""
-    if not parts:
-        return None
-    facts = _described(parts)
-    cells = median_cells(parts, columns)
-    rows = tuple(
-        (*words, counted(part), *numbers)
-        for words, part, numbers in zip(zip(*facts.values(), strict=True), parts, cells, strict=True)
-    )
-    header = (*facts, "n", *(column.heading for column in columns))
-    return Sheet(title, READING, header, rows, len(facts)).without_empty()
-
-
-def _policies(explored: Sequence[Group]) -> Sheet | None:
-    """How fast different policies explore a world; None if there is only one policy."""
-    policies = {part.setting.policy for part in explored}
-    if len(policies) < 2:
-        return None
-    places = {_place(part.setting) for part in explored if part.setting.policy != FRONTIER}
-    compared = [part for part in explored if _place(part.setting) in places]
-    return _scores("Policies", compared, _POLICIES)
-
-
-def _place(setting: Setting) -> tuple[str, float, int]:
-    return setting.world, setting.noise, setting.robots
-
-
-def _overall(own: Sequence[Group]) -> Sheet | None:
-    """Each method over all worlds and noises; None if there is only one world and one noise."""
-    pooled = merged(own, lambda each: Setting("all", 0.0, each.robots, each.preset, each.policy, each.ablation, 0))
-    if len(pooled) == len(own):
-        return None
-    columns = (*_SCORES[:2], _SCORES[3], _POSE[0], _POSE[2], _GRID[-2])
-    samples = [part.values(column.value) for part in pooled for column in columns]
-    both = iter(zip(interquartile_means(samples), medians(samples), strict=True))
-    rows = []
-    for part in pooled:
-        ended = len(part.rows) - part.failed
-        found = [next(both) for _ in columns]
-        for name, which in (("interquartile mean", 0), ("median", 1)):
-            cells = (written(pair[which], column.decimals, ended) for pair, column in zip(found, columns, strict=True))
-            rows.append((str(part.setting.robots), part.setting.method, name, counted(part), *cells))
-    note = (
-        "All worlds and noises of the table above put together, each run counted once: what a method is worth on the "
-        "whole, not in a place. Intervals are of the runs at hand, not of other worlds."
-    )
-    header = ("robots", "method", "statistic", "n", *(column.heading for column in columns))
-    return Sheet("All worlds and noises together", note, header, tuple(rows), 3).without_empty()
-
-
-def _worst(rows: Sequence[Row]) -> Sheet | None:
-    """The random plans with the worst maps; None if there are no random plans."""
-    value = metric("wall_f1_aligned")
-    found = sorted((score, number) for number, row in enumerate(rows) if (score := value(row)) is not None)
-    if not found:
-        return None
-    columns = (_SCORES[0], *_POSE, _GRID[-1])
-    cells = []
-    for _, number in found[:_WORST]:
-        row = rows[number]
-        numbers = ((column.value(row), column.decimals) for column in columns)
-        words = (MISSING if number is None else f"{number:.{decimals}f}" for number, decimals in numbers)
-        why = str(row.metrics.get("stop_reason") or MISSING)
-        cells.append((row.world, centimetres(row.noise), str(row.robots), str(row.seed), why, *words))
-    header = ("plan", "noise", "robots", "seed", "ended because", *(column.heading for column in columns))
-    return Sheet("The worst random floor plans", "Those with the lowest F1.", header, tuple(cells), 5).without_empty()

@@ -15,12 +15,13 @@ from benchmarks.scoreboard.compare import Cell
 from benchmarks.scoreboard.measure import measure
 from benchmarks.scoreboard.rows import Row, Rows
 from benchmarks.scoreboard.sources import digest_of, estimator_files, size_of
-from benchmarks.suite.engines import Engine
 from benchmarks.suite.jobs import digest
 from benchmarks.suite.runner import Summary, run_suite
 from benchmarks.suite.store import read_rows
 from benchmarks.suite.suite import Suite
 from benchmarks.suite.work import data_folder
+from limslam_agent.measurements.processes import Processes
+from limslam_agent.measurements.statistics import MISSING, number
 from limslam_agent.output.atomic_write import replace_content
 from limslam_agent.output.provenance import commit
 from limslam_agent.safe_files import read_limited
@@ -39,8 +40,8 @@ Board = dict[str, Any]
 
 
 def run_scoreboard(
-    rows: Rows, patterns: Sequence[str], folder: Path, engine: Engine, *, unused: bool = False, jitter: float = 0.0,
-    retry_failed: bool = False,
+    rows: Rows, patterns: Sequence[str], folder: Path, processes: Processes, *, unused: bool = False,
+    jitter: float = 0.0, retry_failed: bool = False,
 ) -> tuple[Board, Summary, list[str]]:  # fmt: skip
     """Measure the cells that have no result in a folder yet, and write ``scoreboard.json`` there.
 
@@ -48,7 +49,7 @@ def run_scoreboard(
     ----------
     rows, patterns
         The rows, and patterns of the names of those that are measured; all if there are none.
-    folder, engine, retry_failed
+    folder, processes, retry_failed
         As in :func:`benchmarks.suite.runner.run_suite`.
     unused
         Take the seeds of figures that are published.
@@ -71,7 +72,7 @@ def run_scoreboard(
     jobs = [job for row in chosen if row.name not in skipped for job in row.cells(first)]
     known = digest([[asdict(row) for row in rows.row], first, jitter, digest_of(estimator_files())])
     suite = Suite("scoreboard", "Cells of the scoreboard.", tuple(jobs), known)
-    summary = run_suite(suite, folder, engine, work=partial(measure, by_name, jitter), retry_failed=retry_failed)
+    summary = run_suite(suite, folder, processes, work=partial(measure, by_name, jitter), retry_failed=retry_failed)
     board = board_of(folder, by_name, first, jitter)
     replace_content(folder / FILE, written(board))
     return board, summary, skipped
@@ -142,16 +143,8 @@ def _line(name: str, all_cells: Sequence[Cell]) -> str:
     wrong = f"{_total(cells, 'wrong_ok_s')} ({_total(cells, 'wrong_ok_end')})"
     count = f"{len(cells)} ({failed} failed)" if failed else str(len(cells))
     figures = (
-        name,
-        count,
-        *paths,
-        nees,
-        _median(cells, "f1_5cm", 2),
-        wrong,
-        _total(cells, "false_alarm_s"),
-        counts,
-        cpu,
-    )
+        name, count, *paths, nees, _median(cells, "f1_5cm", 2), wrong, _total(cells, "false_alarm_s"), counts, cpu
+    )  # fmt: skip
     return f"| {' | '.join(figures)} |"
 
 
@@ -161,18 +154,18 @@ def _values(cells: Sequence[Cell], name: str) -> list[float]:
 
 def _median(cells: Sequence[Cell], name: str, digits: int) -> str:
     values = _values(cells, name)
-    return f"{np.median(values):.{digits}f}" if values else "\N{EN DASH}"
+    return number(float(np.median(values)), digits) if values else MISSING
 
 
 def _spread(cells: Sequence[Cell], name: str) -> str:
     """The median and the worst, m."""
     values = _values(cells, name)
-    return f"{np.median(values):.3f} ({max(values):.3f})" if values else "\N{EN DASH}"
+    return f"{np.median(values):.3f} ({max(values):.3f})" if values else MISSING
 
 
 def _total(cells: Sequence[Cell], name: str) -> str:
     values = _values(cells, name)
-    return f"{sum(values):.0f}" if values else "\N{EN DASH}"
+    return f"{sum(values):.0f}" if values else MISSING
 
 
 def _rounded(value: Any) -> Any:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from limslam_agent.measurements.statistics import Estimate, geometric_ratio, two_errors
 from limslam_env.geometry import FloatArray
 
 Cell = Mapping[str, Any]
@@ -29,39 +30,6 @@ _TINY = 1e-4  # m; errors below are taken to be equal to it
 
 
 @dataclass(frozen=True)
-class Ratio:
-    """The geometric mean of paired ratios, new over old, with an interval of two standard errors.
-
-    Attributes
-    ----------
-    mean, low, high
-        The mean and its interval.
-    pairs
-        Number of pairs.
-    """
-
-    mean: float
-    low: float
-    high: float
-    pairs: int
-
-    @property
-    def words(self) -> str:
-        """The text of a cell of a table."""
-        return f"{self.mean:.2f} [{self.low:.2f}, {self.high:.2f}]"
-
-
-def paired_ratio(old: Sequence[float], new: Sequence[float], noise: float) -> Ratio | None:
-    """Compare positive figures in pairs; None if there are none. ``noise`` is the least standard deviation."""
-    if not len(old):
-        return None
-    logs = np.log(np.array(new, dtype=float)) - np.log(np.array(old, dtype=float))
-    scatter = max(noise, float(logs.std(ddof=1)) if len(logs) > 1 else 0.0)
-    error, mean = 2.0 * scatter / math.sqrt(len(logs)), float(logs.mean())
-    return Ratio(math.exp(mean), math.exp(mean - error), math.exp(mean + error), len(logs))
-
-
-@dataclass(frozen=True)
 class Difference:
     """A row under the old and the new estimator.
 
@@ -77,16 +45,18 @@ class Difference:
 
     row: str
     pairs: int
-    ratios: dict[str, Ratio]
+    ratios: dict[str, Estimate]
     reasons: tuple[str, ...]
 
 
 def compared(old: Iterable[Cell], new: Iterable[Cell]) -> list[Difference]:
-    """Compare the rows that both scoreboards have, by the cells that both have."""
+    """Compare the rows that both scoreboards have, by the cells that both have; the row ``all`` has all of them."""
+    before = {_key(cell): cell for cell in old}
+    pairs = [(before[_key(cell)], cell) for cell in new if _key(cell) in before]
     rows: dict[str, list[tuple[Cell, Cell]]] = {}
-    for pair in _paired(old, new):
+    for pair in pairs:
         rows.setdefault(str(pair[1]["row"]), []).append(pair)
-    return [difference(row, pairs) for row, pairs in rows.items()]
+    return [difference(row, each) for row, each in (rows | {"all": pairs}).items()] if pairs else []
 
 
 def difference(row: str, pairs: Sequence[tuple[Cell, Cell]]) -> Difference:
@@ -98,10 +68,12 @@ def difference(row: str, pairs: Sequence[tuple[Cell, Cell]]) -> Difference:
         # A covariance that is too large is not worse than a right one.
         least = 1.0 if name.startswith("nees") else _TINY
         values = [(max(old[name], least), max(new[name], least)) for old, new in _having(pairs, name)]
-        found = paired_ratio([a for a, _ in values], [b for _, b in values], NOISE.get(name, 0.0))
+        found = geometric_ratio([a for a, _ in values], [b for _, b in values], NOISE.get(name, 0.0))
         if found is not None:
             ratios[name] = found
-    reasons = [f"{name} {ratio.words}" for name, ratio in ratios.items() if name not in CPU and ratio.low > 1.0]
+    reasons = [
+        f"{name} {ratio.text(2)}" for name, ratio in ratios.items() if name not in CPU and (ratio.low or 0.0) > 1.0
+    ]
     reasons += [f"{failed} failed"] if failed else []
     return Difference(row, len(pairs), ratios, (*reasons, *_other_reasons(pairs)))
 
@@ -109,11 +81,11 @@ def difference(row: str, pairs: Sequence[tuple[Cell, Cell]]) -> Difference:
 def _other_reasons(pairs: Sequence[tuple[Cell, Cell]]) -> list[str]:
     found = []
     drops = _changes(pairs, "f1_5cm")
-    if len(drops) and drops.mean() + _error(drops, F1_NOISE) < 0.0:
+    if len(drops) and drops.mean() + two_errors(drops, F1_NOISE) < 0.0:
         found.append(f"f1_5cm {drops.mean():+.3f}")
     for name in ("wrong_ok_s", "false_alarm_s"):
         more = _changes(pairs, name)
-        if more.sum() > _LEAST_SECONDS and more.mean() > _error(more, 0.0):
+        if more.sum() > _LEAST_SECONDS and more.mean() > two_errors(more, 0.0):
             found.append(f"{name} {more.sum():+.0f} s")
     if (more := _changes(pairs, "wrong_ok_end")).sum() > 0.0:
         found.append(f"{more.sum():.0f} more wrong and ok at the end")
@@ -124,33 +96,21 @@ def _other_reasons(pairs: Sequence[tuple[Cell, Cell]]) -> list[str]:
     return found
 
 
-def closing(found: Sequence[Difference]) -> str:
-    """One line: no row is worse, or which rows are."""
-    worse = [f"{each.row} ({'; '.join(each.reasons)})" for each in found if each.reasons]
-    if not found:
-        return "no cell is in both scoreboards"
-    return f"worse beyond noise: {', '.join(worse)}" if worse else f"no row is worse ({len(found)} rows compared)"
-
-
 def comparison_table(found: Sequence[Difference]) -> list[str]:
-    """The lines of a table of ratios, new over old, in Markdown."""
+    """The lines of a table of ratios, new over old, in Markdown. The last line says which rows are worse.
+
+    The row ``all`` is shown and not judged.
+    """
+    if not found:
+        return ["no cell is in both scoreboards"]
     names = [*NOISE, *CPU]
     lines = [f"| row | n | {' | '.join(names)} | worse |", f"|{'---|' * (len(names) + 3)}"]
     for each in found:
-        cells = [each.ratios[name].words if name in each.ratios else "" for name in names]
+        cells = [each.ratios[name].text(2) if name in each.ratios else "" for name in names]
         lines.append(f"| {each.row} | {each.pairs} | {' | '.join(cells)} | {'; '.join(each.reasons)} |")
-    return lines
-
-
-def pooled(old: Iterable[Cell], new: Iterable[Cell]) -> Difference:
-    """All cells that both scoreboards have, as one row."""
-    return difference("all", _paired(old, new))
-
-
-def _paired(old: Iterable[Cell], new: Iterable[Cell]) -> list[tuple[Cell, Cell]]:
-    """The cells that both scoreboards have."""
-    before = {_key(cell): cell for cell in old}
-    return [(before[_key(cell)], cell) for cell in new if _key(cell) in before]
+    worse = [f"{each.row} ({'; '.join(each.reasons)})" for each in found[:-1] if each.reasons]
+    none = f"no row is worse ({len(found) - 1} rows compared)"
+    return [*lines, "", f"worse beyond noise: {', '.join(worse)}" if worse else none]
 
 
 def _key(cell: Cell) -> tuple[Any, ...]:
@@ -163,9 +123,3 @@ def _having(pairs: Sequence[tuple[Cell, Cell]], name: str) -> list[tuple[Cell, C
 
 def _changes(pairs: Sequence[tuple[Cell, Cell]], name: str) -> FloatArray:
     return np.array([float(new[name]) - float(old[name]) for old, new in _having(pairs, name)])
-
-
-def _error(values: FloatArray, noise: float) -> float:
-    """Two standard errors of a mean."""
-    scatter = float(values.std(ddof=1)) if len(values) > 1 else 0.0
-    return 2.0 * max(scatter, noise) / math.sqrt(len(values))

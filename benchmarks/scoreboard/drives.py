@@ -7,7 +7,8 @@ from typing import cast
 
 import numpy as np
 
-from benchmarks.scoreboard.rows import Fault, Row
+from benchmarks.scoreboard.rows import Row
+from benchmarks.suite.faults import DRIVE_FAULTS, Fault, drawn_slips, with_fault
 from benchmarks.suite.work import world_source
 from limslam_agent.belief import Belief
 from limslam_agent.logs.recorded_log import RecordedLog
@@ -32,7 +33,6 @@ _CANDIDATES = 8  # places of which the next goal is chosen
 _NEW = 0.6  # share of goals that are far from all where the robot has been
 _LEAST_WAY = 1.0  # m
 _BEAM_BEGINS = 0.5  # share of the drive after which one beam is late
-_SLIPS = 3
 _BACK, _TURN = 0.5, 1.5  # s of driving back from an obstacle, and of the longest turn after that
 
 Driver = Callable[[FloatArray, bool], FloatArray]
@@ -60,10 +60,9 @@ def recorded_drive(row: Row, world: World, seed: int, jitter: float) -> Recorded
         Standard deviation of further noise of the ranges, m, by which the noise of the scoreboard itself is measured.
     """
     robot, generator = RobotSpec(), np.random.default_rng([seed, 1])
-    beam = seed % len(robot.beams)
     turns = np.zeros(len(robot.beams))
-    if row.fault and row.fault.kind == "turned beam":
-        turns[beam] = math.radians(row.fault.size)
+    if row.fault == "turned beam":
+        turns[seed % len(robot.beams)] = math.radians(DRIVE_FAULTS[row.fault])
     true_robot = RangeSensor(0.0, turns=tuple(turns.tolist())).mounted(robot)
     noise = row.true_noise if row.true_noise.sensor_noise else replace(row.true_noise, sensor_noise=row.noise)
     env = LimSlamParallelEnv(world, robot=true_robot, noise=noise, num_robots=1, coverage_goal=None, max_cycles=None)
@@ -78,10 +77,13 @@ def recorded_drive(row: Row, world: World, seed: int, jitter: float) -> Recorded
     ranges, wheels = (np.array([seen[key] for seen, _ in rows], dtype=float) for key in ("ranges", "wheels"))
     true = np.array([info["pose"] for _, info in rows])
     ranges = shaken(ranges, robot, jitter, seed)
+    time = robot.control_period * np.arange(float(len(rows)))
     if row.fault:
-        ranges, wheels = _with_fault(row.fault, robot, beam, ranges, wheels, generator)
+        begin = time[round(_BEAM_BEGINS * len(rows))] if row.fault == "delayed" else 0.0
+        slips = drawn_slips(len(rows), generator) if row.fault == "slips" else {}
+        ranges, wheels = with_fault(Fault(row.fault, begin, seed, robot, slips), ranges, wheels, time)
     return RecordedLog(
-        robot=robot, time=robot.control_period * np.arange(float(len(rows))), ranges=ranges.astype(np.float32),
+        robot=robot, time=time, ranges=ranges.astype(np.float32),
         has_scan=np.ones(len(rows), dtype=np.bool_), start_pose=true[0], wheels=wheels, true_pose=true,
     )  # fmt: skip
 
@@ -135,28 +137,3 @@ def _bumps(robot: RobotSpec, generator: np.random.Generator) -> Driver:
         return plan.pop(0) if plan else wheel_speeds(LAP_SPEED, 0.0, robot)
 
     return drive
-
-
-def _with_fault(
-    fault: Fault, robot: RobotSpec, beam: int, ranges: FloatArray, wheels: FloatArray, generator: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
-    """Ranges (t, n_beams) and wheel travel (t, 2) as a robot with a fault reports them."""
-    ranges, wheels, steps = ranges.copy(), wheels.copy(), round(fault.size / robot.control_period)
-    before = ranges.copy()
-    if fault.kind == "late":
-        ranges[steps:] = before[: len(before) - steps]
-    elif fault.kind == "late beam":
-        begin = round(_BEAM_BEGINS * len(ranges))
-        ranges[begin:, beam] = before[begin - steps : len(before) - steps, beam]
-    elif fault.kind == "dead beam":
-        ranges[:, beam] = robot.max_ranges[beam]
-    elif fault.kind == "stuck beam":
-        ranges[:, beam] = fault.size
-    elif fault.kind == "offset":
-        ranges = np.where(ranges < robot.too_far, ranges + fault.size, ranges)
-    elif fault.kind == "slips":
-        turns = math.radians(fault.size) * generator.choice((-1.0, 1.0), _SLIPS)
-        # Turning to the left without notice means that the wheels report a turn to the right too little.
-        places = np.linspace(0.0, len(wheels), _SLIPS + 2)[1:-1].astype(int)
-        wheels[places + generator.integers(-50, 50, _SLIPS)] += 0.5 * robot.axle * turns[:, None] * [1.0, -1.0]
-    return ranges, wheels

@@ -43,10 +43,9 @@ def measure(rows: Mapping[str, Row], jitter: float, job: Job) -> Outcome:
     """Measure a cell. ``rows`` has the row of the job, and ``jitter`` is further noise of recorded ranges, m."""
     row = rows[job.policy]
     warm_up()
-    begin = time.process_time()
     scores = _KINDS[row.kind](row, job, jitter)
     cost: dict[str, float] = {name: scores.pop(name) for name in CPU if name in scores}
-    return Outcome(plain(scores), {**cost, "job_cpu_s": time.process_time() - begin}, {}, "")
+    return Outcome(plain(scores), cost, {}, "")
 
 
 @functools.cache

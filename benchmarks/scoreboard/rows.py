@@ -7,6 +7,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Literal
 
+from benchmarks.suite.faults import DRIVE_FAULTS
 from benchmarks.suite.jobs import Job
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.tables import SettingsError, built, read_toml
@@ -15,27 +16,6 @@ from limslam_env.config import NoiseConfig
 SHIPPED = Path(__file__).parent / "rows.toml"
 
 Kind = Literal["drive", "exploration", "log", "made-up log"]
-
-
-@dataclass(frozen=True)
-class Fault:
-    """An error of a sensor that nobody is told of.
-
-    Attributes
-    ----------
-    kind
-        ``late``: all ranges come ``size`` s late. ``late beam``: one beam comes ``size`` s late in the second half of
-        the drive. ``dead beam``: one beam sees nothing, ever. ``stuck beam``: one beam always reads ``size`` m.
-        ``turned beam``: one beam is mounted ``size`` deg to the left. ``offset``: all ranges are ``size`` m too long.
-        ``slips``: three times the robot turns by ``size`` deg, to either side, and its wheels do not notice.
-    size
-        How large the error is.
-
-    The seed chooses the beam, and where slips happen.
-    """
-
-    kind: Literal["late", "late beam", "dead beam", "stuck beam", "turned beam", "offset", "slips"]
-    size: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -61,7 +41,9 @@ class Row:
     bumps
         Whether the robot of a drive drives straight on until it hits something, instead of from place to place.
     fault
-        An error of a sensor that the estimator is not told of.
+        A fault that the estimator is not told of, one of ``DRIVE_FAULTS`` of
+        :mod:`benchmarks.suite.faults`, from the start on
+        (``delayed``: in the second half of the drive).
     robots, unknown_starts, kidnapped
         Number of robots of an exploration, whether the second one's start is unknown, and the earliest and the latest
         time at which the robot is kidnapped, s.
@@ -78,7 +60,7 @@ class Row:
     true_noise: NoiseConfig = field(default_factory=NoiseConfig)
     seconds: float = 150.0
     bumps: bool = False
-    fault: Fault | None = None
+    fault: str | None = None
     robots: int = 1
     unknown_starts: bool = False
     kidnapped: tuple[float, float] | None = None
@@ -94,6 +76,8 @@ class Row:
             raise ValueError("the noise is 0 m or more, and the time is above 0 s")
         if self.kind == "log" and not (self.file and self.relations and self.beams):
             raise ValueError("a log needs its file, relations and beams")
+        if self.fault is not None and self.fault not in DRIVE_FAULTS:
+            raise ValueError(f"no fault is called {self.fault!r}; there are {', '.join(DRIVE_FAULTS)}")
         if self.kind != "drive" and (self.fault or self.bumps):
             raise ValueError("fault and bumps go with the kind drive")
         if self.kind != "exploration" and (self.robots > 1 or self.kidnapped):

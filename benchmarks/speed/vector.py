@@ -17,15 +17,18 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import pymunk
 
-from benchmarks.speed.env import PLAIN, counted, plain_loop, rooms, single_loop
 from benchmarks.speed.rates import Clock, Loop, print_rates, rates_in_turn, ratio
 from benchmarks.speed.run import BAR, times_faster
 from benchmarks.speed.simulators import SIMULATORS, simulator_loops
 from limslam_agent import SlamVectorObservation
 from limslam_env.batch.progress import cores
 from limslam_env.geometry import FloatArray
+from limslam_env.worlds.world import World
 
+PLAIN = "plain pymunk, 40 walls, six rays"
+_BURST = 200  # steps of a loop of one environment
 _BELIEFS, OURS = 256, "batch of 1024"
 CARTPOLE, SINGLE, BELIEFS = "CartPole of numpy, 1024", "single environment", f"beliefs of {_BELIEFS}"
 
@@ -65,6 +68,68 @@ _PLANS, _STARTS = 256, 1000
 
 # Steps before batches are timed: in the first ones, far more is seen for the first time than later.
 _FIRST = 400
+
+
+def plain_loop() -> Loop:
+    """Pymunk alone: a body that moves among walls, and six rays a step."""
+    generator = np.random.default_rng(0)
+    space = pymunk.Space()
+    for _ in range(40):
+        start = generator.uniform(0.0, 7.0, 2)
+        wall = pymunk.Segment(
+            space.static_body, tuple(start.tolist()), tuple((start + generator.uniform(-1.0, 1.0, 2)).tolist()), 0.0
+        )
+        wall.filter = pymunk.ShapeFilter(categories=1)
+        space.add(wall)
+    body = pymunk.Body(1.0, 1.0)
+    body.position = (3.5, 3.5)
+    space.add(body, pymunk.Circle(body, 0.1))
+    rays = pymunk.ShapeFilter(mask=1)
+    angles = np.radians([90.0, 45.0, 15.0, -15.0, -45.0, -90.0]).tolist()
+
+    def run() -> int:
+        for _ in range(_BURST):
+            body.velocity = (0.1 * math.cos(body.angle), 0.1 * math.sin(body.angle))
+            body.angular_velocity = 0.3
+            space.step(0.1)
+            x, y = body.position
+            for angle in angles:
+                ahead = body.angle + angle
+                space.segment_query_first((x, y), (x + 1.6 * math.cos(ahead), y + 1.6 * math.sin(ahead)), 0.0, rays)
+        return _BURST
+
+    return run
+
+
+def single_loop(env: gym.Env[Any, Any]) -> Loop:
+    """Steps of a single-robot environment, with autoreset."""
+    env.reset(seed=0)
+    actions = itertools.cycle(np.random.default_rng(0).uniform(-1.0, 1.0, (1000, 2)).astype(np.float32))
+
+    def run() -> int:
+        for _ in range(_BURST):
+            _, _, terminated, truncated, _ = env.step(next(actions))
+            if terminated or truncated:
+                env.reset()
+        return _BURST
+
+    return run
+
+
+def rooms(num_walls: int) -> World:
+    """Square rooms of 2.3 m with a door in each wall. The size of the building grows with the number of walls."""
+    # Each room adds two walls, below it and to its left; a door divides each of them into two pieces.
+    side = round(math.sqrt(num_walls / 4.0))
+    cell, jamb, walls = 2.3, 0.8, []
+    for i, j in itertools.product(range(side + 1), range(side)):
+        for x1, y1, x2, y2 in ((i, j, i, j + 1), (j, i, j + 1, i)):
+            start, end = np.array([x1, y1]) * cell, np.array([x2, y2]) * cell
+            along = (end - start) / cell
+            if i in {0, side}:
+                walls.append([*start, *end])
+            else:
+                walls.extend([[*start, *(start + jamb * along)], [*(end - jamb * along), *end]])
+    return World("rooms", (cell * side, cell * side), np.array(walls))
 
 
 def vector_loop(envs: gym.vector.VectorEnv[Any, Any, Any], steps: int, first: int = 0) -> Loop:
@@ -134,8 +199,8 @@ def loops() -> dict[str, Loop]:
     cartpole = gym.make_vec("CartPole-v1", num_envs=1024, vectorization_mode="vector_entry_point")
     found: dict[str, Loop] = {
         CARTPOLE: vector_loop(cartpole, 20),
-        SINGLE: counted(single_loop(gym.make("LimSlam-Env1-v0", sensor_noise=0.02)), 200),
-        PLAIN: counted(plain_loop(), 200),
+        SINGLE: single_loop(gym.make("LimSlam-Env1-v0", sensor_noise=0.02)),
+        PLAIN: plain_loop(),
         OURS: ours(1024, 20),
         "batch of 8192": ours(8192, 4),
         "batch of 8192, one thread": ours(8192, 4, num_threads=1),

@@ -1,63 +1,100 @@
-"""Faults of a robot that begin in the middle of an exploration, and what became of the robot."""
+"""Faults of a robot, in closed loop or in a recorded drive, and what became of a robot in which one began."""
 
+import math
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
 from benchmarks.suite.jobs import FAULTS, Job, Metric
 from limslam_agent.runs.episode import Episode
 from limslam_agent.status.status import LEVELS
-from limslam_env.geometry import BoolArray
+from limslam_env.geometry import BoolArray, FloatArray, ReadingArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import Observation, RobotSpec
 
-DELAY = 10
-"""Steps by which a beam is delayed: 1 s."""
+DRIVE_FAULTS = {**FAULTS, "turned beam": 5.0, "slips": 14.0}
+"""Faults of recorded drives, and their sizes: ``turned beam``: one beam is mounted so many degrees to the left, by the
+simulator; ``slips``: the robot turns by so many degrees, to either side, and its wheels do not notice.
+"""
+
 RIGHT_PLACE, RIGHT_HEADING = 0.5, np.radians(15.0)
 """A robot is at the right place if its pose is not farther off, m and rad."""
 
 
 @dataclass(eq=False)
 class Fault:
-    """One fault of a robot.
+    """One fault of a robot, which alters what it reports.
 
     Attributes
     ----------
     kind
-        ``kidnapped``: the robot is carried to a random free place and turned, and its wheels do not turn. That is done
-        by the run, and no reading is altered. ``reversed``: both wheels report the opposite of their travel.
-        ``swapped``: each wheel reports the travel of the other one. ``delayed``: one beam reports its reading of a
-        second ago. ``jump``: the wheels report 5 m once.
+        One of :data:`DRIVE_FAULTS`.
     begin
         Time at which the fault begins, s.
     seed
-        Of the beam.
+        Chooses the beam.
+    robot
+        The robot without the fault.
+    slips
+        For ``slips``: the turn (rad) that the wheels do not notice, by the number of the step.
     """
 
     kind: str
-    begin: float = 60.0
+    begin: float = 0.0
     seed: int = 0
-    _late: deque[Any] = field(default_factory=deque)
+    robot: RobotSpec = field(default_factory=RobotSpec)
+    slips: Mapping[int, float] = field(default_factory=dict)
+    _earlier: deque[ReadingArray] = field(default_factory=deque)
+    _steps: int = 0
     _has_begun: bool = False
 
-    def altered(self, told: Observation, time: float) -> Observation:
-        """The observation as the robot with the fault reports it."""
-        ranges, wheels = told["ranges"], told["wheels"]
-        self._late.append(ranges)
-        old = self._late.popleft() if len(self._late) > DELAY else self._late[0]
+    @property
+    def size(self) -> float:
+        """How large it is."""
+        return DRIVE_FAULTS[self.kind]
+
+    @property
+    def beam(self) -> int:
+        """Number of the beam that has a fault of one beam."""
+        return self.seed % len(self.robot.beams)
+
+    def altered(self, told: Observation, time: float) -> Observation:  # noqa: C901 (a case for each kind)
+        """The observation as the robot with the fault reports it. Called once a step."""
+        late = self._late(told["ranges"])
+        step, self._steps = self._steps, self._steps + 1
         if time < self.begin - 1e-9:
             return told
         is_first, self._has_begun = not self._has_begun, True
-        if self.kind == "delayed":
-            beam = self.seed % len(ranges)
-            ranges = np.where(np.arange(len(ranges)) == beam, old, ranges)
-        if self.kind == "jump" and is_first:
-            wheels = wheels + np.float32(5.0)
-        change: dict[str, Callable[[Any], Any]] = {"reversed": lambda w: -w, "swapped": lambda w: w[::-1].copy()}
-        return Observation(ranges=ranges, wheels=change.get(self.kind, lambda w: w)(wheels))
+        ranges, wheels = told["ranges"].copy(), told["wheels"].copy()
+        if self.kind == "late":
+            ranges = late
+        elif self.kind == "delayed":
+            ranges[self.beam] = late[self.beam]
+        elif self.kind == "dead beam":
+            ranges[self.beam] = self.robot.max_ranges[self.beam]
+        elif self.kind == "stuck beam":
+            ranges[self.beam] = self.size
+        elif self.kind == "offset":
+            ranges[ranges < self.robot.too_far] += self.size
+        elif self.kind == "reversed":
+            wheels = -wheels
+        elif self.kind == "swapped":
+            wheels = wheels[::-1]
+        elif self.kind == "jump" and is_first:
+            wheels += self.size
+        elif self.kind == "slips":
+            # Turning to the left without notice means that the wheels report a turn to the right too little.
+            wheels += 0.5 * self.robot.axle * self.slips.get(step, 0.0) * np.array([1.0, -1.0])
+        return Observation(ranges=ranges, wheels=wheels)
+
+    def _late(self, ranges: ReadingArray) -> ReadingArray:
+        """The readings of ``size`` seconds ago; of now where there were none yet."""
+        if self.kind not in {"late", "delayed"}:
+            return ranges
+        self._earlier.append(ranges)
+        return self._earlier.popleft() if len(self._earlier) > round(self.size / self.robot.control_period) else ranges
 
 
 def fault_begins(job: Job) -> float | None:
@@ -72,7 +109,7 @@ def fault_begins(job: Job) -> float | None:
         return None
     if job.fault not in FAULTS:
         raise ValueError(f"no fault is called {job.fault!r}; there are {', '.join(FAULTS)}")
-    if len(job.fault_time) != 2 or not 0.0 < job.fault_time[0] <= job.fault_time[1]:
+    if not 0.0 < job.fault_time[0] <= job.fault_time[1]:
         raise ValueError("fault_time: must be two times above 0 s, the earliest and the latest")
     if not job.after_fault > 0.0:
         raise ValueError(f"after_fault: must be above 0 s, not {job.after_fault:g}")
@@ -81,6 +118,24 @@ def fault_begins(job: Job) -> float | None:
     period = RobotSpec().control_period
     drawn = np.random.default_rng(job.seed).uniform(*job.fault_time)
     return round(round(drawn / period) * period, 6)
+
+
+def with_fault(
+    fault: Fault, ranges: FloatArray, wheels: FloatArray, times: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Ranges (t, n_beams) and wheel travel (t, 2) of a recorded drive, as a robot with a fault reports them."""
+    told = [
+        fault.altered(Observation(ranges=seen, wheels=driven), time)
+        for seen, driven, time in zip(ranges, wheels, times, strict=True)
+    ]
+    return np.array([each["ranges"] for each in told]), np.array([each["wheels"] for each in told])
+
+
+def drawn_slips(steps: int, generator: np.random.Generator, count: int = 3) -> dict[int, float]:
+    """Slips to either side, spread over a drive: turns (rad) by the numbers of their steps."""
+    turns = math.radians(DRIVE_FAULTS["slips"]) * generator.choice((-1.0, 1.0), count)
+    places = np.linspace(0.0, steps, count + 2)[1:-1].astype(int)
+    return dict(zip((places + generator.integers(-50, 50, count)).tolist(), turns.tolist(), strict=True))
 
 
 def fault_scores(episode: Episode, begin: float) -> dict[str, Metric]:

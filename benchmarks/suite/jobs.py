@@ -10,8 +10,19 @@ from limslam_env.messages import counted
 
 LOG_POLICY, LAPS_POLICY = "replay", "laps"
 KIDNAPPED = "kidnapped"
-FAULTS = (KIDNAPPED, "reversed", "swapped", "delayed", "jump")
-"""The faults of :mod:`benchmarks.suite.faults`. In results, they take the place of the policy."""
+FAULTS = {
+    KIDNAPPED: 0.0, "reversed": 0.0, "swapped": 0.0, "delayed": 1.0, "jump": 5.0, "late": 0.1, "dead beam": 0.0,
+    "stuck beam": 0.4, "offset": 0.03,
+}  # fmt: skip
+"""Faults that can begin in the middle of an exploration, and their sizes. In results, they take the policy's place.
+
+``kidnapped``: the robot is carried to a random free place and turned, and its wheels do not turn. That is done by the
+run, and no reading is altered. ``reversed``: both wheels report the opposite of their travel. ``swapped``: each wheel
+reports the travel of the other one. ``jump``: the wheels report so many metres once. Of one beam, which the seed
+chooses: ``delayed``: it reports its reading of so many seconds ago; ``dead beam``: it sees nothing; ``stuck beam``: it
+always reads so many metres. Of all beams: ``late``: they report their readings of so many seconds ago; ``offset``: they
+read so many metres too much.
+"""
 RANDOM, PLAN, LOG = "random:", "plan:", "log:"
 OWN_PLAN = f"{RANDOM}seed"
 """The floor plan of the job's own seed."""
@@ -119,8 +130,8 @@ class Outcome:
     Attributes
     ----------
     metrics, cost
-        As in a run's ``result.json``. ``cost`` also contains ``job_s`` and ``job_cpu_s`` for the whole job with its
-        scores.
+        As in a run's ``result.json``. :mod:`benchmarks.suite.runner` adds ``job_s`` and ``job_cpu_s`` to ``cost``, of
+        the whole job with its scores.
     series
         Arrays for the plots, by name; see ``docs/benchmark.md``.
     config
@@ -131,13 +142,6 @@ class Outcome:
     cost: dict[str, float]
     series: dict[str, FloatArray]
     config: str
-
-
-@dataclass(frozen=True)
-class Failure:
-    """The reason why a job failed: an exception, a killed worker, or a time-out."""
-
-    reason: str
 
 
 def digest(content: Any) -> str:

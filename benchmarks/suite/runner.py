@@ -1,21 +1,28 @@
 """Execution of a suite: the missing jobs are run, and each result is stored as soon as its job has ended."""
 
+import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TypeAlias
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-
-from benchmarks.suite.engines import Engine, Work
-from benchmarks.suite.provenance import package_versions, work_alike
-from benchmarks.suite.store import Row, Stamp, open_store
+from benchmarks.suite.jobs import Job, Outcome
+from benchmarks.suite.store import FORMAT, Row, Stamp, has_series, row_of
 from benchmarks.suite.suite import Suite
 from benchmarks.suite.work import run_job
+from limslam_agent.cli.terminal import progress_bar
+from limslam_agent.measurements.processes import Processes
+from limslam_agent.measurements.store import open_store
 from limslam_agent.output.provenance import commit
+from limslam_agent.runs.results import versions
+
+Work: TypeAlias = Callable[[Job], Outcome]
+
+ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1")
+"""Environment of a worker. Sums that are split over threads differ in their last bits, and all cores are in use."""
 
 
 @dataclass(frozen=True)
@@ -30,8 +37,6 @@ class Summary:
         Title and reason of all failed jobs, including earlier failures.
     seconds
         Wall-clock time of this execution, s.
-    lost
-        Number of jobs that had to be repeated because the files of their series were lost.
     """
 
     jobs: int
@@ -39,20 +44,16 @@ class Summary:
     before: int
     failures: tuple[tuple[str, str], ...]
     seconds: float
-    lost: int = 0
 
     @property
     def words(self) -> str:
         """The summary as text for the terminal."""
         earlier = f", {self.before} of them before" if self.before else ""
-        again = f", {self.lost} again because their series were lost" if self.lost else ""
-        return (
-            f"{self.done} of {self.jobs} jobs done{earlier}{again}, {len(self.failures)} failed, {self.seconds:.1f} s"
-        )
+        return f"{self.done} of {self.jobs} jobs done{earlier}, {len(self.failures)} failed, {self.seconds:.1f} s"
 
 
 def run_suite(
-    suite: Suite, folder: Path, engine: Engine, *, work: Work = run_job, retry_failed: bool = False
+    suite: Suite, folder: Path, processes: Processes, *, work: Work = run_job, retry_failed: bool = False
 ) -> Summary:
     """Run the jobs of a suite that have no row in a folder yet.
 
@@ -62,8 +63,8 @@ def run_suite(
         The suite.
     folder
         Folder for the results; it may contain earlier results.
-    engine
-        The engine that runs the jobs.
+    processes
+        Run the jobs.
     work
         The function that computes the outcome of a job.
     retry_failed
@@ -72,38 +73,53 @@ def run_suite(
     Raises
     ------
     ValueError
-        If the folder cannot be used: see :func:`benchmarks.suite.store.open_store`.
+        If the folder cannot be used: see :func:`limslam_agent.measurements.store.open_store`.
     """
     begin = time.monotonic()
     stamp = Stamp(suite.name, suite.digest, len(suite.jobs), package_versions(), commit())
-    with open_store(folder, stamp, retry_failed=retry_failed) as store:
+
+    def keep(row: Row) -> bool:
+        return has_series(folder, row) and not (retry_failed and row.error)
+
+    with open_store(FORMAT, folder, stamp, keep) as store, one_thread():
         missing = [job for job in suite.jobs if job.key not in store.rows]
-        before = len(suite.jobs) - len(missing)
         failed = sum(row.error is not None for row in store.rows.values())
-        with _bar(suite.name, before, len(suite.jobs), failed) as advance:
-            if missing:
-                with closing(engine.run(missing, partial(work_alike, work, stamp.versions))) as results:
-                    for job, result in results:
-                        advance(store.append(job, result))
+        running = closing(processes.run(missing, partial(timed, work)))
+        with progress_bar(suite.name, len(suite.jobs)) as advance, running as results:
+            for job, result in results:
+                row = row_of(folder, stamp, job, result)
+                store.append(row)
+                failed += row.error is not None
+                advance(len(store.rows), f"{failed} failed")
         rows = {job.title: store.rows[job.key] for job in suite.jobs if job.key in store.rows}
         failures = tuple((title, row.error) for title, row in rows.items() if row.error is not None)
-        return Summary(len(suite.jobs), len(store.rows), before, failures, time.monotonic() - begin, store.lost)
+        before = len(suite.jobs) - len(missing)
+        return Summary(len(suite.jobs), len(store.rows), before, failures, time.monotonic() - begin)
+
+
+def timed(work: Work, job: Job) -> Outcome:
+    """Do a job, and add its time by the clock and of the processor to its cost, s."""
+    begin, begin_cpu = time.perf_counter(), time.process_time()
+    outcome = work(job)
+    spent = {"job_s": time.perf_counter() - begin, "job_cpu_s": time.process_time() - begin_cpu}
+    return replace(outcome, cost={**outcome.cost, **spent})
+
+
+def package_versions() -> dict[str, str]:
+    """Versions of all packages that a metric depends on."""
+    return versions()
 
 
 @contextmanager
-def _bar(name: str, before: int, jobs: int, failed: int) -> Iterator[Callable[[Row], None]]:
-    console = Console(stderr=True, highlight=False)
-    columns = (
-        TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.fields[failed]} failed"),
-        TimeElapsedColumn(), TextColumn("left"), TimeRemainingColumn(),
-    )  # fmt: skip
-    quiet = not console.is_terminal
-    with Progress(*columns, console=console, transient=True, refresh_per_second=2, disable=quiet) as progress:
-        bar = progress.add_task(name, total=jobs, completed=before, failed=failed)
-
-        def advance(row: Row) -> None:
-            nonlocal failed
-            failed += row.error is not None
-            progress.update(bar, advance=1, failed=failed)
-
-        yield advance
+def one_thread() -> Iterator[None]:
+    """Give new processes the environment of workers; afterwards this process has its own environment again."""
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value

@@ -3,24 +3,19 @@
 import itertools
 import re
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
-from typing import Any
 
 from benchmarks.suite.jobs import LOG, LOG_POLICY, RANDOM, Job, LogSource, digest
 from benchmarks.suite.train_config import TrainConfig
 from benchmarks.suite.work import check_log, contents, run_config
-from limslam_agent.config.tables import built
-from limslam_agent.safe_files import read_limited
+from limslam_agent.config.tables import built, read_toml
 from limslam_env.messages import described, one_line
-from limslam_env.toml_text import parse_toml
 
 FOLDER = Path(__file__).parent / "suites"
 NO_ABLATION = "none"
-MAX_SUITE_BYTES = 1_000_000
 MAX_SEEDS = 100_000
 
 
@@ -48,33 +43,94 @@ class Suite:
 
 
 @dataclass(frozen=True)
-class _Kind:
-    """The valid values of a list."""
+class _Seeds:
+    """Successive seeds."""
+
+    first: int
+    count: int
+
+    def __post_init__(self) -> None:
+        if not 1 <= self.count <= MAX_SEEDS:
+            raise ValueError(f"a grid has 1 to {MAX_SEEDS} seeds, not {described(self.count)}")
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """A table ``[[grid]]``: a product of all its lists. Its keys are those of a job."""
+
+    worlds: tuple[str, ...]
+    noises: tuple[float, ...]
+    seeds: tuple[int, ...] | _Seeds
+    robots: tuple[int, ...] = (1,)
+    presets: tuple[str, ...] = ("paper",)
+    policies: tuple[str, ...] = ("frontier",)
+    ablations: tuple[str, ...] = (NO_ABLATION,)
+    laps: tuple[int, ...] = (0,)
+    faults: tuple[str | None, ...] = (None,)
+    fault_time: tuple[float, float] = (80.0, 120.0)
+    after_fault: float = 40.0
+    max_time: float = 1800.0
+    until: str = "seen"
+    limit: bool = False
+
+    def jobs(self, first_seed: int | None) -> list[Job]:
+        """The jobs, with seeds that are moved so that ``first_seed`` is the lowest one."""
+        seeds = self.seeds
+        chosen = seeds if isinstance(seeds, tuple) else range(seeds.first, seeds.first + seeds.count)
+        moved = 0 if first_seed is None else first_seed - min(chosen, default=0)
+        axes = (
+            [each for world in self.worlds for each in _worlds(world)], self.noises, self.robots, self.presets,
+            self.policies, [None if each == NO_ABLATION else each for each in self.ablations], self.laps,
+            self.faults, [seed + moved for seed in chosen],
+        )  # fmt: skip
+        return [
+            Job(
+                world, noise, robots, preset, policy, ablation, laps, seed, self.max_time, self.limit, self.until,
+                fault, self.fault_time, self.after_fault,
+            )
+            for world, noise, robots, preset, policy, ablation, laps, fault, seed in itertools.product(*axes)
+        ]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class _Log:
+    """A table ``[[log]]``: a recorded log under the settings of its lists."""
 
     name: str
-    is_one: Callable[[Any], bool]
+    file: str
+    beams: tuple[float, ...]
+    relations: str | None = None
+    max_range: float = 3.0
+    odometry_bias: tuple[float, float] = (0.0, 1.0)
+    noises: tuple[float, ...] = (0.02,)
+    presets: tuple[str, ...] = ("paper",)
+    ablations: tuple[str, ...] = (NO_ABLATION,)
+
+    def jobs(self) -> list[Job]:
+        """The jobs."""
+        source = LogSource(self.name, self.file, self.beams, self.max_range, self.odometry_bias, self.relations)
+        return [
+            Job(
+                LOG + self.name, noise, preset=preset, policy=LOG_POLICY,
+                ablation=None if ablation == NO_ABLATION else ablation, log=source,
+            )
+            for noise, preset, ablation in itertools.product(self.noises, self.presets, self.ablations)
+        ]  # fmt: skip
 
 
-_TEXT = _Kind("texts", lambda value: isinstance(value, str) and bool(value))
-_WHOLE = _Kind("whole numbers", lambda value: type(value) is int)
-# The comparison is false for nan, and works for whole numbers that no float can hold.
-_NUMBER = _Kind("numbers", lambda value: type(value) in {int, float} and abs(value) < 1e300)
+@dataclass(frozen=True)
+class _File:
+    """A suite file."""
 
-_AXES: dict[str, tuple[str, _Kind, list[Any] | None]] = {
-    "worlds": ("world", _TEXT, None),
-    "noises": ("noise", _NUMBER, None),
-    "robots": ("robots", _WHOLE, [1]),
-    "presets": ("preset", _TEXT, ["paper"]),
-    "policies": ("policy", _TEXT, ["frontier"]),
-    "ablations": ("ablation", _TEXT, [NO_ABLATION]),
-    "laps": ("laps", _WHOLE, [0]),
-    "faults": ("fault", _TEXT, [None]),
-}
-"""For each list of a grid: the field of the job, the kind of values, and the default (None: the list is required)."""
+    name: str
+    description: str
+    grid: tuple[_Grid, ...] = ()
+    log: tuple[_Log, ...] = ()
+    train: TrainConfig | None = None
 
-_FAULT_KEYS = ("fault_time", "after_fault")
-_SHARED = (*_FAULT_KEYS, "until", "max_time", "limit")
-_LOG_AXES = ("noises", "presets", "ablations")
+    def __post_init__(self) -> None:
+        if not re.fullmatch(r"[A-Za-z0-9_-]+", self.name):
+            raise ValueError(f"name: {self.name!r} must be made of letters, digits, - and _")
 
 
 def shipped_suites() -> list[str]:
@@ -90,196 +146,62 @@ def load_suite(source: str, first_seed: int | None = None) -> Suite:
     Raises
     ------
     ValueError
-        If there is no such suite, or the suite is invalid; the message names file and key.
+        If there is no such suite, the suite is invalid, or one of its jobs cannot be run; the message names the file.
     """
     path = FOLDER / f"{source}.toml" if source in shipped_suites() else Path(source)
     if path.suffix != ".toml":
         raise ValueError(
             f"no suite is called {source!r}; there are {', '.join(shipped_suites())}, or give a .toml file"
         )
-    try:
-        text = read_limited(path, MAX_SUITE_BYTES).decode("utf-8").replace("\r\n", "\n")
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{path}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
-    return parse_suite(text, path.name if path.parent == FOLDER else str(path), first_seed)
-
-
-def parse_suite(text: str, label: str, first_seed: int | None = None) -> Suite:
-    """A suite from the text of a TOML file; ``label`` is the name of the file in error messages.
-
-    With ``first_seed``, the seeds of each grid are moved so that this is the lowest one.
-
-    Raises
-    ------
-    ValueError
-        If the text is not a valid suite, or one of its jobs cannot be run.
-    """
+    label = path.name if path.parent == FOLDER else str(path)
+    file = built(_File, read_toml(path), label)
     with _named(label):
-        try:
-            table = parse_toml(text)
-        except ValueError as error:
-            raise ValueError(f"not TOML: {error}") from error
-        _check_keys(table, "a suite", {"name", "description"}, {"grid", "log", "train"})
-        name, description = (_one(table, key, _TEXT) for key in ("name", "description"))
-        if not re.fullmatch(r"[A-Za-z0-9_-]+", name):
-            raise ValueError(f"name: {name!r} must be made of letters, digits, - and _")
-        if first_seed is not None and "grid" not in table:
+        if first_seed is not None and not file.grid:
             raise ValueError("--first-seed: there is no [[grid]], and so no seed to move")
-        jobs = [*_jobs(table, "grid", partial(_grid, first_seed=first_seed)), *_jobs(table, "log", _log)]
+        jobs = [*_checked(file.grid, first_seed), *(job for log in file.log for job in log.jobs())]
+        for job in jobs:
+            if job.log is not None:
+                with _named(job.title):
+                    check_log(job.log)
+                    run_config(replace(job, world="square", policy="frontier", log=None))
         if not jobs:
             raise ValueError("holds no jobs: [[grid]] or [[log]] makes them")
         for title, count in Counter(job.title for job in jobs).items():
             if count > 1:
                 raise ValueError(f"{count} jobs are the same to the tables: {title}")
+        if file.train is not None:
+            file.train.check_apart(jobs)
         known = digest([sorted(job.key for job in jobs), contents(jobs)])
-        return Suite(name, description, tuple(jobs), known, _train(table, jobs))
+        return Suite(file.name, file.description, tuple(jobs), known, file.train)
 
 
-def _jobs(table: dict[str, Any], key: str, make: Callable[[dict[str, Any]], list[Job]]) -> Iterator[Job]:
-    parts = table.get(key, [])
-    if not (isinstance(parts, list) and all(isinstance(part, dict) for part in parts)):
-        raise ValueError(f"{key}: must be tables, each under [[{key}]]")
-    for number, part in enumerate(parts, 1):
-        with _named(f"[[{key}]] {number}"):
-            yield from make(part)
+def _checked(grids: tuple[_Grid, ...], first_seed: int | None) -> Iterator[Job]:
+    """The jobs of grids, all of which can be run. Jobs that differ in their seeds only are checked once."""
+    for number, grid in enumerate(grids, 1):
+        with _named(f"[[grid]] {number}"):
+            jobs = grid.jobs(first_seed)
+            if jobs and min(job.seed for job in jobs) < 0:
+                raise ValueError(f"seeds: a seed is 0 or more, not {min(job.seed for job in jobs)}")
+            for job in {_without_seed(job): job for job in reversed(jobs)}.values():
+                with _named(job.title):
+                    run_config(job)
+            yield from jobs
 
 
-def _train(table: dict[str, Any], jobs: list[Job]) -> TrainConfig | None:
-    if "train" not in table:
-        return None
-    config = built(TrainConfig, table["train"], "[train]")
-    with _named("[train]"):
-        config.check_apart(jobs)
-    return config
+def _without_seed(job: Job) -> Job:
+    """A job without its seed. Each floor plan of a range stands for all of them, since a check takes long."""
+    return replace(job, world=re.sub(rf"^{RANDOM}\d+", f"{RANDOM}0", job.world), seed=0)
 
 
-def _grid(table: dict[str, Any], first_seed: int | None) -> list[Job]:
-    needed = {key for key, (_, _, default) in _AXES.items() if default is None} | {"seeds"}
-    _check_keys(table, "a grid", needed, {*_AXES, *_SHARED} - needed)
-    axes = _axes(table, _AXES)
-    axes["seed"] = _seeds(table["seeds"])
-    if first_seed is not None:
-        axes["seed"] = [first_seed + seed - min(axes["seed"]) for seed in axes["seed"]]
-    shared = _fault_keys(table)
-    if "until" in table:
-        shared["until"] = _one(table, "until", _TEXT)
-    if "max_time" in table:
-        shared["max_time"] = float(_one(table, "max_time", _NUMBER))
-        with _named("max_time"):
-            run_config(Job("square", 0.0, max_time=shared["max_time"]))
-    if "limit" in table:
-        shared["limit"] = _one(table, "limit", _Kind("true or false", lambda value: isinstance(value, bool)))
-    jobs = [Job(**dict(zip(axes, values, strict=True)), **shared) for values in itertools.product(*axes.values())]
-    for job in {_combination(job): job for job in reversed(jobs)}.values():
-        with _named(job.world):
-            run_config(job)
-    return jobs
-
-
-def _fault_keys(table: dict[str, Any]) -> dict[str, Any]:
-    """When the faults of a grid begin, and how long the robots drive after that."""
-    shared: dict[str, Any] = {}
-    if unused := [key for key in _FAULT_KEYS if key in table and "faults" not in table]:
-        raise ValueError(f"{unused[0]}: goes with faults")
-    if "faults" in table and "max_time" in table:
-        raise ValueError("max_time: does not go with faults, after which robots drive for after_fault seconds")
-    if "fault_time" in table:
-        shared["fault_time"] = tuple(float(value) for value in _values(table, "fault_time", _NUMBER))
-    if "after_fault" in table:
-        shared["after_fault"] = float(_one(table, "after_fault", _NUMBER))
-    return shared
-
-
-def _combination(job: Job) -> Job:
-    """Reduce a job to the fields whose combination must be checked.
-
-    Seed and noise are compatible with every job. Fields that fit one random floor plan fit all random floor plans.
-
-    Each world was checked separately before. A check takes long, and a grid may have hundreds of floor plans.
-    """
-    world = f"{RANDOM}0" if job.world.startswith(RANDOM) else job.world
-    return replace(job, world=world, seed=0, noise=0.0)
-
-
-def _log(table: dict[str, Any]) -> list[Job]:
-    _check_keys(table, "a log", {"name", "file", "beams"}, {"relations", "max_range", "odometry_bias", *_LOG_AXES})
-    axes = _axes({"noises": [0.02], **table}, {key: _AXES[key] for key in _LOG_AXES})
-    known: dict[str, Any] = {key: _one(table, key, _TEXT) for key in ("name", "file", "relations") if key in table}
-    known["beams"] = tuple(float(angle) for angle in _values(table, "beams", _NUMBER))
-    if "max_range" in table:
-        known["max_range"] = float(_one(table, "max_range", _NUMBER))
-    if "odometry_bias" in table:
-        known["odometry_bias"] = tuple(float(value) for value in _values(table, "odometry_bias", _NUMBER))
-    source = LogSource(**known)
-    check_log(source)
-    return [
-        Job(LOG + source.name, policy=LOG_POLICY, log=source, **dict(zip(axes, values, strict=True)))
-        for values in itertools.product(*axes.values())
-    ]
-
-
-def _axes(table: dict[str, Any], known: dict[str, tuple[str, _Kind, list[Any] | None]]) -> dict[str, list[Any]]:
-    """Values of each field of the job. Each value is checked separately, so that an error can name its key."""
-    axes = {}
-    for key, (name, kind, default) in known.items():
-        values = default if default is not None and key not in table else _values(table, key, kind)
-        with _named(key):
-            meant = [_meant(key, value) for value in values]
-            # The first floor plan of a range stands for all of them: a check takes long, and each run checks its own.
-            for first, *_ in meant:
-                run_config(replace(Job("square", 0.0), **{name: first}))
-            axes[name] = list(itertools.chain.from_iterable(meant))
-    return axes
-
-
-def _meant(key: str, value: Any) -> list[Any]:
-    """The values that a value in a file represents: ``random:0..99`` for 100 worlds, ``none`` for no ablation."""
-    if key == "noises":
-        return [float(value)]
-    if key == "ablations" and value == NO_ABLATION:
-        return [None]
-    if key == "worlds" and (several := re.fullmatch(rf"{RANDOM}(\d{{1,6}})\.\.(\d{{1,6}})", value)):
-        first, last = int(several[1]), int(several[2])
-        if last < first:
-            raise ValueError(f"{described(value)} names no floor plans: the last comes before the first")
-        return [f"{RANDOM}{seed}" for seed in range(first, last + 1)]
-    return [value]
-
-
-def _seeds(value: Any) -> list[int]:
-    if isinstance(value, dict):
-        with _named("seeds"):
-            _check_keys(value, "a range of seeds", {"first", "count"}, set())
-            first, count = (_one(value, key, _WHOLE) for key in ("first", "count"))
-            if first < 0 or count < 1:
-                raise ValueError("first must be 0 or more, and count 1 or more")
-            if count > MAX_SEEDS:
-                raise ValueError(f"count is {described(count)}; a grid has up to {MAX_SEEDS} seeds")
-            return list(range(first, first + count))
-    seeds = _values({"seeds": value}, "seeds", _WHOLE)
-    if min(seeds) < 0:
-        raise ValueError(f"seeds: a seed is 0 or more, not {min(seeds)}")
-    return seeds
-
-
-def _values(table: dict[str, Any], key: str, kind: _Kind) -> list[Any]:
-    values = table[key]
-    if not isinstance(values, list) or not values or not all(kind.is_one(value) for value in values):
-        raise ValueError(f"{key}: must be a list of {kind.name} with at least one in it, not {described(values)}")
-    return values
-
-
-def _one(table: dict[str, Any], key: str, kind: _Kind) -> Any:
-    if not kind.is_one(table[key]):
-        raise ValueError(f"{key}: must be {kind.name.removesuffix('s')}, not {described(table[key])}")
-    return table[key]
-
-
-def _check_keys(table: dict[str, Any], what: str, needed: set[str], optional: set[str]) -> None:
-    if unknown := sorted(table.keys() - needed - optional):
-        raise ValueError(f"unknown key {unknown[0]!r}; {what} has {', '.join(sorted(needed | optional))}")
-    if missing := sorted(needed - table.keys()):
-        raise ValueError(f"the key {missing[0]!r} is missing")
+def _worlds(world: str) -> list[str]:
+    """The worlds that a text in a file stands for: ``random:0..99`` for 100 worlds."""
+    several = re.fullmatch(rf"{RANDOM}(\d{{1,6}})\.\.(\d{{1,6}})", world)
+    if several is None:
+        return [world]
+    first, last = int(several[1]), int(several[2])
+    if last < first:
+        raise ValueError(f"worlds: {described(world)} names no floor plans: the last comes before the first")
+    return [f"{RANDOM}{seed}" for seed in range(first, last + 1)]
 
 
 @contextmanager

@@ -6,9 +6,7 @@ Stable-Baselines3 and sb3-contrib with small networks, choose wheel speeds twice
 decisions on the same plans. Explorers that do not learn stand beside them.
 """
 
-import json
 import time
-from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any
@@ -21,72 +19,45 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
+from benchmarks.suite.runner import package_versions
 from benchmarks.training.baseline_envs import BaselineConfig, environment, reference_trial, trial
-from benchmarks.training.efficiency import RESULTS
-from limslam_agent.output.atomic_write import append_line, mend_lines, replace_content
+from benchmarks.training.efficiency import FORMAT, Row, Stamp
+from limslam_agent.measurements.store import open_store
+from limslam_agent.output.provenance import commit
 from limslam_env.envs.sb3 import Sb3VecEnv
 
 LEARNERS = ("recurrent", "belief")
 REFERENCES = ("random", "frontier", "frontier_fast")
 """Policies of ``limslam run`` that drive once on the held-out plans. Their rows have 0 steps of training."""
 
-_SETTINGS = "baselines.json"
 _ROLLOUT, _BATCH, _EPOCHS, _RATE, _GAMMA, _UNITS = 60, 768, 5, 7e-4, 0.97, 64
 
 
-def train_baselines(config: BaselineConfig, folder: Path, learners: Sequence[str] = LEARNERS, say: Any = print) -> None:
+def train_baselines(config: BaselineConfig, folder: Path, say: Any = print) -> None:
     """Train what is missing in a folder. A seed that was interrupted begins anew.
 
     Raises
     ------
     ValueError
-        If a learner does not exist, or the folder holds results of other settings.
+        If the folder holds results of other settings, versions or commit.
     """
-    if unknown := [name for name in learners if name not in LEARNERS]:
-        raise ValueError(f"no baseline is called {unknown[0]!r}; there are {', '.join(LEARNERS)}")
-    _open(folder, config)
-    for name in REFERENCES:
-        if not _rows_of(folder, name, 0):
-            _note(folder / RESULTS, name, 0, 0, reference_trial(name, config))
-    for seed in range(config.seeds):
-        for learner in learners:
-            if _rows_of(folder, learner, seed) < len(config.trials):
-                _drop(folder, learner, seed)
-                begin = time.process_time()
-                _train(learner, config, seed, folder / RESULTS)
-                spent = time.process_time() - begin
-                say(f"{learner}, seed {seed}: {config.steps} steps, {spent:.0f} s of processor time")
+    stamp = Stamp(asdict(config), package_versions(), commit())
+    with open_store(FORMAT, folder, stamp) as store:
+        for name in REFERENCES:
+            if (name, 0) not in store.rows:
+                scores = reference_trial(name, config)
+                store.append(Row(name, 0, {"0": scores["coverage"]}, {"0": scores["return"]}))
+        for seed in range(config.seeds):
+            for learner in LEARNERS:
+                if (learner, seed) not in store.rows:
+                    begin = time.process_time()
+                    store.append(_train(learner, config, seed))
+                    spent = time.process_time() - begin
+                    say(f"{learner}, seed {seed}: {config.steps} steps, {spent:.0f} s of processor time")
 
 
-def _open(folder: Path, config: BaselineConfig) -> None:
-    path, settings = folder / _SETTINGS, json.dumps(asdict(config), indent=2) + "\n"
-    if path.is_file() and path.read_text(encoding="utf-8") != settings:
-        raise ValueError(f"{folder}: holds baselines with other settings (see {_SETTINGS}): choose another folder")
-    if not path.is_file() and folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise ValueError(f"{folder}: is not empty and holds no baselines")
-    replace_content(path, settings.encode())
-    mend_lines(folder / RESULTS)
-
-
-def _lines(folder: Path) -> list[dict[str, Any]]:
-    return [json.loads(line) for line in (folder / RESULTS).read_bytes().splitlines()]
-
-
-def _rows_of(folder: Path, learner: str, seed: int) -> int:
-    return sum(row["learner"] == learner and row["seed"] == seed for row in _lines(folder))
-
-
-def _drop(folder: Path, learner: str, seed: int) -> None:
-    """Remove the trials of a seed that was interrupted."""
-    kept = [row for row in _lines(folder) if (row["learner"], row["seed"]) != (learner, seed)]
-    replace_content(folder / RESULTS, b"".join(json.dumps(row).encode() + b"\n" for row in kept))
-
-
-def _note(path: Path, learner: str, seed: int, steps: int, scores: dict[str, list[float]]) -> None:
-    append_line(path, json.dumps({"learner": learner, "seed": seed, "steps": steps, **scores}).encode() + b"\n")
-
-
-def _train(learner: str, config: BaselineConfig, seed: int, path: Path) -> None:
+def _train(learner: str, config: BaselineConfig, seed: int) -> Row:
+    row = Row(learner, seed, {}, {})
     # Threads that wait for each other lose more than they gain on networks of this size.
     torch.set_num_threads(1)
     env = Sb3VecEnv(environment(learner, config, is_trial=False))
@@ -101,8 +72,9 @@ def _train(learner: str, config: BaselineConfig, seed: int, path: Path) -> None:
         "device": "cpu",
     }
     model = _model(learner, env, shared)
-    model.learn(config.steps, callback=_Trials(learner, config, seed, path))
+    model.learn(config.steps, callback=_Trials(row, config))
     env.close()
+    return row
 
 
 def _model(learner: str, env: Sb3VecEnv, shared: dict[str, Any]) -> Any:
@@ -147,9 +119,9 @@ class GridAndRanges(BaseFeaturesExtractor):  # type: ignore[misc, unused-ignore]
 class _Trials(BaseCallback):  # type: ignore[misc, unused-ignore]
     """Tries the network on the held-out plans after equal numbers of steps."""
 
-    def __init__(self, learner: str, config: BaselineConfig, seed: int, path: Path) -> None:
+    def __init__(self, row: Row, config: BaselineConfig) -> None:
         super().__init__()
-        self._learner, self._config, self._seed, self._path = learner, config, seed, path
+        self._row, self._config = row, config
         self._due = list(config.trials)
 
     def _on_rollout_start(self) -> None:
@@ -164,5 +136,6 @@ class _Trials(BaseCallback):  # type: ignore[misc, unused-ignore]
 
     def _try(self) -> None:
         while self._due and self.num_timesteps >= self._due[0]:
-            scores = trial(self.model, self._learner, self._config)
-            _note(self._path, self._learner, self._seed, self._due.pop(0), scores)
+            steps = str(self._due.pop(0))
+            scores = trial(self.model, self._row.learner, self._config)
+            self._row.coverage[steps], self._row.returns[steps] = scores["coverage"], scores["return"]

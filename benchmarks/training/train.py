@@ -6,9 +6,9 @@ simulator. The observations are those of a robot, except in phases with the true
 
 import json
 import time
-from dataclasses import asdict, dataclass
+from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -17,36 +17,27 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
 import limslam_env  # noqa: F401 (registers the environments)
-from benchmarks.suite.provenance import package_versions
-from benchmarks.suite.train_config import Phase, Pose, TrainConfig
+from benchmarks.suite.runner import package_versions
+from benchmarks.suite.train_config import Phase, TrainConfig
 from benchmarks.training.direction_policy import DirectionPolicy
 from benchmarks.training.explore_env import ExploreConfig, ExploreVectorEnv
-from benchmarks.training.explore_trial import Trial, times_to
-from limslam_agent.output.atomic_write import atomic_write
 from limslam_agent.output.provenance import commit
 from limslam_agent.policies.learned.learned import TEMPERATURE
 from limslam_agent.policies.learned.network import DirectionNetwork, save_network
 from limslam_env.config import RewardConfig
 from limslam_env.envs.sb3 import Sb3VecEnv
+from limslam_env.geometry import FloatArray
+from limslam_env.interface import RobotSpec
+from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
 
-CHECKPOINT, LOG, CONFIG = "checkpoint.pt", "trials.jsonl", "train.json"
+LOG, CONFIG = "trials.jsonl", "train.json"
 LEAST_SHARE = 0.05
 GOAL = 0.8
-
-SAVE_EVERY = 60.0
-"""Time between two checkpoints, s."""
+_TRIAL = 240.0  # s: duration of each episode of a trial
 
 
-@dataclass
-class Progress:
-    """The progress of a training: number of decisions, and processor time (s)."""
-
-    decisions: int = 0
-    spent: float = 0.0
-
-
-def train(config: TrainConfig, folder: Path, *, resume: bool = False) -> Path:
-    """Train a policy, and write weights, checkpoint, TensorBoard logs and evaluations to a folder.
+def train(config: TrainConfig, folder: Path) -> Path:
+    """Train a policy, and write weights, TensorBoard logs and evaluations to a new folder.
 
     Parameters
     ----------
@@ -54,8 +45,6 @@ def train(config: TrainConfig, folder: Path, *, resume: bool = False) -> Path:
         Settings of the training.
     folder
         Folder for the output; created if it does not exist.
-    resume
-        Continue from the checkpoint in the folder.
 
     Returns
     -------
@@ -65,60 +54,28 @@ def train(config: TrainConfig, folder: Path, *, resume: bool = False) -> Path:
     Raises
     ------
     ValueError
-        If the folder contains a training and ``resume`` is false, or contains no training to resume, or another
-        training.
+        If the folder contains a training.
     """
-    saved = _claim(config, folder, resume=resume)
-    torch.set_num_threads(1)
-    progress = Progress()
-    model, weights = _model(config, config.phases[0], folder), folder
-    if saved is not None:
-        progress = Progress(int(saved["decisions"]), float(saved["spent"]))
-        model.policy.load_state_dict(saved["policy"])
-        model.policy.optimizer.load_state_dict(saved["optimizer"])
-        model.num_timesteps = progress.decisions
-    end = 0
-    for number, phase in enumerate(config.phases):
-        end += phase.decisions
-        if progress.decisions < end and progress.spent < 60.0 * config.minutes:
-            if number:
-                model.set_env(_batch(config, phase))
-            keeper = _Keeper(config, phase, folder, progress)
-            # The learning rate decreases over all decisions up to the end of the phase: later phases begin with a low
-            # rate.
-            model.learn(end - progress.decisions, callback=keeper, reset_num_timesteps=False, tb_log_name=phase.pose)
-            keeper.keep()
-            save_network(folder / f"{_name(phase.pose)}.npz", _network(model))
-        # A phase that does not begin within the time limit writes no weights.
-        if (folder / f"{_name(phase.pose)}.npz").exists():
-            weights = folder / f"{_name(phase.pose)}.npz"
-    return weights
-
-
-def _name(pose: Pose) -> str:
-    return "true_pose" if pose == "true" else pose
-
-
-def _claim(config: TrainConfig, folder: Path, *, resume: bool) -> dict[str, Any] | None:
-    """The checkpoint for resuming, if there is one. A folder belongs to one training."""
-    asked = json.loads(json.dumps(asdict(config)))
-    path = folder / CONFIG
-    if resume:
-        try:
-            known = json.loads(path.read_text(encoding="utf-8"))["config"]
-            # The checkpoint contains only tensors and numbers: loading it executes no code.
-            saved: dict[str, Any] = torch.load(folder / CHECKPOINT, weights_only=True)
-        except (OSError, ValueError, KeyError, RuntimeError, EOFError) as error:
-            raise ValueError(f"{folder}: no training to resume: {error}") from error
-        if known != asked:
-            raise ValueError(f"{folder}: holds a training with other settings")
-        return saved
-    if path.exists():
-        raise ValueError(f"{folder}: holds a training: go on with --resume, or choose another folder")
+    if (folder / CONFIG).exists():
+        raise ValueError(f"{folder}: holds a training: choose another folder")
     folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps({"config": asked, "commit": commit(), "versions": package_versions()}, indent=1)
-    path.write_text(text + "\n", encoding="utf-8")
-    return None
+    text = json.dumps({"config": asdict(config), "commit": commit(), "versions": package_versions()}, indent=1)
+    (folder / CONFIG).write_text(text + "\n", encoding="utf-8")
+    torch.set_num_threads(1)
+    model, weights = _model(config, config.phases[0], folder), folder
+    begin, end = time.process_time(), 0
+    for number, phase in enumerate(config.phases):
+        if time.process_time() - begin >= 60.0 * config.minutes:
+            break
+        if number:
+            model.set_env(_batch(config, phase))
+        end += phase.decisions
+        # The learning rate decreases over all decisions up to the end of the phase: later phases begin with a low rate.
+        keeper = _Keeper(config, phase, folder, begin)
+        model.learn(end - model.num_timesteps, callback=keeper, reset_num_timesteps=False, tb_log_name=phase.pose)
+        weights = folder / f"{'true_pose' if phase.pose == 'true' else phase.pose}.npz"
+        save_network(weights, _network(model))
+    return weights
 
 
 def _batch(config: TrainConfig, phase: Phase) -> Sb3VecEnv:
@@ -145,57 +102,91 @@ def _network(model: PPO) -> DirectionNetwork:
     return network
 
 
-class _Keeper(BaseCallback):
-    """Measures the time, writes checkpoints, and evaluates the policy on the held-out plans."""
+class Trial:
+    """Repeated evaluation on the same plans.
 
-    def __init__(self, config: TrainConfig, phase: Phase, folder: Path, progress: Progress) -> None:
+    Parameters
+    ----------
+    seeds
+        Seeds of the floor plans.
+    noise
+        Standard deviation of the ranges, m.
+    config
+        Settings of observation and motion.
+    """
+
+    def __init__(self, seeds: Sequence[int], noise: float, config: ExploreConfig) -> None:
+        radius = RobotSpec().radius
+        worlds = [floor_plan(FloorPlanConfig(), np.random.default_rng(seed), radius) for seed in seeds]
+        batch = gym.make_vec(
+            "LimSlam-World-v0", len(worlds), world=worlds, autoreset_mode="SameStep", sensor_noise=noise,
+            coverage_goal=None, max_episode_steps=None, num_threads=1,
+        )  # fmt: skip
+        self._env = ExploreVectorEnv(batch, config)
+        self.period = config.drive.hold * self._env.robot.control_period
+
+    def explore(self, network: DirectionNetwork, temperature: float, seed: int = 0) -> tuple[FloatArray, FloatArray]:
+        """The coverage (plans, decisions + 1) after each decision, and the number of touches (plans,).
+
+        Directions are drawn with the softmax of scores / ``temperature``; 0 takes the direction with the best score.
+        """
+        generator = np.random.default_rng(seed)
+        told, info = self._env.reset(seed=seed)
+        rows = [info["coverage"].copy()]
+        for _ in range(round(_TRIAL / self.period)):
+            scores = np.stack([network.scores(row) for row in told]).astype(float)
+            # The argmax of scores with added Gumbel noise is a sample from their softmax.
+            chosen = (scores + temperature * generator.gumbel(size=scores.shape)).argmax(axis=1)
+            told, _, _, _, info = self._env.step(chosen)
+            rows.append(info["coverage"].copy())
+        return np.array(rows).T, self._env.touches.astype(float)
+
+
+def times_to(coverage: FloatArray, goal: float, period: float) -> FloatArray:
+    """The time (n,) at which each plan reached a coverage, s; infinity if it never did.
+
+    The columns of ``coverage`` (n, k) are ``period`` (s) apart.
+    """
+    reached = coverage >= goal
+    return np.where(reached.any(axis=1), reached.argmax(axis=1) * period, np.inf)
+
+
+class _Keeper(BaseCallback):
+    """Ends the training when its time is over, and evaluates the policy on the held-out plans."""
+
+    def __init__(self, config: TrainConfig, phase: Phase, folder: Path, begin: float) -> None:
         super().__init__()
-        self._config, self._phase, self._folder, self._progress = config, phase, folder, progress
-        self._trial: Trial | None = None
-        self._begin, self._before = time.process_time(), progress.spent
-        self._saved, self._tried = time.monotonic(), progress.decisions
+        self._config, self._phase, self._folder, self._begin = config, phase, folder, begin
+        self._trial = Trial(config.held_out.seeds, config.noise, ExploreConfig(pose=phase.pose, range_std=config.noise))
+        self._tried = 0
+
+    @property
+    def _minutes(self) -> float:
+        return (time.process_time() - self._begin) / 60.0
+
+    def _on_training_start(self) -> None:
+        self._tried = self.num_timesteps
 
     def _on_step(self) -> bool:
-        self._note()
-        return self._progress.spent < 60.0 * self._config.minutes
+        return self._minutes < self._config.minutes
 
     def _on_rollout_end(self) -> None:
         left = float(self.model._current_progress_remaining)  # noqa: SLF001 (it has no other name)
         self.model.ent_coef = self._config.entropy * max(left, LEAST_SHARE)
-        if time.monotonic() - self._saved > SAVE_EVERY:
-            self.keep()
-            self._saved = time.monotonic()
         if self.num_timesteps - self._tried >= self._config.try_every:
             self._try()
-            self._tried = self.num_timesteps
 
     def _on_training_end(self) -> None:
         self._try()
 
-    def keep(self) -> None:
-        """Write a checkpoint."""
-        self._note()
-        policy = self.model.policy
-        held = {"policy": policy.state_dict(), "optimizer": policy.optimizer.state_dict(), **asdict(self._progress)}
-        with atomic_write(self._folder / CHECKPOINT) as beside:
-            torch.save(held, beside)
-
-    def _note(self) -> None:
-        self._progress.decisions = self.num_timesteps
-        self._progress.spent = self._before + time.process_time() - self._begin
-
     def _try(self) -> None:
-        config = self._config
-        if self._trial is None:
-            explore = ExploreConfig(pose=self._phase.pose, range_std=config.noise)
-            self._trial = Trial(config.held_out.seeds, config.noise, explore)
+        self._tried = self.num_timesteps
         coverage, touches = self._trial.explore(_network(self.model), TEMPERATURE)
         times = times_to(coverage, GOAL, self._trial.period)
         # There is no median of a time that half of the plans did not reach.
         middle = float(np.median(times))
-        self._note()
         row = {
-            "decisions": self.num_timesteps, "minutes": self._progress.spent / 60.0, "pose": self._phase.pose,
+            "decisions": self.num_timesteps, "minutes": self._minutes, "pose": self._phase.pose,
             "time_to_80_s": middle if np.isfinite(middle) else None, "reached_80": float(np.isfinite(times).mean()),
             "coverage_at_120_s": float(np.median(coverage[:, round(120.0 / self._trial.period)])),
             "touches": float(touches.mean()),
@@ -205,9 +196,4 @@ class _Keeper(BaseCallback):
         for name, value in row.items():
             if isinstance(value, float):
                 self.logger.record(f"held_out/{name}", value)
-        print(
-            " ".join(
-                f"{name} {value:.3g}" if isinstance(value, float) else f"{name} {value}" for name, value in row.items()
-            ),
-            flush=True,
-        )
+        print(json.dumps(row), flush=True)

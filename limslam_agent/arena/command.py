@@ -4,12 +4,14 @@ The robot's side is the firmware of the emulated robots. Simulated time waits fo
 a command that always gives the same answers to the same lines drives the same run, however slow the computer is.
 """
 
+import os
 import queue
+import re
 import subprocess
 import sys
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryFile
@@ -17,7 +19,6 @@ from typing import IO
 
 import numpy as np
 
-from limslam_agent.arena.processes import last_line
 from limslam_agent.live.firmware import NM_PER_TICK, Firmware, ranges_in_mm, ticks
 from limslam_agent.live.protocol import LONGEST_LINE, VERSION, BadLineError, Hello, Speeds, Stop, Telemetry, decode
 from limslam_env.geometry import FloatArray
@@ -30,6 +31,7 @@ MOST_WAITING = 10_000
 """Largest number of lines of a process that wait to be read."""
 
 _WATCHDOG_MS = 500
+_LAST_BYTES = 4096  # of a file of errors
 _ENDING = 2.0  # s, until a process that was told to end is killed
 
 
@@ -218,3 +220,17 @@ def _read_lines(output: IO[bytes], lines: "queue.Queue[bytes]", has_flooded: thr
                 break
             lines.put(line)
     lines.put(b"")
+
+
+def last_line(errors: IO[bytes]) -> str:
+    """The last line that a process has written to a file of errors. Of a long file only the end is read."""
+    errors.seek(max(errors.seek(0, os.SEEK_END) - _LAST_BYTES, 0))
+    return errors.read(_LAST_BYTES).decode(errors="replace").strip().rpartition("\n")[2]
+
+
+def without_folders(text: str, folders: Iterable[Path]) -> str:
+    """A message without the folders of its paths, so that the same failure has the same message in every run."""
+    names = {str(each) for folder in folders for each in (folder, folder.resolve())}
+    for name in sorted(names, key=len, reverse=True):
+        text = re.sub(rf"{re.escape(name)}(?![\w-])", ".", text.replace(name + os.sep, ""))
+    return text.replace(sys.executable, "{python}")

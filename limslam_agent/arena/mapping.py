@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from limslam_agent.arena.command import last_line, without_folders
 from limslam_agent.arena.entry import Entry
-from limslam_agent.arena.processes import last_line, without_folders
 from limslam_agent.arena.tracks import Plan
 from limslam_agent.config.presets import preset
 from limslam_agent.logs.log_reader import read_log
@@ -38,8 +38,8 @@ ANSWER_WITHIN = 600.0
 """Longest wall-clock time of a command for one recording, s."""
 
 
-def map_drive(entry: Entry, plan: Plan, folder: Path | None = None) -> tuple[dict[str, Any], dict[str, float]]:
-    """Let an entry map a recorded drive. Returns metrics and cost.
+def map_drive(entry: Entry, plan: Plan, folder: Path | None = None) -> dict[str, Any]:
+    """Let an entry map a recorded drive. Returns metrics.
 
     Parameters
     ----------
@@ -58,11 +58,11 @@ def map_drive(entry: Entry, plan: Plan, folder: Path | None = None) -> tuple[dic
         place = Path(name)
         if folder is None:
             (place / "out").mkdir()
-            return _mapped(entry, plan, drive, place, place / "out"), {}
+            return _mapped(entry, plan, drive, place, place / "out")
         with new_folder(folder, force=True) as new:
             metrics = _mapped(entry, plan, drive, place, new.beside)
             _keep_result(entry, new.beside / RESULT_FILE, metrics)
-    return metrics, {}
+    return metrics
 
 
 def _keep_result(entry: Entry, path: Path, metrics: dict[str, Any]) -> None:

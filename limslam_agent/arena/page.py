@@ -6,11 +6,11 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from limslam_agent.arena.leaderboard import SCORES, Board, Standing, score_values
+from limslam_agent.arena.leaderboard import SCORES, Board, Standing
 from limslam_agent.arena.results import RUNS, Row
-from limslam_agent.arena.statistics import Mean
 from limslam_agent.arena.tracks import MAX_TIME
 from limslam_agent.inspect.page import escaped, filled, plotting_library
+from limslam_agent.measurements.statistics import number
 from limslam_agent.output.atomic_write import atomic_write
 
 INSPECTOR = "inspect.html"
@@ -24,49 +24,36 @@ _SHOWN = {
 }  # fmt: skip
 """Metrics of a plan that the page shows."""
 
-_TEXT = {
-    "exploration": ("place", "entry", "95 % after, s", "80 %, s", "solved", "false claims", "ATE, m", "F1 5 cm",
-                    "NEES/3", "touches", "CPU, s"),
-    "mapping": ("place", "entry", "F1 5 cm", "mapped", "ATE, m", "NEES/3", "CPU, s"),
+# The columns of the text: heading, and name and decimals of a figure, or what is counted.
+_COLUMNS: dict[str, dict[str, tuple[str, int]]] = {
+    "exploration": {
+        "95 % after, s": ("score", 1), "80 %, s": ("plan_time_to_80_s", 1), "solved": ("solved", 0),
+        "false claims": ("claimed", 0), "ATE, m": ("ate_final_m", 3), "F1 5 cm": ("wall_f1_5cm", 3),
+        "NEES/3": ("anees_final", 2), "touches": ("touches", 2), "CPU, s": ("cpu_s", 1),
+    },
+    "mapping": {
+        "F1 5 cm": ("score", 3), "mapped": ("solved", 0), "ATE, m": ("ate_final_m", 3), "NEES/3": ("anees_final", 2),
+        "CPU, s": ("cpu_s", 1),
+    },
 }  # fmt: skip
 
 
 def table_rows(found: Board) -> list[tuple[str, ...]]:
     """The leaderboard as rows of text, with headings."""
-    of_track = _exploration_row if found.track == "exploration" else _mapping_row
-    return [_TEXT[found.track], *(of_track(each, len(found.plans)) for each in found.standings)]
+    columns = _COLUMNS[found.track]
+    rows = [
+        (str(each.place or "-"), each.name, *(_cell(each, *column) for column in columns.values()))
+        for each in found.standings
+    ]
+    return [("place", "entry", *columns), *rows]
 
 
-def _exploration_row(standing: Standing, plans: int) -> tuple[str, ...]:
-    figures = standing.figures
-    return (
-        _place(standing), standing.name, _mean(standing.score, 1), _figure(figures["plan_time_to_80_s"], 1),
-        f"{standing.solved}/{plans}", str(standing.claimed), _figure(figures["ate_final_m"], 3),
-        _figure(figures["wall_f1_5cm"], 3), _figure(figures["anees_final"], 2), _figure(figures["touches"], 2),
-        _figure(figures["cpu_s"], 1),
-    )  # fmt: skip
-
-
-def _mapping_row(standing: Standing, plans: int) -> tuple[str, ...]:
-    figures = standing.figures
-    return (
-        _place(standing), standing.name, _mean(standing.score, 3), f"{standing.solved}/{plans}",
-        _figure(figures["ate_final_m"], 3), _figure(figures["anees_final"], 2), _figure(figures["cpu_s"], 1),
-    )  # fmt: skip
-
-
-def _place(standing: Standing) -> str:
-    return "-" if standing.place is None else str(standing.place)
-
-
-def _mean(found: Mean, digits: int) -> str:
-    if found.low is None or found.high is None:
-        return f"{found.value:.{digits}f}"
-    return f"{found.value:.{digits}f} [{found.low:.{digits}f}, {found.high:.{digits}f}]"
-
-
-def _figure(value: float | None, digits: int) -> str:
-    return "-" if value is None else f"{value:.{digits}f}"
+def _cell(standing: Standing, name: str, decimals: int) -> str:
+    if name == "solved":
+        return f"{standing.solved}/{len(standing.rows)}"
+    if name == "claimed":
+        return str(standing.claimed)
+    return standing.score.text(decimals) if name == "score" else number(standing.figures[name], decimals)
 
 
 def write_board(path: Path, found: Board) -> int:
@@ -77,21 +64,16 @@ def write_board(path: Path, found: Board) -> int:
     OSError
         If it cannot be written there.
     """
-    content = page(found, path.absolute().parent).encode()
-    with atomic_write(path) as beside:
-        beside.write_bytes(content)
-    return len(content)
-
-
-def page(found: Board, place: Path) -> str:
-    """The text of the page, whose links are relative to the folder ``place``."""
     library = plotting_library()
-    told = json.dumps(_content(found, place), allow_nan=False).replace("<", "\\u003c")
+    told = json.dumps(_content(found, path.absolute().parent), allow_nan=False).replace("<", "\\u003c")
     parts = {
         "TITLE": escaped(f"LimSLAM arena, {found.track}"), "STYLE": library.style + _part("board.css"),
         "LICENSE": library.license, "LIBRARY": library.script, "SCRIPT": _part("board.js"), "DATA": told,
     }  # fmt: skip
-    return filled(_part("board.html"), parts)
+    content = filled(_part("board.html"), parts).encode()
+    with atomic_write(path) as beside:
+        beside.write_bytes(content)
+    return len(content)
 
 
 def _part(name: str) -> str:
@@ -99,30 +81,31 @@ def _part(name: str) -> str:
 
 
 def _content(found: Board, place: Path) -> dict[str, Any]:
-    """What the program of the page shows."""
+    """What the program of the page shows. Its links are relative to the folder ``place``."""
     return {
         "track": found.track, "score": SCORES[found.track], "secret": found.is_secret, "plans": found.plans,
         "longest": MAX_TIME, "shown": _SHOWN[found.track],
         "entries": [_entry(each, found, place) for each in found.standings],
         "comparisons": [
             {
-                "first": first, "second": second, "difference": vars(result.difference), "p": result.p_value,
-                "plans": result.plans,
+                "first": each.first, "second": each.second, "difference": vars(each.difference), "p": each.p_value,
+                "plans": each.difference.count,
             }
-            for first, second, result in found.comparisons
+            for each in found.comparisons
         ],
     }  # fmt: skip
 
 
 def _entry(standing: Standing, found: Board, place: Path) -> dict[str, Any]:
-    results, manifest = standing.results, standing.results.stamp.entry
+    stamp, manifest = standing.stamp, standing.stamp.entry
     return {
         **{name: manifest.get(name, "") for name in ("name", "authors", "kind", "uses", "about", "preset")},
         "place": standing.place, "score": vars(standing.score), "meanRank": standing.mean_rank,
-        "solved": standing.solved, "claimed": standing.claimed, "failed": standing.failed, "figures": standing.figures,
-        "commit": results.stamp.commit, "version": results.stamp.versions.get("limslam", ""),
-        "digest": results.stamp.digest[:12], "values": score_values(results, found.track, found.plans).tolist(),
-        "rows": [_row(results.rows[plan], results.folder, found, place) for plan in found.plans],
+        "solved": standing.solved, "claimed": standing.claimed,
+        "failed": sum(row.error is not None for row in standing.rows), "figures": standing.figures,
+        "commit": stamp.commit, "version": stamp.versions.get("limslam", ""), "digest": stamp.digest[:12],
+        "values": standing.values.tolist(),
+        "rows": [_row(row, standing.folder, found, place) for row in standing.rows],
     }  # fmt: skip
 
 

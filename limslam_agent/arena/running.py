@@ -1,27 +1,21 @@
 """Runs an entry on plans, in several processes, and stores each result as soon as its plan has ended."""
 
-import multiprocessing
-import os
-import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
+from contextlib import closing
 from dataclasses import dataclass
-from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
+from limslam_agent.arena.command import without_folders
 from limslam_agent.arena.entry import Entry
 from limslam_agent.arena.exploration import Keep, explore
 from limslam_agent.arena.mapping import map_drive
-from limslam_agent.arena.processes import begin_group, end_with_parent, kill_group, without_folders
 from limslam_agent.arena.results import RUNS, Row, digest_of, open_store, stamp_of
 from limslam_agent.arena.scoring import lost_scores
 from limslam_agent.arena.tracks import MAPPING, Plan
+from limslam_agent.measurements.processes import Failure, Processes
 from limslam_agent.output.export import plain
 from limslam_agent.output.provenance import commit
 from limslam_agent.runs.results import versions
@@ -97,9 +91,8 @@ def run_entry(
     if folder.resolve() == inside or inside in folder.resolve().parents:
         raise ValueError(f"{folder}: lies in the folder of the entry, which must not change while it runs")
     stamp = stamp_of(entry, seed, is_secret=is_secret, versions=versions(), commit=commit())
-    with open_store(folder, stamp) as store:
-        if retry_failed:
-            store.forget_failed({plan.number for plan in plans})
+    again = {plan.number for plan in plans} if retry_failed else set()
+    with open_store(folder, stamp, lambda row: row.error is None or row.plan not in again) as store:
         todo = [
             Job(entry, plan, place / RUNS / f"{plan.number:03d}" if keep else None, stamp.versions, stamp.commit, keep)
             for plan in plans
@@ -117,55 +110,19 @@ def results_of(todo: Sequence[Job], jobs: int) -> Iterator[Row]:
     Raises
     ------
     ValueError
-        If a process has died.
+        If a process has died, or could not write.
     """
     if jobs == 1:
         yield from map(run_job, todo)
         return
-    context = multiprocessing.get_context("spawn")
-    before = set(multiprocessing.active_children())
-    with ProcessPoolExecutor(min(jobs, max(len(todo), 1)), mp_context=context, initializer=_prepare) as pool:
-        submitted = {pool.submit(run_job, job): job.plan.number for job in todo}
-        try:
-            for done in as_completed(submitted):
-                yield done.result()
-        except BrokenProcessPool as error:
-            suspects = " or ".join(f"plan {number}" for number in _unfinished(submitted)[:jobs])
-            raise ValueError(
-                f"a process of the arena has died while it ran {suspects}; the same command goes on, and --plans can "
-                "leave this plan out"
-            ) from error
-        except BaseException:
-            # Nobody waits for plans that are being run when the user stops the command.
-            pool.shutdown(wait=False, cancel_futures=True)
-            for child in set(multiprocessing.active_children()) - before:
-                _kill(child)
-            raise
-
-
-def _kill(child: BaseProcess) -> None:
-    """Kill a process of the pool, and the commands of entries that it has started."""
-    if child.pid is not None:
-        with suppress(OSError):  # it has ended, or has no group yet
-            kill_group(child.pid)
-    child.kill()
-
-
-def _unfinished(submitted: dict["Future[Row]", int]) -> list[int]:
-    """The plans without a row, in the order in which the processes take them."""
-    return [plan for each, plan in submitted.items() if not each.done() or each.exception() is not None]
-
-
-def _prepare() -> None:
-    """Begin a worker, which ignores Ctrl-C and ends with its parent, as the commands that it starts do."""
-    # The commands of entries would inherit an ignored signal, but they do not inherit a handler.
-    signal.signal(signal.SIGINT, lambda *_: None)
-    begin_group()
-    signal.signal(signal.SIGTERM, lambda *_: kill_group(os.getpid()))
-    threading.Thread(target=end_with_parent, args=(lambda _code: kill_group(os.getpid()),), daemon=True).start()
-    import cv2
-
-    cv2.setNumThreads(1)
+    with closing(Processes(jobs).run(todo, run_job)) as results:
+        for job, row in results:
+            if isinstance(row, Failure):
+                raise ValueError(  # noqa: TRY004 (a process has failed)
+                    f"plan {job.plan.number}: {row.reason}; the same command goes on, and --plans can leave this plan "
+                    "out"
+                )
+            yield row
 
 
 def run_job(job: Job) -> Row:
@@ -176,11 +133,12 @@ def run_job(job: Job) -> Row:
         "settings": digest_of({"plan": plan.setting, "entry": job.entry.digest}),
     }  # fmt: skip
     begin, cpu, error = time.perf_counter(), _cpu_s(), None
+    cost: dict[str, float] = {}
     try:
         if plan.robots > manifest.robots:
             raise ValueError(f"the entry drives one robot, and the plan has {plan.robots}")  # noqa: TRY301
         if manifest.track == MAPPING:
-            metrics, cost = map_drive(job.entry, plan, job.folder)
+            metrics = map_drive(job.entry, plan, job.folder)
         else:
             metrics, cost = explore(job.entry, plan, job.folder, job.keep)
     except OSError:  # no space, or no permission: not the entry's failure
@@ -190,7 +148,7 @@ def run_job(job: Job) -> Row:
             raise
         error = f"{failure}" if isinstance(failure, ValueError) else f"{type(failure).__name__}: {failure}"
         error = one_line(without_folders(error, (job.entry.folder,)))
-        metrics, cost = lost_scores(plan, manifest.track, f"failed: {error}"), {}
+        metrics = lost_scores(plan, manifest.track, f"failed: {error}")
     cost = {**cost, "cpu_s": _cpu_s() - cpu, "wall_clock_s": time.perf_counter() - begin}
     return Row(plan.number, plan.setting, plain(metrics), plain(cost), **provenance, error=error)
 

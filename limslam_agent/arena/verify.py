@@ -1,15 +1,16 @@
 """Runs plans of a folder of results again, and compares the metrics."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from limslam_agent.arena.entry import Entry, manifest_table, read_entry
-from limslam_agent.arena.results import Row, Stamp, digest_of, plans_digest, read_rows, read_stamp
+from limslam_agent.arena.results import FORMAT, Row, Stamp, digest_of, plans_digest, read_results
 from limslam_agent.arena.running import Job, results_of
 from limslam_agent.arena.tracks import PUBLIC_SEED, Plan, plans_of
+from limslam_agent.measurements.store import read_stamp
 from limslam_agent.output.provenance import changes, commit
 from limslam_agent.runs.results import versions
 
@@ -22,22 +23,6 @@ other entries are equal to the bit.
 """
 
 
-@dataclass(frozen=True)
-class Check:
-    """A plan that was run again.
-
-    Attributes
-    ----------
-    plan
-        Its number.
-    differences
-        What differs, in words. Empty if nothing does.
-    """
-
-    plan: int
-    differences: list[str]
-
-
 def opened(folder: Path, entry_folder: Path | None, seed: int | None) -> tuple[Entry, Stamp, list[Plan]]:
     """The entry, the stamp and the plans of a folder of results.
 
@@ -47,7 +32,7 @@ def opened(folder: Path, entry_folder: Path | None, seed: int | None) -> tuple[E
         If the entry is not the one of the results, the plans are not those of the seed, or the stamp says something
         about them that is not true.
     """
-    stamp = read_stamp(folder)
+    stamp = read_stamp(FORMAT, folder)
     if stamp.is_secret and seed is None:
         raise ValueError(f"{folder}: its plans come from a secret seed: --secret-seed is needed")
     entry = read_entry(entry_folder or Path(stamp.folder))
@@ -63,8 +48,10 @@ def opened(folder: Path, entry_folder: Path | None, seed: int | None) -> tuple[E
     return entry, stamp, plans_of(track, seed)
 
 
-def verify(folder: Path, entry: Entry, plans: Sequence[Plan], count: int | None, jobs: int) -> Iterator[Check]:
-    """Run rows again, spread evenly over a folder of results.
+def verify(
+    folder: Path, entry: Entry, plans: Sequence[Plan], count: int | None, jobs: int
+) -> Iterator[tuple[int, list[str]]]:
+    """Run rows again, spread evenly over a folder of results. Yields number and differences of each plan.
 
     Parameters
     ----------
@@ -82,15 +69,14 @@ def verify(folder: Path, entry: Entry, plans: Sequence[Plan], count: int | None,
     ValueError
         If there are no rows, or a row does not belong to its plan or to the entry.
     """
-    rows = {row.plan: row for row in read_rows(folder)}
-    if not rows:
-        raise ValueError(f"{folder}: has no results yet")
+    _, rows = read_results(folder)
     for row in rows.values():
         _check_origin(folder, row, entry, plans)
-    wanted = list(rows) if count is None else _spread(list(rows), count)
+    spread = np.linspace(0, len(rows) - 1, min(count or len(rows), len(rows))).round().astype(int)
+    wanted = [list(rows)[place] for place in spread]
     jobs_again = [Job(entry, plans[number], None, versions(), commit()) for number in wanted]
     for row in results_of(jobs_again, jobs):
-        yield Check(row.plan, differences(rows[row.plan], row, is_process=entry.manifest.is_process))
+        yield row.plan, differences(rows[row.plan], row, is_process=entry.manifest.is_process)
 
 
 def differences(before: Row, now: Row, *, is_process: bool) -> list[str]:
@@ -114,12 +100,6 @@ def _equal(first: object, second: object, bound: float | None, is_process: bool)
     if is_process and isinstance(first, int | float) and isinstance(second, int | float) and bound is not None:
         return abs(first - second) <= bound
     return type(first) is type(second) and first == second
-
-
-def _spread(numbers: list[int], count: int) -> list[int]:
-    """Some of the numbers, as evenly as possible."""
-    chosen = np.unique(np.linspace(0, len(numbers) - 1, min(count, len(numbers))).round().astype(int))
-    return [numbers[index] for index in chosen]
 
 
 def _check_origin(folder: Path, row: Row, entry: Entry, plans: Sequence[Plan]) -> None:

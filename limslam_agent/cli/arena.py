@@ -99,14 +99,12 @@ def verify(
     found, stamp, track = again.opened(folder, entry, _read_seed() if secret_seed else None)
     if changed := again.other_versions(stamp):
         warn([f"the results are of other versions ({changed})"])
-    checks = []
-    for check in again.verify(folder, found, track, plans, jobs):
-        checks.append(check)
-        words = "equal" if not check.differences else "; ".join(check.differences)
-        typer.echo(one_line(f"plan {check.plan:3}    {words}", 500))
-    different = sum(bool(check.differences) for check in checks)
+    checked = different = 0
+    for plan, differences in again.verify(folder, found, track, plans, jobs):
+        typer.echo(one_line(f"plan {plan:3}    {'; '.join(differences) or 'equal'}", 500))
+        checked, different = checked + 1, different + bool(differences)
     within = " within the bounds of a process" if found.manifest.is_process else ""
-    typer.echo(f"verified    {counted(len(checks), 'plan')}, {len(checks) - different} equal{within}")
+    typer.echo(f"verified    {counted(checked, 'plan')}, {checked - different} equal{within}")
     if different:
         raise typer.Exit(1)
 

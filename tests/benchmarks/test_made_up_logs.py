@@ -61,7 +61,7 @@ def test_a_log_that_cannot_be_smoothed_is_a_row_of_the_table(tmp_path, monkeypat
         raise IndexError("index 3 is out of bounds")
 
     monkeypatch.setattr(made_up_logs, "outcome", fails)
-    *_, row, verdict = smoothing_table([1], ["", "max_range=4"], tmp_path, 10.0)
+    *_, row, verdict = smoothing_table([1], ["", "max_range=4"], tmp_path, length=10.0)
     assert "| max_range=4 | failed: IndexError: index 3 is out of bounds" in row
     assert verdict == "\nof 0 paths, 0 are wrong and ok, 0 right and not ok, and 0 worse than odometry"
 
@@ -76,7 +76,7 @@ def test_the_sparse_table_says_how_many_paths_are_wrong_and_ok(tmp_path, monkeyp
         return Outcome(None, status, dict.fromkeys(ERRORS, 0.1), 1.0, (1.0, (0.7, 0.2, 1.5)[len(asked) - 1]))
 
     monkeypatch.setattr(made_up_logs, "outcome", smoothed)
-    *_, verdict = smoothing_table([5, 9, 13], [""], tmp_path, 50.0, sparse=True)
+    *_, verdict = smoothing_table([5, 9, 13], [""], tmp_path, sparse=True, length=50.0)
     assert [beams for beams, _, _ in asked] == [4, 6, 6]
     assert all(5.0 <= points <= 40.0 and shape[1] == 3 for _, points, shape in asked)
     assert verdict == "\nof 3 paths, 1 are wrong and ok, 1 right and not ok, and 1 worse than odometry"
@@ -91,11 +91,11 @@ def test_seeds_that_are_none_are_refused(tmp_path, seeds):
 
 def test_what_is_missing_is_refused_before_the_first_log(tmp_path, monkeypatch):
     with pytest.raises(ValueError, match="foo is no setting of a variation"):
-        next(smoothing_table([0], ["", "foo=1"], tmp_path / "logs", 10.0))
+        next(smoothing_table([0], ["", "foo=1"], tmp_path / "logs", length=10.0))
     monkeypatch.setenv("LIMSLAM_DATA", str(tmp_path / "absent"))
     with pytest.raises(ValueError, match="recorded data not found"):
-        next(smoothing_table(range(4), [""], tmp_path / "logs", 10.0))
-    assert next(smoothing_table(range(3), [""], tmp_path / "logs", 10.0)).startswith("| log |")
+        next(smoothing_table(range(4), [""], tmp_path / "logs", length=10.0))
+    assert next(smoothing_table(range(3), [""], tmp_path / "logs", length=10.0)).startswith("| log |")
     assert not (tmp_path / "logs").exists()
 
 

@@ -4,9 +4,10 @@ import json
 from dataclasses import asdict
 
 from limslam_agent.arena.entry import read_entry
-from limslam_agent.arena.results import RESULTS, STAMP, Row, digest_of, stamp_of
+from limslam_agent.arena.results import STAMP, Row, digest_of, stamp_of
 from limslam_agent.arena.scoring import ENOUGH
 from limslam_agent.arena.tracks import plans_of
+from limslam_agent.measurements.store import RESULTS
 
 MANIFEST = """
 name = "{name}"

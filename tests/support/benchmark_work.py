@@ -7,8 +7,8 @@ import time
 
 import numpy as np
 
-from benchmarks.suite.engines import ONE_THREAD
 from benchmarks.suite.jobs import Job, Outcome
+from benchmarks.suite.runner import ONE_THREAD
 
 RAISES, KILLED, EXITS, HANGS = 1, 2, 3, 1000
 """Seeds of jobs that go wrong."""

@@ -1,10 +1,5 @@
 """Entries that are processes: the line protocol over standard input and output."""
 
-import queue
-import sys
-import threading
-from io import BytesIO
-
 import numpy as np
 import pytest
 
@@ -93,41 +88,7 @@ def test_a_process_that_writes_without_end_is_named(started, monkeypatch):
         started(GREETING + "while True:\n    print('words')").act(SEEN)
 
 
-def test_a_process_that_was_cut_off_is_told_why_when_it_is_written_to(started, monkeypatch):
-    monkeypatch.setattr(command, "MOST_WAITING", 50)
-    link = started("while True:\n    print('words')")._link
-    link._process.wait(30.0)  # nobody reads its output any more, which ends it
-    with pytest.raises(ValueError, match="has written more than 50 lines"):
-        link.send([b"words\n"])
-
-
-def test_a_time_limit_holds_while_lines_wait(started):
-    link = started("print('words', flush=True)")._link
-    with pytest.raises(ValueError, match="did not answer within 5 s"):
-        link.line(0.0, "answer", 5.0)
-
-
-def test_no_more_lines_are_read_than_may_wait(monkeypatch):
-    monkeypatch.setattr(command, "MOST_WAITING", 2)
-    lines, output, has_flooded = queue.Queue(), BytesIO(b"words\n" * 9), threading.Event()
-    command._read_lines(output, lines, has_flooded)
-    assert [lines.get() for _ in range(3)] == [b"words\n", b"words\n", b""]
-    assert lines.empty()
-    assert has_flooded.is_set()
-
-
-def test_a_process_that_does_not_read_is_killed(started, monkeypatch):
-    monkeypatch.setattr(command, "ANSWER_WITHIN", 0.2)
-    link = started("import time\ntime.sleep(60)")._link
-    with pytest.raises(ValueError, match="did not read its input within"):
-        link.send([b"x" * 10_000_000])
-
-
 def test_a_command_that_does_not_exist_is_refused(tmp_path):
     actor = CommandActor(("no-such-program-at-all",), tmp_path, ROBOT)
     with pytest.raises(ValueError, match="no-such-program-at-all: cannot be started"):
         actor.reset(np.zeros(3), 0)
-
-
-def test_python_is_the_python_that_runs(tmp_path):
-    assert CommandActor(("{python}", "-V"), tmp_path, ROBOT)._words == [sys.executable, "-V"]

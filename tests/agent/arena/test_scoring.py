@@ -1,4 +1,4 @@
-"""Correct coverage, lost plans, and the statistics between entries."""
+"""Correct coverage, and lost plans."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from limslam_agent.arena.scoring import correct_coverage, exploration_scores, loss
-from limslam_agent.arena.statistics import compare, holm, mean
 from limslam_agent.arena.tracks import plans_of
 
 PLAN = replace(plans_of("exploration")[0], max_time=100.0)
@@ -61,30 +60,3 @@ def test_a_lost_plan_takes_the_longest_time():
     assert scores["time_to_95_s"] == 20.0
     assert scores["lost"] == "claims to be done and is not"
     assert loss(0.94, is_finished=False) == "not explored in time"
-
-
-def test_a_mean_has_the_interval_of_its_plans():
-    values = np.random.default_rng(0).normal(50.0, 10.0, 100)
-    found = mean(values)
-    assert found.value == pytest.approx(values.mean())
-    assert found.low < 50.0 < found.high
-    assert found.high - found.low == pytest.approx(4 * values.std() / 10.0, rel=0.2)
-    assert mean(values[:2]).low is None
-
-
-def test_entries_are_compared_on_the_plans_that_both_have():
-    first = {plan: 10.0 + plan for plan in range(20)}
-    found = compare(first, {plan: 13.0 + plan for plan in range(5, 25)})
-    assert found.plans == 15
-    assert found.difference.value == pytest.approx(3.0)
-    assert found.p_value < 0.001
-    assert compare(first, first).p_value is None
-    assert compare(first, {plan: value + 1e-12 for plan, value in first.items()}).p_value is None
-    with pytest.raises(ValueError, match="no plan in common"):
-        compare(first, {99: 1.0})
-
-
-def test_p_values_are_corrected_for_the_number_of_tests():
-    assert holm([0.01, None, 0.04, 0.03]) == pytest.approx([0.03, None, 0.06, 0.06])
-    assert holm([0.9, 0.8]) == [1.0, 1.0]
-    assert holm([]) == []

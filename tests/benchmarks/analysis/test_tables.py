@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 from support.benchmark_rows import failed, grid, row
 
-from benchmarks.analysis.sheets import MISSING, Sheet, render, written
-from benchmarks.analysis.statistics import Estimate
 from benchmarks.analysis.tables import sheets, table
 from benchmarks.suite.store import read_rows
+from limslam_agent.measurements.statistics import MISSING
 
 TIMES = "\N{MULTIPLICATION SIGN}"
 
@@ -29,7 +28,7 @@ def test_the_grid_has_a_row_for_each_world_noise_and_number_of_robots():
     found = sheet(grid(), "Exploration")
     assert [cells[:3] for cells in found.rows] == [
         (world, noise, robots) for world in ("env1", "env2") for robots in ("1", "2") for noise in ("0 cm", "2 cm")
-    ]
+    ] + [("all", "all", "1"), ("all", "all", "2")]
     assert {"n", "F1 aligned", "F1", "F1 5 cm", "spurious walls", "ATE m", "ANEES", "time s", "covered"} <= set(
         found.header
     )
@@ -42,7 +41,7 @@ def test_the_median_stands_in_its_cell():
 
 def test_worlds_are_whatever_the_rows_hold():
     found = sheet([row("castle.toml", 0.013), row("world10"), row("world9")], "Exploration")
-    assert [cells[0] for cells in found.rows] == ["castle.toml", "world9", "world10"]
+    assert [cells[0] for cells in found.rows][:3] == ["castle.toml", "world9", "world10"]
     assert found.rows[0][1] == "1.3 cm"
 
 
@@ -56,11 +55,11 @@ def test_failed_runs_are_counted_and_listed_and_in_no_median():
 
 def test_what_was_not_measured_is_a_dash_and_never_0():
     rows = [row("env1", doors_open=None), row("env2", doors_open=1.0), row("env3", anees=float("nan"))]
-    assert column(rows, "Exploration", "doors open") == [MISSING, "1.00", MISSING]
+    assert column(rows, "Exploration", "doors open")[:3] == [MISSING, "1.00", MISSING]
     assert column(rows, "Exploration", "ANEES")[2] == MISSING
     assert "ATE / limit" not in sheet(rows, "Exploration").header
     limited = [*rows, row("env4", ate_over_limit=2.0)]
-    assert column(limited, "Exploration", "ATE / limit") == [MISSING, MISSING, MISSING, "2.0"]
+    assert column(limited, "Exploration", "ATE / limit")[:4] == [MISSING, MISSING, MISSING, "2.0"]
 
 
 def test_a_value_that_only_some_runs_have_says_how_many():
@@ -71,19 +70,17 @@ def test_a_value_that_only_some_runs_have_says_how_many():
 def test_when_all_failed_there_are_dashes():
     rows = [failed(row(seed=seed)) for seed in range(3)]
     found = sheet(rows, "Exploration")
-    assert found.header == ("world", "noise", "robots", "n")
-    assert found.rows == (("env1", "0 cm", "1", "0 (3)"),)
-    assert table(rows, latex=True)
+    assert found.header == ("world", "noise", "n")
+    assert found.rows == (("env1", "0 cm", "0 (3)"),)
 
 
 def test_one_row_makes_a_table():
     assert column([row(ate_m=0.123)], "Exploration", "ATE m") == ["0.123"]
 
 
-@pytest.mark.parametrize("latex", [False, True])
-def test_no_rows_are_refused_in_one_line(latex):
+def test_no_rows_are_refused_in_one_line():
     with pytest.raises(ValueError, match=r"^no results: [^\n]*$"):
-        table([], latex=latex)
+        table([])
 
 
 def test_laps_show_odometry_beside_the_filter():
@@ -126,8 +123,6 @@ def test_faults_have_a_table_and_are_no_explorations():
     assert column(rows, "Faults", "ok though wrong, at most s") == ["1.0", "0.0", "1.0"]
     heading = "ok at the end, smoothed ATE above 0.5 m"
     assert column(rows, "Faults", heading) == ["0 of 2", "1 of 1", "1 of 3"]
-    filtered = [replace(each, metrics={**each.metrics, "ate_smoothed_m": None}) for each in rows[:2]]
-    assert column([*filtered, rows[2]], "Faults", heading)[:2] == [MISSING, "1 of 1"]
     assert sheet(rows, "Exploration") is None
     assert "placed after s" not in sheet([robot("env2", 0, "jump", placed=None)], "Faults").header
 
@@ -151,84 +146,32 @@ def test_pairs_without_a_seed_in_common_have_dashes():
 def test_two_robots_are_compared_with_one_in_each_world_and_in_all():
     rows = [row(world, seed=seed, robots=n, exploration_time_s=100.0 / n) for world in ("env1", "env2")
             for n in (1, 2) for seed in range(3)]  # fmt: skip
-    found = sheet(rows, "Several robots against one")
-    assert column(rows, "Several robots against one", f"time, {TIMES}") == ["0.50"] * 3
-    assert [found.rows[number][1] for number in found.marked] == ["all"]
+    title = "Several robots against one"
+    assert column(rows, title, f"time, {TIMES}") == ["0.50"] * 3
+    assert column(rows, title, "world") == ["env1", "env2", "all"]
 
 
-def test_policies_are_compared_with_the_one_that_knows_the_map():
-    times = {"frontier": 90.0, "oracle": 60.0, "random": None}
-    rows = [row(seed=seed, policy=policy, time_to_95_s=times[policy]) for policy in times for seed in range(3)]
-    assert sheet(rows, "Policies").rows[0][3] == "frontier"
-    found = sheet(rows, "Policies against the exploration limit")
-    cells = {cells[4]: cells[found.header.index(f"95 % covered, {TIMES}")] for cells in found.rows}
-    assert cells == {"frontier": "1.50", "random": MISSING}
-
-
-def test_random_plans_are_one_group_and_the_worst_are_named():
+def test_policies_random_plans_and_logs_have_their_tables():
     rows = [row(f"random:{plan}", 0.02, wall_f1_aligned=plan / 10) for plan in range(8)]
-    found = sheet(rows, "Random floor plans")
-    assert [cells[0] for cells in found.rows] == ["random plans"]
-    assert column(rows, "Random floor plans", "n") == ["8"]
-    assert column(rows, "The worst random floor plans", "plan") == [f"random:{plan}" for plan in range(5)]
-
-
-def test_logs_and_plans_have_tables_of_their_own():
+    assert column(rows, "Exploration", "world") == ["random plans"]
+    assert column(rows, "Exploration", "n") == ["8"]
+    assert sheet(rows, "Policies") is None
+    rows += [row(f"random:{plan}", 0.02, policy="random", time_to_95_s=None) for plan in range(8)]
+    assert column(rows, "Policies", "95 % s") == ["90", MISSING]
     log = replace(
         row("log:fr079", policy="replay"), metrics={"relation_error_m": 1.2, "odometry_relation_error_m": 2.4}
     )
-    found = sheets([log, row("plan:kth")])
-    assert {"Recorded logs", "Floor plans"} <= {each.title for each in found}
     assert column([log], "Recorded logs", "odometry m") == ["2.40"]
 
 
 def test_markdown_has_as_many_cells_in_each_line_of_a_table():
     text = table([*grid(), failed(row(seed=9))])
     blocks = re.findall(r"(?:^\|.*\n)+", text, re.MULTILINE)
-    assert len(blocks) > 4
+    assert len(blocks) == 3
     for block in blocks:
         counts = {len(re.findall(r"(?<!\\)\|", line)) for line in block.splitlines()}
         assert len(counts) == 1
     assert r"RuntimeError: \<boom> & 100% \| over_there" in text
-
-
-def test_latex_is_balanced_and_escaped():
-    text = table([*grid(), failed(row("a_b#c", seed=9))], latex=True)
-    opened, closed = (re.findall(rf"\\{word}\{{([^}}]*)\}}", text) for word in ("begin", "end"))
-    assert sorted(opened) == sorted(closed)
-    plain = text.replace(r"\{", "").replace(r"\}", "")
-    assert plain.count("{") == plain.count("}")
-    assert r"a\_b\#c" in text
-    assert r"\textless{}boom\textgreater{} \& 100\% \textbar{} over\_there" in text
-    body = re.findall(r"\\midrule\n(?:\\endhead\n)?(.*?)\\bottomrule", text, re.DOTALL)
-    assert len(body) == text.count(r"\toprule") > 4
-    for lines in body:
-        assert len({len(re.findall(r"(?<!\\)&", line)) for line in lines.strip().splitlines()}) == 1
-
-
-@pytest.mark.parametrize("style", ["markdown", "latex", "html"])
-def test_a_sum_is_set_off(style):
-    marked = render(Sheet("t", "", ("a",), (("x",),), 1, frozenset({0})), style)
-    assert marked != render(Sheet("t", "", ("a",), (("x",),), 1), style)
-
-
-def test_a_sheet_with_ragged_rows_is_refused():
-    with pytest.raises(ValueError, match="2 cells"):
-        Sheet("t", "", ("a", "b"), (("x",),))
-
-
-@pytest.mark.parametrize(
-    ("estimate", "cell"),
-    [
-        (None, MISSING),
-        (Estimate(0.0, 0.0, 0.0, 5), "0.00"),
-        (Estimate(1.0, 0.5, 1.5, 5), "1.00 [0.50, 1.50]"),
-        (Estimate(1.0, 1.0, 1.0, 4), "1.00 (4)"),
-        (Estimate(-0.001, -0.2, 0.1, 5), "0.00 [-0.20, 0.10]"),
-    ],
-)
-def test_estimates_as_cells(estimate, cell):
-    assert written(estimate, 2, 5) == cell
 
 
 def test_the_same_rows_give_the_same_tables_in_any_order():

@@ -4,11 +4,10 @@ import json
 import multiprocessing
 import os
 import signal
-import socket
 import subprocess
 import sys
 import time
-from contextlib import closing, suppress
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,14 +17,13 @@ from support import benchmark_work
 from support.command_line import Finished, call
 
 from benchmarks.__main__ import main
-from benchmarks.analysis import plots, report, tables
-from benchmarks.suite.engines import ONE_THREAD, STARTING, JobClock, ProcessEngine
-from benchmarks.suite.jobs import Failure, Job
-from benchmarks.suite.provenance import package_versions, work_alike
-from benchmarks.suite.ray_engine import RayEngine
-from benchmarks.suite.runner import run_suite
-from benchmarks.suite.store import RESULTS, STAMP, read_rows
-from benchmarks.suite.suite import Suite, parse_suite
+from benchmarks.analysis import tables
+from benchmarks.suite.jobs import Job
+from benchmarks.suite.runner import ONE_THREAD, package_versions, run_suite
+from benchmarks.suite.store import STAMP, read_rows
+from benchmarks.suite.suite import Suite, load_suite
+from limslam_agent.measurements.processes import Failure, Processes
+from limslam_agent.measurements.store import RESULTS
 from limslam_agent.output.provenance import commit
 
 TINY = """
@@ -69,23 +67,19 @@ GUARD = 300.0
 
 
 @pytest.fixture(scope="module")
-def tiny():
-    return parse_suite(TINY, "tiny.toml")
+def tiny(tmp_path_factory):
+    path = tmp_path_factory.mktemp("suite") / "tiny.toml"
+    path.write_text(TINY)
+    return load_suite(str(path))
 
 
 @pytest.fixture(scope="module")
 def rows(tiny, tmp_path_factory):
     """What one process makes of the tiny suite, never killed."""
     folder = tmp_path_factory.mktemp("unkilled") / "out"
-    summary = run_suite(tiny, folder, ProcessEngine(1, GUARD))
+    summary = run_suite(tiny, folder, Processes(1, GUARD))
     assert (summary.done, summary.before, summary.failures) == (len(tiny.jobs), 0, ())
     return comparable(folder)
-
-
-@pytest.fixture
-def ray_finds_the_tests(monkeypatch):
-    """Ray's workers are other programs: they are told where the tests' modules are."""
-    monkeypatch.setenv("PYTHONPATH", str(Path(benchmark_work.__file__).parents[1]), prepend=os.pathsep)
 
 
 def comparable(folder):
@@ -107,15 +101,16 @@ def count_lines(path):
     return path.read_bytes().count(b"\n") if path.is_file() else 0
 
 
-def await_end_of_group(group):
-    """Wait until no process of a group is left; a test that waits in vain fails."""
+def workers_of(run):
+    return [Path("/proc", number) for number in Path(f"/proc/{run.pid}/task/{run.pid}/children").read_text().split()]
+
+
+def await_end(workers):
+    """Wait until no worker is left; a test that waits in vain fails."""
     deadline = time.monotonic() + GUARD
-    with suppress(ProcessLookupError):
-        while time.monotonic() < deadline:
-            os.killpg(group, 0)
-            time.sleep(0.05)
-        os.killpg(group, signal.SIGKILL)
-        pytest.fail("workers have outlived the run that started them")
+    while any(each.exists() for each in workers):
+        assert time.monotonic() < deadline, "workers have outlived the run that started them"
+        time.sleep(0.05)
 
 
 def test_rows_hold_metrics_series_and_what_made_them(rows, tiny):
@@ -134,9 +129,8 @@ def test_rows_hold_metrics_series_and_what_made_them(rows, tiny):
     assert len({row.config for row, _ in rows.values()}) == 6, "one for each world, noise and preset"
 
 
-@pytest.mark.parametrize("engine", [ProcessEngine(2, GUARD), RayEngine(2, GUARD)], ids=str)
-def test_every_engine_and_any_number_of_workers_give_the_same_to_the_bit(engine, rows, tiny, tmp_path):
-    summary = run_suite(tiny, tmp_path, engine)
+def test_any_number_of_workers_gives_the_same_to_the_bit(rows, tiny, tmp_path):
+    summary = run_suite(tiny, tmp_path, Processes(2, GUARD))
     assert summary.failures == ()
     assert comparable(tmp_path) == rows
 
@@ -152,9 +146,10 @@ def test_killed_at_random_moments_and_resumed_the_rows_are_the_same(rows, tmp_pa
         while run.poll() is None and (count_lines(out / RESULTS) < enough or not (out / STAMP).is_file()):
             time.sleep(0.01)
         time.sleep(draw.uniform(0.0, 0.4))
+        workers = workers_of(run)
         run.kill()
         _, err = run.communicate()
-        await_end_of_group(run.pid)
+        await_end(workers)
         assert run.returncode == -signal.SIGKILL, err.decode()
     before = count_lines(out / RESULTS)
     done = subprocess.run(command(suite, out), capture_output=True, text=True, check=True)
@@ -168,9 +163,11 @@ def test_ctrl_c_keeps_what_is_done_and_ends_with_130(tmp_path):
     run = subprocess.Popen(command(suite, out), stderr=subprocess.PIPE, start_new_session=True)
     while run.poll() is None and count_lines(out / RESULTS) < 1:
         time.sleep(0.01)
+    workers = workers_of(run)
+    assert workers
     os.killpg(run.pid, signal.SIGINT)
     _, err = run.communicate(timeout=GUARD)
-    await_end_of_group(run.pid)
+    await_end(workers)
     assert run.returncode == 130
     assert err.decode() == "benchmarks: stopped; what is done is kept, and the same command goes on\n"
     assert len(comparable(out)) >= 1
@@ -178,31 +175,19 @@ def test_ctrl_c_keeps_what_is_done_and_ends_with_130(tmp_path):
 
 TROUBLED = [Job("env1", 0.0, seed=seed) for seed in range(6)]
 REASONS = {
-    ProcessEngine: {
-        benchmark_work.RAISES: "ArithmeticError: two lines",
-        benchmark_work.KILLED: "its worker was killed by SIGKILL (out of memory?)",
-        benchmark_work.EXITS: "its worker ended with exit code 7",
-    },
-    RayEngine: {
-        benchmark_work.RAISES: "ArithmeticError: two lines",
-        benchmark_work.KILLED: "WorkerCrashedError: The worker died unexpectedly while executing this task.",
-        benchmark_work.EXITS: "WorkerCrashedError: The worker died unexpectedly while executing this task.",
-    },
+    benchmark_work.RAISES: "ArithmeticError: two lines",
+    benchmark_work.KILLED: "its worker was killed by SIGKILL (out of memory?)",
+    benchmark_work.EXITS: "its worker ended with exit code 7",
 }
 
 
-@pytest.mark.parametrize("engine", [ProcessEngine(2, GUARD), RayEngine(2, GUARD)], ids=str)
-@pytest.mark.usefixtures("ray_finds_the_tests")
-def test_a_job_that_dies_is_recorded_with_its_reason_and_the_others_go_on(engine, tmp_path):
+def test_a_job_that_dies_is_recorded_with_its_reason_and_the_others_go_on(tmp_path):
     suite, before = Suite("troubled", "", tuple(TROUBLED), "d"), {name: os.environ.get(name) for name in ONE_THREAD}
-    summary = run_suite(suite, tmp_path, engine, work=benchmark_work.troubled)
+    summary = run_suite(suite, tmp_path, Processes(2, GUARD), work=benchmark_work.troubled)
     rows = {row.seed: row for row in read_rows(tmp_path)}
     assert rows.keys() == {job.seed for job in TROUBLED}
     reasons = {seed: row.error for seed, row in rows.items() if row.error is not None}
-    assert reasons.keys() == REASONS[type(engine)].keys()
-    for seed, reason in REASONS[type(engine)].items():
-        assert reasons[seed].startswith(reason)
-        assert "\n" not in reasons[seed]
+    assert reasons == REASONS
     assert dict(summary.failures) == {TROUBLED[seed].title: reason for seed, reason in reasons.items()}
     one_thread = {**ONE_THREAD, "cv2": 1}
     well = {seed: row.metrics for seed, row in rows.items() if row.error is None}
@@ -210,31 +195,16 @@ def test_a_job_that_dies_is_recorded_with_its_reason_and_the_others_go_on(engine
     assert {name: os.environ.get(name) for name in ONE_THREAD} == before, "what is set for workers stays with them"
 
 
-@pytest.mark.parametrize("engine", [ProcessEngine(1, 1.0), RayEngine(1, 1.0)], ids=str)
-@pytest.mark.usefixtures("ray_finds_the_tests")
-def test_a_job_that_hangs_is_given_up_and_the_next_one_is_done(engine):
+def test_a_job_that_hangs_is_given_up_and_the_next_one_is_done():
     # Until a worker starts a job its clock does not run, so that a time-out of a second is enough on any machine.
     hangs, well = (replace(TROUBLED[0], seed=seed) for seed in (benchmark_work.HANGS, 0))
-    results = dict(engine.run([hangs, well], benchmark_work.troubled))
+    results = dict(Processes(1, 1.0).run([hangs, well], benchmark_work.troubled))
     assert results[hangs] == Failure("time-out: not done after 1 s")
     assert results[well].metrics["seed"] == 0
 
 
-def test_the_clock_of_a_job_starts_when_its_worker_starts_it(monkeypatch):
-    now = 100.0
-    monkeypatch.setattr(time, "monotonic", lambda: now)
-    clock = JobClock(TROUBLED[0], 5.0)
-    assert clock.deadline == now + STARTING
-    assert clock.failure == Failure(f"time-out: not started after {STARTING:g} s")
-    now = 200.0
-    clock.start()
-    assert clock.deadline == 205.0
-    assert clock.failure == Failure("time-out: not done after 5 s")
-    assert JobClock(TROUBLED[0], 2.0 * STARTING).deadline == now + 2.0 * STARTING
-
-
 def test_workers_end_when_the_caller_stops_listening():
-    with closing(ProcessEngine(2, GUARD).run(TROUBLED, benchmark_work.outcome)) as results:
+    with closing(Processes(2, GUARD).run(TROUBLED, benchmark_work.outcome)) as results:
         assert not isinstance(next(results)[1], Failure)
         assert multiprocessing.active_children()
     assert not multiprocessing.active_children()
@@ -242,8 +212,8 @@ def test_workers_end_when_the_caller_stops_listening():
 
 def test_failed_jobs_are_done_again_only_when_asked_for(tmp_path):
     suite = Suite("troubled", "", tuple(TROUBLED[:2]), "d")
-    engine = ProcessEngine(1, GUARD)
-    assert len(run_suite(suite, tmp_path, engine, work=benchmark_work.troubled).failures) == 1
+    engine = Processes(1, GUARD)
+    assert len(run_suite(suite, tmp_path, Processes(2, GUARD), work=benchmark_work.troubled).failures) == 1
     again = run_suite(suite, tmp_path, engine, work=benchmark_work.outcome)
     assert (again.before, len(again.failures)) == (2, 1)
     retried = run_suite(suite, tmp_path, engine, work=benchmark_work.outcome, retry_failed=True)
@@ -264,29 +234,16 @@ def test_a_failed_job_ends_the_command_with_1_and_its_reason(tmp_path):
 def results(tmp_path):
     """A folder with the results of a suite of well jobs."""
     suite = Suite("well", "", tuple(TROUBLED[:2]), "d")
-    run_suite(suite, tmp_path / "out", ProcessEngine(1, GUARD), work=benchmark_work.outcome)
+    run_suite(suite, tmp_path / "out", Processes(1, GUARD), work=benchmark_work.outcome)
     return tmp_path / "out"
 
 
-def test_the_command_tabulates(results, tmp_path):
-    for latex in (False, True):
-        expected = tables.table(read_rows(results), latex=latex)
-        shown = call(main, "table", results, *["--latex"] * latex)
-        assert (shown.returncode, shown.stdout) == (0, expected.rstrip("\n") + "\n")
-        written = call(main, "table", results, *["--latex"] * latex, "--out", tmp_path / "table")
-        assert (written.returncode, written.stdout) == (0, f"table       {tmp_path}/table\n")
-        assert (tmp_path / "table").read_text() == expected
-
-
-def test_the_command_plots_and_reports(results, monkeypatch):
-    monkeypatch.setattr(plots, "plot", lambda folder, out, svg: [out / f"of-{folder.name}.{'svg' if svg else 'png'}"])
-    monkeypatch.setattr(report, "report", lambda folder, out: out.with_name(f"{folder.name}-{out.name}"))
-    for words, line in (
-        (["plot"], f"plot        {results}/plots/of-out.png\n"),
-        (["plot", "--svg"], f"plot        {results}/plots/of-out.svg\n"),
-        (["report", "--out", results / "page.html"], f"report      {results}/out-page.html\n"),
-    ):
-        assert call(main, *words, results) == Finished(0, line, "")
+def test_the_command_tabulates_plots_and_reports(results):
+    shown = call(main, "table", results)
+    assert (shown.returncode, shown.stdout) == (0, tables.table(read_rows(results)))
+    assert call(main, "plot", results) == Finished(0, "", "")  # there is nothing to draw
+    assert call(main, "report", results).stdout == f"report      {results}/report.html\n"
+    assert "Exploration" in (results / "report.html").read_text()
 
 
 def test_results_that_are_not_there_are_refused(tmp_path):
@@ -296,22 +253,7 @@ def test_results_that_are_not_there_are_refused(tmp_path):
         assert done.stderr.startswith("benchmarks: ")
 
 
-def test_a_cluster_that_is_not_there_is_refused_at_once():
-    with socket.socket() as nobody:  # bound, so that the port is nobody else's, and deaf
-        nobody.bind(("127.0.0.1", 0))
-        address = "127.0.0.1:{1}".format(*nobody.getsockname())
-        with pytest.raises(ValueError, match=rf"--address {address}: no Ray cluster answers there"):
-            next(RayEngine(2, GUARD, address).run(TROUBLED, benchmark_work.outcome))
-
-
-def test_a_worker_of_other_versions_is_refused():
-    versions = {**package_versions(), "numpy": "1.0"}
-    with pytest.raises(ValueError, match=r"this worker has other versions: numpy 1.0, now"):
-        work_alike(benchmark_work.outcome, versions, TROUBLED[0])
-    assert work_alike(benchmark_work.outcome, package_versions(), TROUBLED[0]).config == "c0ffee"
-
-
 def test_the_stamp_names_suite_and_versions(tmp_path):
-    run_suite(Suite("one", "", (TROUBLED[0],), "d"), tmp_path, ProcessEngine(1, GUARD), work=benchmark_work.outcome)
+    run_suite(Suite("one", "", (TROUBLED[0],), "d"), tmp_path, Processes(1, GUARD), work=benchmark_work.outcome)
     stamp = json.loads((tmp_path / STAMP).read_text())
     assert (stamp["suite"], stamp["digest"], stamp["jobs"], stamp["versions"]) == ("one", "d", 1, package_versions())

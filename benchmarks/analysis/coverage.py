@@ -1,6 +1,5 @@
 """Coverage over time of exploration policies on the same floor plans: a table with intervals, and a figure."""
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,11 +7,11 @@ from pathlib import Path
 import numpy as np
 from matplotlib.lines import Line2D
 
-from benchmarks.analysis.figure_style import BAND, COLOURS, DASHES, INK, legend_below, plain_axes, sheet_of
+from benchmarks.analysis.groups import metric
 from benchmarks.analysis.series import read_series
-from benchmarks.analysis.statistics import Estimate, median, medians
-from benchmarks.suite.store import Row, read_rows
-from limslam_agent.output.atomic_write import atomic_write
+from benchmarks.analysis.style import BAND, COLOURS, DASHES, INK, legend_below, plain_axes, save, sheet_of
+from benchmarks.suite.store import read_rows
+from limslam_agent.measurements.statistics import MISSING, Estimate, median
 from limslam_env.geometry import FloatArray
 
 LABELS = {
@@ -25,10 +24,9 @@ LABELS = {
 }
 """The displayed names of the policies, in the order of the table."""
 
-GOAL, NOTHING = 0.8, "\N{EN DASH}"
+GOAL = 0.8
 MOMENTS = (30.0, 60.0, 90.0, 120.0, 180.0, 240.0)
-_BASES = {"frontier": "minus frontier's, s", "frontier_fast": "minus fast frontier's, s"}
-_PERIOD = 2.0
+_BASE = "frontier_fast"
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,14 +68,15 @@ def read_curves(folders: Sequence[Path]) -> dict[str, Curves]:
     found: dict[str, dict[str, tuple[FloatArray, FloatArray, float]]] = {}
     for folder in folders:
         for row in read_rows(folder):
-            if row.policy in LABELS and row.error is None and row.robots == 1:
-                plan, course = f"{row.world}, {row.noise:g}, {row.seed}", _course(folder, row)
-                if course is not None:
-                    found.setdefault(row.policy, {}).setdefault(plan, course)
+            series = read_series(folder, row) if row.policy in LABELS and row.robots == 1 else None
+            if series is not None and series.coverage is not None:
+                touches = metric("collisions")(row)
+                course = series.time, series.coverage, np.nan if touches is None else touches
+                found.setdefault(row.policy, {}).setdefault(f"{row.world}, {row.noise:g}, {row.seed}", course)
     if not found:
         raise ValueError("there are no explorations with their course in these folders")
     last = min(max(time[-1] for time, _, _ in runs.values()) for runs in found.values())
-    time = np.arange(0.0, last + 1e-9, _PERIOD / 2.0)
+    time = np.arange(0.0, last + 1e-9)
     return {
         policy: Curves(
             tuple(found[policy]),
@@ -90,74 +89,48 @@ def read_curves(folders: Sequence[Path]) -> dict[str, Curves]:
     }
 
 
-def _course(folder: Path, row: Row) -> tuple[FloatArray, FloatArray, float] | None:
-    series = read_series(folder, row)
-    if series is None or series.coverage is None:
-        return None
-    collisions = row.metrics.get("collisions")
-    return series.time, series.coverage, float(collisions) if isinstance(collisions, int | float) else math.nan
-
-
 def curve_table(curves: Mapping[str, Curves]) -> str:
-    """Markdown table of medians with 95 % bootstrap intervals, and of the time saved relative to frontier exploration.
+    """Markdown table of medians with 95 % bootstrap intervals, and of the time saved relative to the fast explorer.
 
     The time saved is compared plan by plan.
     """
     last = next(iter(curves.values())).time[-1]
     moments = [moment for moment in MOMENTS if moment <= last]
-    head = [
-        "policy",
-        "n",
-        *(f"{moment:g} s" for moment in moments),
-        "80 % after, s",
-        "got there",
-        *_BASES.values(),
-        "touched",
-    ]
+    head = ["policy", "n", *(f"{moment:g} s" for moment in moments), "80 % after, s", "got there"]
+    head += ["minus fast frontier's, s", "touched"]
     lines = ["| " + " | ".join(head) + " |", "|---|" + "---:|" * (len(head) - 1)]
     for policy, curve in curves.items():
-        columns = [_at(curve, moment) for moment in moments]
-        shares = [_words(estimate, 2) for estimate in medians(columns)]
+        places = np.searchsorted(curve.time, np.array(moments) - 1e-9)
         got_there = float((curve.coverage[:, -1] >= GOAL).mean())
         cells = [
-            LABELS[policy], str(len(curve.plans)), *shares, _words(median(curve.times), 0, last), f"{got_there:.0%}",
-            *(_gain(curve, curves.get(base)) for base in _BASES), f"{np.nanmean(curve.collisions):.2f}",
+            LABELS[policy], str(len(curve.plans)), *(_text(median(curve.coverage[:, place]), 2) for place in places),
+            _text(median(curve.times), 0), f"{got_there:.0%}", _gain(curve, curves.get(_BASE)),
+            f"{np.nanmean(curve.collisions):.2f}",
         ]  # fmt: skip
         lines.append("| " + " | ".join(cells) + " |")
     note = (
-        "Medians of coverage after so many seconds, with 95 % bootstrap intervals; runs that did not see 80 % within"
-        f" {last:g} s count as later. Minus another's: median over plans that both explored. Touched: mean per run."
+        "Medians of coverage after so many seconds, with 95 % bootstrap intervals; runs that did not see 80 % count as"
+        f" {last:g} s. Minus the fast frontier explorer's: median over plans that both explored, with their number."
+        " Touched: mean per run."
     )
     return "\n".join([*lines, "", note, ""])
 
 
-def _at(curve: Curves, moment: float) -> FloatArray:
-    return np.asarray(curve.coverage[:, int(np.searchsorted(curve.time, moment - 1e-9))])
-
-
 def _gain(curve: Curves, base: Curves | None) -> str:
     if base is None or curve is base:
-        return NOTHING
+        return MISSING
     known = dict(zip(base.plans, base.times.tolist(), strict=True))
-    both = [(time, known[plan]) for plan, time in zip(curve.plans, curve.times.tolist(), strict=True) if plan in known]
-    return _words(median([time - other for time, other in both]), 0) + f" ({len(both)})" if both else NOTHING
+    saved = [time - known[plan] for plan, time in zip(curve.plans, curve.times.tolist(), strict=True) if plan in known]
+    return f"{_text(median(saved), 0)} ({len(saved)})" if saved else MISSING
 
 
-def _words(estimate: Estimate | None, digits: int, last: float = math.inf) -> str:
-    if estimate is None:
-        return NOTHING
-
-    def said(value: float) -> str:
-        return f"> {last:g}" if value >= last else f"{value:.{digits}f}"
-
-    if estimate.low is None or estimate.high is None or estimate.low == estimate.high:
-        return said(estimate.value)
-    return f"{said(estimate.value)} [{said(estimate.low)}, {said(estimate.high)}]"
+def _text(found: Estimate | None, decimals: int) -> str:
+    return MISSING if found is None else found.text(decimals)
 
 
 def draw_curves(curves: Mapping[str, Curves], path: Path) -> None:
     """Write a figure with the median coverage over time, and a band that contains half of the plans."""
-    figure, [[axes]] = sheet_of(1, 1, (6.4, 3.8))
+    figure, [[axes]] = sheet_of([2.6], 1, 6.4)
     handles: list[Line2D] = []
     for number, (policy, curve) in enumerate(curves.items()):
         colour, dash = COLOURS[number % len(COLOURS)], DASHES[0 if policy.startswith("learned") else 1]
@@ -166,10 +139,8 @@ def draw_curves(curves: Mapping[str, Curves], path: Path) -> None:
         label = f"{LABELS[policy]} (n = {len(curve.plans)})"
         handles += axes.plot(curve.time, middle, color=colour, linestyle=dash, linewidth=1.8, label=label)
     axes.axhline(GOAL, color=INK, linewidth=0.6)
-    axes.set(
-        xlabel="time, s", ylabel="coverage, true", xlim=(0.0, next(iter(curves.values())).time[-1]), ylim=(0.0, 1.0)
-    )
+    last = next(iter(curves.values())).time[-1]
+    axes.set(xlabel="time, s", ylabel="coverage, true", xlim=(0.0, last), ylim=(0.0, 1.0))
     plain_axes(axes)
     legend_below(figure, handles, 2)
-    with atomic_write(path) as beside:
-        figure.savefig(beside, dpi=110)
+    save(figure, path)

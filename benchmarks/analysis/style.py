@@ -7,26 +7,25 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, TypeVar
+from typing import TypeVar
 
-import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from benchmarks.analysis.groups import PUBLISHED
+from limslam_agent.output.atomic_write import atomic_write
 
 # Okabe & Ito, Color Universal Design, 2008, without yellow, which is hard to see on white; darkest colour first.
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000", "#7F7F7F")
 MARKERS = ("o", "s", "^", "D", "v", "P", "X", "*")
 DASHES = ("-", (0, (5, 2)), (0, (1.5, 1.5)), (0, (6, 2, 1.5, 2)))
 TRUTH, WALLS, FAINT, INK = "0.76", "#A3201A", "0.62", "0.15"
-BAND = 0.16
-"""Opacity of the bands."""
+BAND = 0.15
+"""Opacity of a band of half of the values."""
 
-MOST_LINES = len(COLOURS)
-_DPI = 160
+_NARROWEST, _AROUND = 5.0, 1.0  # inches: least width of a sheet, and height of title and legend
+_ENTRY, _LETTERS = 1.75, 11.0  # width of a legend entry, inches, and number of title letters per inch
 
 _Value = TypeVar("_Value")
 
@@ -41,31 +40,17 @@ class Drawing:
         Name of the file, without the extension.
     title
         One line that says what the figure shows.
-    alt
-        Alternative text that describes the figure for readers who cannot see it.
     figure
         The figure.
     """
 
     name: str
     title: str
-    alt: str
     figure: Figure
 
 
-def sheet_of(rows: int, columns: int, size: tuple[float, float]) -> tuple[Figure, list[list[Axes]]]:
-    """A figure with a grid of axes; ``size`` is the size of each of the axes, inches."""
-    figure = Figure(figsize=(columns * size[0], rows * size[1] + 0.5), layout="constrained", facecolor="white")
-    axes = figure.subplots(rows, columns, squeeze=False)
-    return figure, [list(line) for line in axes]
-
-
-_NARROWEST, _AROUND = 5.0, 1.0  # inches: least width of a sheet, and height of title and legend
-_ENTRY, _LETTERS = 1.75, 11.0  # width of a legend entry, inches, and number of title letters per inch
-
-
-def uneven_sheet(heights: Sequence[float], columns: int, width: float) -> tuple[Figure, list[list[Axes]]]:
-    """Like :func:`sheet_of`, but with a separate height for each row, inches."""
+def sheet_of(heights: Sequence[float], columns: int, width: float) -> tuple[Figure, list[list[Axes]]]:
+    """A figure with a grid of axes, with the height of each row and the width of all columns, inches."""
     # A title and a legend need more width than one narrow column has.
     size = (max(columns * width, _NARROWEST), sum(heights) + 0.25 * len(heights) + _AROUND)
     figure = Figure(figsize=size, layout="constrained", facecolor="white")
@@ -80,6 +65,13 @@ def plain_axes(axes: Axes) -> None:
     axes.spines[["top", "right"]].set_visible(False)
     axes.spines[["left", "bottom"]].set_color("0.6")
     axes.tick_params(labelsize=8, color="0.6")
+
+
+def handle(label: str, **style: object) -> Line2D:
+    """An entry of a legend. Matplotlib would leave out labels that begin with an underscore if given at once."""
+    found = Line2D([], [], **style)  # type: ignore[arg-type] # the style of a line
+    found.set_label(label)
+    return found
 
 
 def legend_below(figure: Figure, handles: Sequence[Line2D], columns: int = 5) -> None:
@@ -109,21 +101,7 @@ def file_word(name: str) -> str:
     return "-".join(filter(None, "".join(letter if letter.isalnum() else " " for letter in name).split()))
 
 
-def method_suffix(method: str) -> str:
-    """The part of a file name for a method: empty for the published method."""
-    return "" if method == PUBLISHED else f"_{file_word(method)}"
-
-
-def save(drawing: Drawing, path: Path) -> None:
-    """Write a figure as PNG or SVG, depending on the extension. The same figure always gives the same file."""
-    if path.suffix == ".png":
-        with path.open("wb") as file:
-            write_png(drawing, file)
-        return
-    with mpl.rc_context({"svg.hashsalt": "limslam", "svg.fonttype": "path"}):
-        drawing.figure.savefig(path, format="svg", facecolor="white", metadata={"Date": None})
-
-
-def write_png(drawing: Drawing, file: IO[bytes]) -> None:
-    """Write a figure as PNG to an open file."""
-    drawing.figure.savefig(file, format="png", dpi=_DPI, facecolor="white", metadata={"Software": None})
+def save(figure: Figure, path: Path) -> None:
+    """Write a figure as PNG. The same figure always gives the same file."""
+    with atomic_write(path) as beside:
+        figure.savefig(beside, format="png", dpi=160, facecolor="white", metadata={"Software": None})

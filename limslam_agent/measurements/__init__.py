@@ -1,0 +1,1 @@
+"""What every series of runs needs: processes that do them, a folder that keeps them, and statistics of them."""
