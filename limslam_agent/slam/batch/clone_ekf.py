@@ -19,7 +19,6 @@ from limslam_agent.kernels.tables import FEWEST_TO_COMPARE
 from limslam_agent.kernels.updates import clear_readings, gathered, involved, iterate, stack_changes
 from limslam_agent.slam.batch.algebra import add_products, block_of, gather_rows
 from limslam_agent.slam.batch.compilation import algebra
-from limslam_agent.slam.batch.hough import extract_lines
 from limslam_agent.slam.batch.state import CLONES, LINES, NEXT_CLONE, Filter
 from limslam_agent.slam.consistent.clone_ekf import EQUALITY_NOISE, LINE_PRIOR
 from limslam_agent.slam.consistent.limits import HUBER
@@ -28,8 +27,6 @@ from limslam_agent.slam.core.carried_anchors import KNOWN_PLACE
 from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_env.geometry import FloatArray, IntArray
-
-__all__ = ["extract_lines"]
 
 _by_carried_anchor = algebra(carried_anchors.by_carried_anchor)
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from limslam_agent.kernels.extents import add_wall, count_hits
-from limslam_agent.kernels.lines import uncontested
+from limslam_agent.kernels.lines import extract_lines, uncontested
 from limslam_agent.kernels.tables import (
     ANGLE_STD,
     EXTENT,
@@ -32,7 +32,6 @@ from limslam_agent.slam.consistent.filter_access import (
     add_line,
     compare,
     end_points,
-    extract_lines,
     keep_clones,
     line_of,
     lines_near,

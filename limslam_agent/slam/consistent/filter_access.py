@@ -7,7 +7,6 @@ place (``slam.batch.compiled_steps``).
 import numpy as np
 
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
-from limslam_agent.slam.core.hough import line_parts
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_env.geometry import FloatArray, IntArray
 
@@ -108,11 +107,3 @@ def difference(ekf: CloneEKF, older: int, younger: int) -> tuple[FloatArray, Flo
 def merge(ekf: CloneEKF, older: int, younger: int, iterations: int) -> None:
     """Make two lines equal, and marginalise the younger one."""
     ekf.merge(older, younger, iterations)
-
-
-def extract_lines(
-    points: FloatArray, max_gap: float, min_votes: int, r_step: float, theta_step: float, near_line: float,
-    least: float, only_best: bool,
-) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
-    """The line of each point (n,), -1 for none, the lines (k, 2) as (r, theta), and their end points (k, 2, 2), m."""
-    return line_parts(points, max_gap, min_votes, r_step, theta_step, near_line, least, only_best)

@@ -1,4 +1,4 @@
-"""Compiled parts of data association: line fits, line ends, best lines, and crossings of walls.
+"""Compiled parts of data association: the best lines of readings, and crossings of walls.
 
 Lines are (d, alpha) about one anchor each, as in :mod:`limslam_agent.slam.line_graph.factors`. A place along a
 line is its distance from the anchor, m.
@@ -15,10 +15,7 @@ from limslam_agent.slam.line_graph.compilation import compiled, entry
 from limslam_agent.slam.line_graph.factors import GRAZING
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
-_TRIED_ANGLES = 90
-_FITTED = 40  # largest number of a line's readings that are used to fit it
 _FAR = 1e9
-_OUTLIER = 25.0  # largest squared residual of a reading, divided by the variance; larger residuals are clipped
 
 
 @compiled
@@ -27,45 +24,6 @@ def ray(pose: FloatArray, beam: FloatArray) -> tuple[float, float, float, float]
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     x, y = pose[0] + cos * beam[0] - sin * beam[1], pose[1] + sin * beam[0] + cos * beam[1]
     return x, y, math.cos(pose[2] + beam[2]), math.sin(pose[2] + beam[2])
-
-
-@entry
-def fit_lines(points: FloatArray, firsts: IntArray, std: float, lines: FloatArray, anchors: FloatArray) -> None:
-    """Fit lines (m, 2) and anchors (m, 2) to points (k, 4) in groups; group i begins at ``firsts[i]``.
-
-    Of many angles, the angle that explains most readings is chosen. Where points lie close together, total least
-    squares would fit the noise along the beams instead of the line.
-    """
-    for group in range(len(lines)):
-        first, end = firsts[group], firsts[group + 1]
-        if first == end:
-            continue
-        stride = 1 + (end - first - 1) // _FITTED
-        anchors[group, 0], anchors[group, 1] = points[first:end, 0].mean(), points[first:end, 1].mean()
-        best = np.inf
-        for number in range(_TRIED_ANGLES):
-            angle = number * math.pi / _TRIED_ANGLES
-            cost, offset = _fit_at(points[first:end:stride], anchors[group], angle, std)
-            if cost < best:
-                best, lines[group, 0], lines[group, 1] = cost, offset, angle
-
-
-@compiled
-def _fit_at(points: FloatArray, anchor: FloatArray, angle: float, std: float) -> tuple[float, float]:
-    """Cost and offset of the best line with a given angle."""
-    nx, ny = math.cos(angle), math.sin(angle)
-    total, weights = 0.0, 0.0
-    for k in range(len(points)):
-        # The distance from the line is the residual along the beam times the cosine.
-        weight = 1.0 / max(abs(nx * points[k, 2] + ny * points[k, 3]), GRAZING) ** 2
-        total += weight * ((points[k, 0] - anchor[0]) * nx + (points[k, 1] - anchor[1]) * ny)
-        weights += weight
-    offset, cost = total / weights, 0.0
-    for k in range(len(points)):
-        cosine = max(abs(nx * points[k, 2] + ny * points[k, 3]), GRAZING)
-        away = (points[k, 0] - anchor[0]) * nx + (points[k, 1] - anchor[1]) * ny - offset
-        cost += min((away / (cosine * std)) ** 2, _OUTLIER)
-    return cost, offset
 
 
 @entry

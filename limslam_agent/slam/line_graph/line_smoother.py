@@ -94,8 +94,7 @@ class Solution:
     state
         Poses, lines and calibration at the optimum.
     weights
-        Weights (k,): 0 for readings without a line and for grazing readings, otherwise 1, or more or less than that if
-        the noise grows with the range.
+        Weights (k,) of the readings: their inverse variances, 1/m^2; 0 for readings without a line and grazing ones.
     unknowns, equations, factors
         The equations, linearised at the state before the last step, and their factors.
     """
@@ -150,7 +149,7 @@ def solve(problem: Problem, state: State, labels: IntArray, iterations: int = MO
     for iteration in range(iterations):
         readings = expected(problem, state, labels)
         if iteration < _CHOOSING:
-            weights = not_grazing(readings, labels) / problem.noise**2
+            weights = not_grazing(readings, labels) / problem.stds**2
         graph.linearise(state, readings, weights)
         factors = graph.equations.factorise()
         step = -graph.equations.solved(factors, graph.equations.gradient)
@@ -166,7 +165,7 @@ def chi_square(problem: Problem, state: State, readings: Expected, weights: Floa
     """Sum of the squared residuals of wheels, readings and calibration, each divided by its variance."""
     driven = problem.whitened(state.motions - problem.motions(state.calibration))
     read = range_residuals(problem, state, readings)
-    total = float(np.sum(driven**2) + np.sum(weights * read**2) / problem.range_std**2)
+    total = float(np.sum(driven**2) + np.sum(weights * read**2))
     if problem.prior is None:
         return total
     off = state.calibration - problem.assumed_calibration
@@ -256,7 +255,7 @@ class _Graph:
     def _add_readings(self, state: State, readings: Expected, weights: FloatArray) -> None:
         """Add the readings of lines."""
         problem, unknowns, used = self._problem, self._unknowns, np.flatnonzero(self._labels >= 0)
-        places, roots = problem.readings.places[used], np.sqrt(weights[used]) / problem.range_std
+        places, roots = problem.readings.places[used], np.sqrt(weights[used])
         lines = unknowns.first_line + 2 * self._labels[used, None] + np.arange(2)
         columns, jacobian = [pose_columns(places), lines], [readings.by_pose[used], readings.by_line[used]]
         if unknowns.calibrated:

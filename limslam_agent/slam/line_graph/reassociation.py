@@ -8,18 +8,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from limslam_agent.slam.core.line_fit import fit_line
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, board_odds
 from limslam_agent.slam.line_graph import line_kernels as kernels
 from limslam_agent.slam.line_graph.factors import expected_readings, rays
-from limslam_agent.slam.line_graph.line_merging import ONE_WALL, Lines, OneWall, merge_lines, wall_kinds
+from limslam_agent.slam.line_graph.line_merging import Lines, merge_lines, wall_kinds
 from limslam_agent.slam.line_graph.line_smoother import MOST_ITERATIONS, Solution, pose_columns, solve
 from limslam_agent.slam.line_graph.problem import FEWEST_READINGS, Problem, State
 from limslam_agent.slam.line_graph.straightness import straight_labels
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import direction, normal
 
-ROUNDS = 8
-"""Largest number of rounds of merging, association and solving."""
+_ROUNDS = 8  # of merging, association and solving, at most
 _SETTLED = 2e-3  # m: the last round is the first one that moves no pose farther
 GATE = 3.5
 """A line explains a reading that it predicts within this number of standard deviations."""
@@ -43,8 +43,10 @@ class Association:
         return self.solution.state
 
 
-def reassociate(problem: Problem, state: State, labels: IntArray, rounds: int = ROUNDS) -> Association:
+def reassociate(problem: Problem, state: State, labels: IntArray) -> Association:
     """Poses, lines and associations, from approximate poses and the first associations of some readings.
+
+    Each round merges lines, re-associates readings, solves, and divides bent lines.
 
     Parameters
     ----------
@@ -52,27 +54,14 @@ def reassociate(problem: Problem, state: State, labels: IntArray, rounds: int = 
         Initial poses; the lines of the state are not used.
     labels
         The initial line of each reading, in any numbering, or -1.
-    rounds
-        Largest number of rounds.
 
     Raises
     ------
     DegenerateError
         If the readings do not determine the poses.
     """
-    return reassociate_from(problem, solve_labels(problem, state, sided(problem, state, labels)), rounds)
-
-
-def sided(problem: Problem, state: State, labels: IntArray) -> IntArray:
-    """Labels in which each side of a line is a line of its own: merging decides anew which lines are boards."""
-    labels, _ = renumbered(labels)
-    fitted = with_lines(problem, without_lines(state), labels)
-    return np.where(labels >= 0, 2 * labels + sides_of(problem, fitted, labels), -1)
-
-
-def reassociate_from(problem: Problem, found: Association, rounds: int) -> Association:
-    """Merge lines, re-associate readings, solve and divide bent lines, for at most ``rounds`` rounds."""
-    for _ in range(rounds):
+    found = solve_labels(problem, state, labels)
+    for _ in range(_ROUNDS):
         before = found.state.poses
         merged, has_merged, kinds = merge(problem, found)
         seen = seen_ends(problem, merged.state, merged.labels)
@@ -129,19 +118,18 @@ def without_lines(state: State) -> State:
 def with_lines(problem: Problem, state: State, labels: IntArray) -> State:
     """The state with further lines, through the readings of each label from the number of its lines on."""
     known = len(state.lines)
-    order = np.argsort(labels, kind="stable")
-    order = order[labels[order] >= known]
     count = max(int(labels.max(initial=-1)) + 1 - known, 0)
     lines, anchors = np.zeros((count, 2)), np.zeros((count, 2))
-    firsts = np.searchsorted(labels[order], known + np.arange(count + 1))
-    kernels.fit_lines(np.hstack(hit_points(problem, state, order)), firsts, problem.range_std, lines, anchors)
+    for number in np.unique(labels[labels >= known]).tolist():
+        points = hit_points(problem, state, np.flatnonzero(labels == number))
+        lines[number - known, 1], anchors[number - known] = fit_line(points, 1.0).line[1], points.mean(axis=0)
     return replace(state, lines=np.vstack((state.lines, lines)), anchors=np.vstack((state.anchors, anchors)))
 
 
-def hit_points(problem: Problem, state: State, chosen: IntArray) -> tuple[FloatArray, FloatArray]:
-    """The end points (k, 2) of chosen readings, m, and the unit vectors (k, 2) of their beams."""
+def hit_points(problem: Problem, state: State, chosen: IntArray) -> FloatArray:
+    """The end points (k, 2) of chosen readings, m."""
     origins, ahead = rays(state.flat_poses[problem.readings.places[chosen]], problem.beams[chosen])
-    return origins + problem.readings.distances[chosen, None] * ahead, ahead
+    return origins + problem.readings.distances[chosen, None] * ahead
 
 
 def places_along(problem: Problem, state: State, labels: IntArray) -> FloatArray:
@@ -189,9 +177,9 @@ def assigned(problem: Problem, state: State, ends: FloatArray) -> IntArray:
     biases = state.calibration[readings.places // problem.steps, 3]
     kernels.best_lines(
         state.flat_poses, readings.places, problem.beams, readings.distances - biases, state.lines, state.anchors,
-        ends, BEYOND, problem.beam_width, best, misfits,
+        ends, BEYOND, problem.sensor.cone, best, misfits,
     )  # fmt: skip
-    misfits /= problem.range_std * problem.noise[:, None]
+    misfits /= problem.stds[:, None]
     is_clear = (misfits[:, 0] < GATE) & (misfits[:, 1] - misfits[:, 0] > _MARGIN)
     return np.where(is_clear, best, -1)
 
@@ -202,21 +190,19 @@ def straightened(problem: Problem, found: Association) -> Association:
     return solve_again(problem, with_lines(problem, found.state, labels), labels)
 
 
-def merge(
-    problem: Problem, found: Association, limits: OneWall = ONE_WALL
-) -> tuple[Association, bool, tuple[float, float]]:
+def merge(problem: Problem, found: Association) -> tuple[Association, bool, tuple[float, float]]:
     """Merge the lines that may be one wall; whether there were such lines, and the lengths of boards and walls, m.
 
     Each merge updates all lines through their joint covariance. Poses and lines are solved for again when a line has
     moved far. This repeats until no pair can merge.
     """
     has_merged, lines = False, lines_of(problem, found)
-    kinds = wall_kinds(lines, ONE_WALL)
-    while merge_lines(lines, limits, kinds):
+    kinds = wall_kinds(lines)
+    while merge_lines(lines, kinds):
         labels = np.where(found.labels >= 0, rooted(lines.merged_into)[found.labels], -1)
         found, has_merged = solve_again(problem, found.state, labels), True
         lines = lines_of(problem, found)
-        kinds = wall_kinds(lines, ONE_WALL)
+        kinds = wall_kinds(lines)
     return found, has_merged, kinds
 
 

@@ -32,8 +32,8 @@ def straight_labels(problem: Problem, state: State, labels: IntArray, along: Flo
         Where each reading's beam meets its line (k,), m.
     """
     readings = expected(problem, state, labels)
-    residuals, stds = range_residuals(problem, state, readings), problem.range_std * problem.noise
-    result = _divided(along, residuals, readings.cosines, stds, labels, not_grazing(readings, labels))
+    residuals = range_residuals(problem, state, readings)
+    result = _divided(along, residuals, readings.cosines, problem.stds, labels, not_grazing(readings, labels))
     return np.where(_is_one_sided(problem, residuals, labels), -1, result)
 
 
@@ -92,8 +92,6 @@ def _is_one_sided(problem: Problem, residuals: FloatArray, labels: IntArray) -> 
     is_new |= np.abs(np.diff(readings.places[order], prepend=0)) > _RUN_GAP
     firsts = np.append(np.flatnonzero(is_new), len(order))
     found, result = np.zeros(len(order), dtype=bool), np.zeros(len(labels), dtype=bool)
-    kernels.one_sided_runs(
-        (residuals / problem.noise)[order] / problem.range_std, firsts, _RUN_GATE, _LONGEST_RUN, found
-    )
+    kernels.one_sided_runs((residuals / problem.stds)[order], firsts, _RUN_GATE, _LONGEST_RUN, found)
     result[order[found]] = True
     return result

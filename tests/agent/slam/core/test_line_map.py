@@ -49,26 +49,6 @@ def test_a_landmark_grows_to_what_is_seen_and_never_shrinks(seen: tuple[float, f
     assert extent(walls.segments(LINE[None])[0]) == expected
 
 
-def test_observations_are_counted_for_each_landmark() -> None:
-    walls = LineMap()
-    for _ in range(3):
-        walls.add(wall(0.0, 1.0))
-    for index in (1, 2, 2):
-        walls.grow(index, LINE, wall(0.0, 1.0))
-    assert [walls.observations(index) for index in range(3)] == [1, 2, 3]
-    assert len(walls) == 3
-
-
-def test_growing_one_landmark_leaves_the_others() -> None:
-    walls = LineMap()
-    lines = np.array([[1.0, 0.0], [2.0, 2.0]])
-    for line in lines:
-        walls.add(wall(0.0, 1.0, line))
-    before = walls.segments(lines)[1]
-    walls.grow(0, lines[0], wall(-2.0, 3.0, lines[0]))
-    np.testing.assert_array_equal(walls.segments(lines)[1], before)
-
-
 @pytest.mark.parametrize("degrees", range(-180, 180, 30))
 def test_segments_follow_their_line_when_it_moves(degrees: int) -> None:
     theta = math.radians(degrees)
@@ -81,14 +61,6 @@ def test_segments_follow_their_line_when_it_moves(degrees: int) -> None:
     assert np.linalg.norm(segment - wall(0.2, 1.2, before), axis=1).max() < 0.12
     np.testing.assert_allclose(distance(np.array([0.0, after[1] + 0.5 * math.pi]), segment),
                                along(after, wall(0.2, 1.2, before)), atol=1e-12)  # fmt: skip
-
-
-def test_moving_a_line_to_and_fro_loses_nothing() -> None:
-    walls = LineMap()
-    walls.add(wall(0.2, 1.2))
-    first = walls.segments(LINE[None])
-    walls.segments(np.array([[3.0, -1.0]]))
-    np.testing.assert_array_equal(walls.segments(LINE[None]), first)
 
 
 def test_a_line_that_turns_round_at_the_origin_keeps_its_wall() -> None:

@@ -11,8 +11,6 @@ from limslam_agent.slam.line_graph.reassociation import (
     lines_of,
     merge,
     reassociate,
-    renumbered,
-    rooted,
     solve_labels,
 )
 
@@ -97,16 +95,6 @@ def test_readings_near_a_corner_that_two_lines_predict_are_not_used():
     problem, poses = noisy_run(5, noise=0.04)
     found = reassociate(problem, state_from_motions(problem), true_labels(problem, poses))
     assert 0.0 < (found.labels < 0).mean() < 0.1
-
-
-def test_lines_are_numbered_by_their_first_reading():
-    labels, kept = renumbered(np.array([5, -1, 5, 3, 3, 9, 5, 3]), 2)
-    assert labels.tolist() == [0, -1, 0, 1, 1, -1, 0, 1]
-    assert kept.tolist() == [5, 3]
-
-
-def test_merged_lines_are_followed_to_the_last():
-    assert rooted(np.array([0, 0, 1, 3, 2])).tolist() == [0, 0, 0, 3, 0]
 
 
 def test_beams_that_may_have_hit_another_robot_are_left_out():

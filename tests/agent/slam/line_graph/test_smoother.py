@@ -45,13 +45,11 @@ def run_of(problem, poses, sensor):
 
 def test_the_sensor_that_the_filter_found_is_taken_over():
     problem, poses = noisy_run(6, 0.0)
-    growing = replace(problem, range_std=FOUND.usual_std(problem.robot.reach), growth=2.0)
-    rough = growing.range_std * growing.noise * np.random.default_rng(6).standard_normal(len(problem.readings))
+    rough = replace(problem, sensor=FOUND).stds * np.random.default_rng(6).standard_normal(len(problem.readings))
     wide = widened(problem, poses, FOUND.cone).readings
     measured = replace(problem, readings=replace(wide, distances=wide.distances + FOUND.bias + rough))
     found = settle(run_of(measured, poses, FOUND), CONFIG)
-    assert found.problem.growth == FOUND.growth / FOUND.std
-    assert found.problem.beam_width == FOUND.cone
+    assert found.problem.sensor == FOUND
     assert found.association.state.calibration[0, 3] == pytest.approx(FOUND.bias, abs=0.01)
     assert position_error(found.association.state, poses) < 0.02
 
