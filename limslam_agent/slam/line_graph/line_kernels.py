@@ -9,10 +9,9 @@ import math
 import numpy as np
 
 from limslam_agent.kernels.measurement import read_share
-from limslam_agent.kernels.tables import BIN
+from limslam_agent.kernels.tables import BIN, GRAZING
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_agent.slam.line_graph.compilation import compiled, entry
-from limslam_agent.slam.line_graph.factors import GRAZING
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _FAR = 1e9

@@ -9,13 +9,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.slam.consistent.limits import MIN_OVERLAP, ONE_WALL_GATE
+from limslam_agent.slam.consistent.limits import MIN_OVERLAP, ONE_WALL_GATE, STRAIGHTNESS
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, THICKEST, board_evidence, board_odds, is_wall
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import angle_between, direction, normal
 
 _MAX_OFFSET, _MAX_ANGLE = 0.15, 0.12  # m and rad: two lines that differ by more are not merged
-_REGULAR = np.diag([1e-6, 1e-8])  # added to the covariance of the difference of two lines, m^2 and rad^2
 _MOST_MOVED = (0.10, 0.05)  # m and rad: the largest change of a line by merging before the problem is linearised again
 
 
@@ -131,7 +130,7 @@ class Lines:
         lines = 2 * np.column_stack((pairs.first, pairs.first, pairs.second, pairs.second)) + np.array([0, 1, 0, 1])
         columns = np.column_stack((lines, 2 * len(self.lines) + pairs.second))
         joint = self.covariance[columns[:, :, None], columns[:, None, :]]
-        covariance = jacobian @ joint @ jacobian.swapaxes(1, 2) + _REGULAR
+        covariance = jacobian @ joint @ jacobian.swapaxes(1, 2) + np.diag(STRAIGHTNESS)
         values = np.column_stack((offset, angle_between(one[:, 1] - other[:, 1])))
         return Difference(values, columns, jacobian, np.linalg.inv(covariance))
 

@@ -11,8 +11,9 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse.linalg import SuperLU
 
+from limslam_agent.kernels.tables import GRAZING
 from limslam_agent.slam.least_squares.normal_equations import DegenerateError, NormalEquations
-from limslam_agent.slam.line_graph.factors import GRAZING, Expected, motion_jacobians
+from limslam_agent.slam.line_graph.factors import Expected, motion_jacobians
 from limslam_agent.slam.line_graph.problem import Problem, State, expected, moved
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 

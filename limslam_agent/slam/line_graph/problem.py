@@ -19,9 +19,6 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import NominalNoise, RobotSpec
 
 LEAST_RANGE_STD = 0.005  # m
-FEWEST_READINGS = 6
-"""Least number of readings of a line."""
-
 _ASIDE_STD = 1e-5  # m: keeps the equations regular, and adds up to less than a millimetre in a run
 
 

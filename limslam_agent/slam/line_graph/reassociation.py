@@ -8,13 +8,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from limslam_agent.kernels.tables import FEWEST
 from limslam_agent.slam.core.line_fit import fit_line
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, board_odds
 from limslam_agent.slam.line_graph import line_kernels as kernels
 from limslam_agent.slam.line_graph.factors import expected_readings, rays
 from limslam_agent.slam.line_graph.line_merging import Lines, merge_lines, wall_kinds
 from limslam_agent.slam.line_graph.line_smoother import MOST_ITERATIONS, Solution, pose_columns, solve
-from limslam_agent.slam.line_graph.problem import FEWEST_READINGS, Problem, State
+from limslam_agent.slam.line_graph.problem import Problem, State
 from limslam_agent.slam.line_graph.straightness import straight_labels
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import direction, normal
@@ -97,7 +98,7 @@ def solve_again(problem: Problem, state: State, labels: IntArray, iterations: in
     return Association(solve(problem, state, labels, iterations), labels)
 
 
-def renumbered(labels: IntArray, fewest: int = FEWEST_READINGS) -> tuple[IntArray, IntArray]:
+def renumbered(labels: IntArray, fewest: int = FEWEST) -> tuple[IntArray, IntArray]:
     """Labels of the lines in the order of first readings, and the old numbers (m,).
 
     Lines with fewer than ``fewest`` readings are left out.

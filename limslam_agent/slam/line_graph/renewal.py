@@ -27,10 +27,6 @@ from limslam_env.geometry import FloatArray, IntArray
 SHORTEST = 0.3
 """Least length of a wall, m, that the error of its direction is based on."""
 
-# By how much the position of each end of a known wall becomes less certain at each renewal, in standard deviations of a
-# range. It stands for errors that a wall has in each stretch again.
-_END_NOISE = 1.0
-
 
 def renewed(start: MapState, stretch: FilteredRun, config: SmootherConfig) -> tuple[MapState, FloatArray] | None:
     """The state at the end of a stretch of one robot's drive, by all readings since its beginning.
@@ -53,7 +49,8 @@ def renewed(start: MapState, stretch: FilteredRun, config: SmootherConfig) -> tu
     found = settle(stretch, config)
     if found is None or is_contradicted(found.problem, found.association):
         return None
-    aged = _aged(start, _END_NOISE * found.problem.range_std)
+    # A wall has some errors in each stretch again, which are about as large as that of a range.
+    aged = _aged(start, found.problem.range_std)
     labels = filter_labels(found.problem, stretch.associations, stretch.closures, stretch.first_step)
     return _joined(aged, found, labels), found.association.state.poses[0]
 

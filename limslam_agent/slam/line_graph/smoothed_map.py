@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from limslam_agent.kernels.tables import BIN, THROUGH_SIGMAS, THROUGH_SLACK
+from limslam_agent.slam.consistent.limits import MAX_GAP, THROUGH_TOLERANCE
 from limslam_agent.slam.consistent.wall_map import WallExtent
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.line_graph import line_kernels as kernels
@@ -17,8 +18,6 @@ from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.geometry.line import direction, normal, normalise
 from limslam_env.geometry.segment import lengths
 
-_MAX_GAP = 0.30  # m: the largest hole without looks in a drawn segment
-_MOST_PASSED = 1.0  # beams that passed for each beam that hit, where a wall is drawn
 _FEWEST_SHOWN = 10  # readings of a line that is drawn
 # The least length of a drawn segment: in m, and in standard deviations of a range.
 _SHORTEST_SHOWN, _SHORTEST_IN_STDS = 0.20, 7.5
@@ -133,7 +132,7 @@ def wall_extents(problem: Problem, found: Association) -> dict[int, WallExtent]:
 
 def drawn_pieces(extent: WallExtent) -> FloatArray:
     """The pieces (k, 2) of a line that are drawn as walls, m along the line."""
-    return extent.intervals(_MAX_GAP, _MOST_PASSED)
+    return extent.intervals(MAX_GAP, THROUGH_TOLERANCE)
 
 
 def _drawn(problem: Problem, found: Association) -> tuple[FloatArray, IntArray]:

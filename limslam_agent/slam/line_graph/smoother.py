@@ -8,6 +8,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from limslam_agent.config.smoother import SmootherConfig
+from limslam_agent.kernels.tables import FEWEST
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.range_sensor import RangeSensor
@@ -16,7 +17,6 @@ from limslam_agent.slam.line_graph.factors import motion_jacobians, motions_betw
 from limslam_agent.slam.line_graph.line_smoother import Solution, solve
 from limslam_agent.slam.line_graph.problem import (
     CALIBRATION_PRIOR,
-    FEWEST_READINGS,
     RELATIVE_PRIOR,
     Problem,
     make_problem,
@@ -147,7 +147,7 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Settled | None:
     )
     problem = with_breaks(problem, run)
     labels = filter_labels(problem, run.associations, run.closures, run.first_step)
-    if np.count_nonzero(labels >= 0) < FEWEST_READINGS:
+    if np.count_nonzero(labels >= 0) < FEWEST:
         return None
     try:
         best = Settled(problem, reassociate(problem, state_from_poses(problem, run.poses), labels))

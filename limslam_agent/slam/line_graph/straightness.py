@@ -7,9 +7,10 @@ these are not: they are systematic along the line, or all on one side of it.
 
 import numpy as np
 
+from limslam_agent.kernels.tables import FEWEST
 from limslam_agent.slam.line_graph import line_kernels as kernels
 from limslam_agent.slam.line_graph.line_smoother import not_grazing, range_residuals
-from limslam_agent.slam.line_graph.problem import FEWEST_READINGS, Problem, State, expected
+from limslam_agent.slam.line_graph.problem import Problem, State, expected
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _FEWEST_APART = 3  # readings; two of them fit any line
@@ -55,13 +56,13 @@ def _divided(
         for part in _straight_parts(points, line)[1:]:
             result[part] = count
             count += 1
-    few = np.bincount(result[result >= 0], minlength=count) < FEWEST_READINGS
+    few = np.bincount(result[result >= 0], minlength=count) < FEWEST
     return np.where(few[result], -1, result)
 
 
 def _straight_parts(points: FloatArray, line: IntArray) -> list[IntArray]:
     """The readings of a line, sorted along the line, in the parts into which the line is divided."""
-    if len(line) < FEWEST_READINGS + _FEWEST_APART:
+    if len(line) < FEWEST + _FEWEST_APART:
         return [line]
     s, y, w = points[:, line]
     s = s - s.mean()

@@ -273,8 +273,3 @@ def test_an_observation_a_little_across_the_wall_is_a_small_innovation() -> None
     ekf.x[:2] = 0.99 * np.array([math.cos(0.4), math.sin(0.4)])
     difference, _ = ekf.innovation(np.array([0.01, math.pi]), SEEN, 0)
     np.testing.assert_allclose(difference, [-0.02, 0.0], atol=1e-12)
-
-
-def test_predict_update_is_refused() -> None:
-    with pytest.raises(NotImplementedError, match="predict, then update"):
-        LineEKF(np.zeros(3)).predict_update(np.zeros(2), None, None)
