@@ -12,7 +12,7 @@ from limslam_agent.kernels.measurement import read_share
 from limslam_agent.kernels.tables import BIN, GRAZING
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_agent.slam.line_graph.compilation import compiled, entry
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry import FloatArray, IntArray
 
 _FAR = 1e9
 
@@ -79,45 +79,6 @@ def _normals(lines: FloatArray, anchors: FloatArray) -> FloatArray:
         x, y = anchors[line, 0], anchors[line, 1]
         result[line, 0], result[line, 1] = nx, ny
         result[line, 2], result[line, 3] = lines[line, 0] + nx * x + ny * y, nx * y - ny * x
-    return result
-
-
-@entry
-def one_sided_runs(misfits: FloatArray, firsts: IntArray, gate: float, longest: int, found: BoolArray) -> None:
-    """Find the readings whose residuals have too large a sum for independent errors.
-
-    Parameters
-    ----------
-    misfits, firsts
-        Residuals (k,) in standard deviations, in runs; run i begins at ``firsts[i]``, and the last number is k.
-    gate, longest
-        Parts of a run with 2 to ``longest`` readings are found whose sum, divided by the root of their number, exceeds
-        the gate, the largest first.
-    found
-        Output array (k,), false at first.
-    """
-    for run in range(len(firsts) - 1):
-        begin, end = firsts[run], firsts[run + 1]
-        while True:
-            first, last = _largest_sum(misfits[begin:end], found[begin:end], gate, longest)
-            if last <= first:
-                break
-            found[begin + first : begin + last + 1] = True
-
-
-@compiled
-def _largest_sum(misfits: FloatArray, found: BoolArray, gate: float, longest: int) -> tuple[int, int]:
-    """First and last reading of the part of a run with the largest sum above a gate; (0, 0) if there is none."""
-    best, result = gate, (0, 0)
-    for first in range(len(misfits)):
-        total = 0.0
-        for last in range(first, min(first + longest, len(misfits))):
-            if found[last]:
-                break
-            total += misfits[last]
-            size = abs(total) / math.sqrt(last - first + 1.0)
-            if last > first and size > best:
-                best, result = size, (first, last)
     return result
 
 

@@ -34,6 +34,8 @@ class Tally:
         Index of the first bin of each line (m,).
     hits, misses
         Numbers (m, b) of beams that ended in each bin, and of beams that passed through it.
+    reached
+        Least and largest position (m, 2, b) of a hit in each bin, m along the line.
     contradictions
         Number of beams that passed through any wall.
     """
@@ -41,26 +43,30 @@ class Tally:
     low: IntArray
     hits: IntArray
     misses: IntArray
+    reached: FloatArray
     contradictions: int
 
 
 def tally(problem: Problem, found: Association) -> Tally:
     """Count hits and misses along the lines of a solution."""
-    state, labels, looks = found.state, found.labels, problem.looks
-    used = labels >= 0
-    bins = np.floor(places_along(problem, state, labels)[used] / BIN).astype(np.int64)
-    count = len(state.lines)
+    state, looks, used = found.state, problem.looks, found.labels >= 0
+    labels, along = found.labels[used], places_along(problem, state, found.labels)[used]
+    bins, count = np.floor(along / BIN).astype(np.int64), len(state.lines)
     low, high = np.full(count, np.iinfo(np.int64).max), np.full(count, np.iinfo(np.int64).min)
-    np.minimum.at(low, labels[used], bins)
-    np.maximum.at(high, labels[used], bins)
+    np.minimum.at(low, labels, bins)
+    np.maximum.at(high, labels, bins)
+    bins -= low[labels]
     hits = np.zeros((count, int((high - low).max(initial=0)) + 1), dtype=np.int64)
-    np.add.at(hits, (labels[used], bins - low[labels[used]]), 1)
+    np.add.at(hits, (labels, bins), 1)
     misses = np.zeros_like(hits)
+    reached = np.stack((np.full(hits.shape, np.inf), np.full(hits.shape, -np.inf)), axis=1)
+    np.minimum.at(reached[:, 0], (labels, bins), along)
+    np.maximum.at(reached[:, 1], (labels, bins), along)
     crossed = kernels.count_crossings(
         state.flat_poses, looks.places, problem.look_beams, looks.distances, state.lines, state.anchors,
         low, hits, THROUGH_SIGMAS * problem.range_std + THROUGH_SLACK, misses,
     )  # fmt: skip
-    return Tally(low, hits, misses, crossed)
+    return Tally(low, hits, misses, reached, crossed)
 
 
 def contradictions(problem: Problem, found: Association) -> float:
@@ -117,17 +123,13 @@ def world_lines(found: Association) -> tuple[FloatArray, FloatArray]:
 
 def wall_extents(problem: Problem, found: Association) -> dict[int, WallExtent]:
     """Where along each line beams ended and passed, by the line's index, for lines with enough readings."""
-    counted, state = tally(problem, found), found.state
-    along, used = places_along(problem, state, found.labels), found.labels >= 0
-    bins = np.floor(along[used] / BIN).astype(np.int64) - counted.low[found.labels[used]]
-    least, most = np.full(counted.hits.shape, np.inf), np.full(counted.hits.shape, -np.inf)
-    np.minimum.at(least, (found.labels[used], bins), along[used])
-    np.maximum.at(most, (found.labels[used], bins), along[used])
-    extents = {}
-    for index in np.flatnonzero(counted.hits.sum(axis=1) >= _FEWEST_SHOWN).tolist():
-        counts, reached = np.stack((counted.hits[index], counted.misses[index])), np.stack((least[index], most[index]))
-        extents[index] = WallExtent(int(counted.low[index]), counts, reached)
-    return extents
+    counted = tally(problem, found)
+    return {
+        index: WallExtent(
+            int(counted.low[index]), np.stack((counted.hits[index], counted.misses[index])), counted.reached[index]
+        )
+        for index in np.flatnonzero(counted.hits.sum(axis=1) >= _FEWEST_SHOWN).tolist()
+    }
 
 
 def drawn_pieces(extent: WallExtent) -> FloatArray:

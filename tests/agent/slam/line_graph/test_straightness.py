@@ -1,10 +1,9 @@
-"""Lines that are more than one wall: bends, and runs of readings on one side of a line."""
+"""Lines that are more than one wall are divided."""
 
 import numpy as np
 import pytest
 from support.smoother_runs import noisy_run, true_labels
 
-from limslam_agent.slam.line_graph.line_kernels import one_sided_runs
 from limslam_agent.slam.line_graph.problem import state_from_poses
 from limslam_agent.slam.line_graph.reassociation import solve_labels, straightened
 
@@ -28,18 +27,3 @@ def test_two_walls_with_one_line_are_divided():
     np.add.at(pairs, (result.labels[used], wanted[used]), 1)
     assert len(result.state.lines) > len(begin.state.lines)
     assert pairs.max(axis=1).sum() > 0.95 * used.sum()
-
-
-def test_runs_on_one_side_are_found():
-    misfits = np.array([1.0, -1.0, 2.5, 2.0, 2.5, 2.0, -1.0, 1.0, 6.0, -6.0])
-    found = np.zeros(10, dtype=bool)
-    one_sided_runs(misfits, np.array([0, 8, 9, 10]), 4.0, 40, found)
-    assert found.tolist() == [False] * 2 + [True] * 4 + [False] * 4
-
-
-def test_long_runs_are_tested_in_parts():
-    found = np.zeros(100, dtype=bool)
-    one_sided_runs(np.full(100, 0.5), np.array([0, 100]), 4.0, 40, found)
-    assert not found.any()
-    one_sided_runs(np.full(100, 0.7), np.array([0, 100]), 4.0, 40, found)
-    assert found[:40].all()
