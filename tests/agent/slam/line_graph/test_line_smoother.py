@@ -172,7 +172,6 @@ def test_errors_are_as_large_as_the_covariances_say():
     assert 0.5 < np.mean(mean) < 1.6
 
 
-@pytest.mark.usefixtures("block")
 def test_two_robots_share_their_lines():
     problem, poses = noisy_run(5, robots=2)
     both = smoothed(problem, poses)
@@ -202,7 +201,6 @@ def ranges_of(problem, number):
     return ranges
 
 
-@pytest.mark.usefixtures("block")
 def test_wheel_sizes_are_found():
     problem, poses = noisy_run(6, mismatch=0.02, prior=CALIBRATION_PRIOR)
     solution = smoothed(problem, poses)
