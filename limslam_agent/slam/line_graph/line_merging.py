@@ -50,7 +50,7 @@ class Difference(NamedTuple):
     values
         Offset and angle (k, 2), m and rad.
     columns, jacobian
-        What they depend on: unknowns (k, 5) of the joint covariance, and derivatives (k, 2, 5).
+        What they depend on: unknowns (k, 4) of the joint covariance, and derivatives (k, 2, 4).
     information
         Inverse covariances (k, 2, 2).
     """
@@ -84,7 +84,7 @@ class Lines:
     seen
         Ends (m, 2, 2) of the parts that were read from each side, m; (inf, -inf) where there is no such part.
     covariance
-        Joint covariance (3 m, 3 m) of the lines, and of the places of their anchors along them.
+        Joint covariance (2 m, 2 m) of the lines.
     merged_into
         For each line (m,), the line that it was merged into, or the line itself.
     """
@@ -122,13 +122,11 @@ class Lines:
         away = self.anchors[pairs.second] - self.anchors[pairs.first]
         sign = np.where(np.cos(one[:, 1] - other[:, 1]) < 0.0, -1.0, 1.0)
         offset = sign * (one[:, 0] - np.sum(away * normal(one), axis=1)) - other[:, 0]
-        jacobian = np.zeros((count, 2, 5))
+        jacobian = np.zeros((count, 2, 4))
         jacobian[:, 0, 0], jacobian[:, 0, 2] = sign, -1.0
         jacobian[:, 0, 1] = -sign * np.sum(away * direction(one), axis=1)
-        jacobian[:, 0, 4] = -sign * np.sin(one[:, 1] - other[:, 1])
         jacobian[:, 1, 1], jacobian[:, 1, 3] = 1.0, -1.0
-        lines = 2 * np.column_stack((pairs.first, pairs.first, pairs.second, pairs.second)) + np.array([0, 1, 0, 1])
-        columns = np.column_stack((lines, 2 * len(self.lines) + pairs.second))
+        columns = 2 * np.column_stack((pairs.first, pairs.first, pairs.second, pairs.second)) + np.array([0, 1, 0, 1])
         joint = self.covariance[columns[:, :, None], columns[:, None, :]]
         covariance = jacobian @ joint @ jacobian.swapaxes(1, 2) + np.diag(STRAIGHTNESS)
         values = np.column_stack((offset, angle_between(one[:, 1] - other[:, 1])))
@@ -139,7 +137,7 @@ class Lines:
         crossed = self.covariance[:, difference.columns[which]] @ difference.jacobian[which].T
         gain = crossed @ difference.information[which]
         moves = gain @ difference.values[which]
-        self.lines -= moves[: self.lines.size].reshape(-1, 2)
+        self.lines -= moves.reshape(-1, 2)
         self.covariance -= gain @ crossed.T
         own = self.seen[pairs.second[which]]
         own[:, 0] = np.minimum(own[:, 0], pairs.seen[which, :, 0])
@@ -175,7 +173,7 @@ def merge_lines(known: Lines, kinds: tuple[float, float]) -> bool:
         The lengths of the known boards and walls, m.
     """
     begin, has_merged = known.lines.copy(), False
-    most = np.array(_MOST_MOVED) + np.sqrt(known.covariance.diagonal()[: begin.size]).reshape(-1, 2)
+    most = np.array(_MOST_MOVED) + np.sqrt(known.covariance.diagonal()).reshape(-1, 2)
     while True:
         pairs = known.near_pairs()
         difference = known.differences(pairs)

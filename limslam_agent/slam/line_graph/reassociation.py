@@ -14,11 +14,11 @@ from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, board_o
 from limslam_agent.slam.line_graph import line_kernels as kernels
 from limslam_agent.slam.line_graph.factors import expected_readings, rays
 from limslam_agent.slam.line_graph.line_merging import Lines, merge_lines, wall_kinds
-from limslam_agent.slam.line_graph.line_smoother import MOST_ITERATIONS, Solution, pose_columns, solve
+from limslam_agent.slam.line_graph.line_smoother import MOST_ITERATIONS, Solution, solve
 from limslam_agent.slam.line_graph.problem import Problem, State
 from limslam_agent.slam.line_graph.straightness import straight_labels
 from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.geometry.line import direction, normal
+from limslam_env.geometry.line import direction
 
 _ROUNDS = 8  # of merging, association and solving, at most
 _SETTLED = 2e-3  # m: the last round is the first one that moves no pose farther
@@ -208,33 +208,10 @@ def merge(problem: Problem, found: Association) -> tuple[Association, bool, tupl
 
 
 def lines_of(problem: Problem, found: Association) -> Lines:
-    """The lines of a solution, for merging.
-
-    :mod:`limslam_agent.slam.core.carried_anchors` says why two lines are compared at a place that moves with the world.
-    In the filter it moves with the robot. Here it moves with a pose near the last reading of the line: of the poses
-    that are eliminated last, the first one after this reading.
-    """
-    solution, state = found.solution, found.state
-    poses, by_pose = carriers(problem, found)
-    moved = np.einsum("mi,mij->mj", by_pose, solution.covariance[poses])
-    places = np.einsum("mnj,nj->mn", moved[:, poses], by_pose)
-    beside = moved[:, -len(solution.of_lines) :]
-    joint = np.block([[solution.of_lines, beside.T], [beside, places]])
-    return Lines(state.lines.copy(), state.anchors, seen_ends(problem, state, found.labels), joint)
-
-
-def carriers(problem: Problem, found: Association) -> tuple[IntArray, FloatArray]:
-    """Indices (m, 3) of the pose with which each line's anchor moves, among the unknowns that are eliminated last.
-
-    Also the derivative (m, 3) of the anchor's place along its line by this pose, when pose and world move together.
-    """
-    state, ends, used = found.state, found.solution.unknowns.ends, found.labels >= 0
-    last = np.zeros(len(state.lines), dtype=np.int64)
-    np.maximum.at(last, found.labels[used], problem.readings.places[used])
-    chosen = np.minimum(np.searchsorted(ends, last), len(ends) - 1)
-    away = state.anchors - state.flat_poses[ends[chosen], :2]
-    by_pose = np.column_stack((direction(state.lines), np.sum(normal(state.lines) * away, axis=1)))
-    return pose_columns(chosen), by_pose
+    """The lines of a solution, for merging."""
+    state = found.state
+    seen = seen_ends(problem, state, found.labels)
+    return Lines(state.lines.copy(), state.anchors, seen, found.solution.of_lines.copy())
 
 
 def rooted(merged_into: IntArray) -> IntArray:

@@ -15,7 +15,7 @@ def parallel(behind, second, std=0.01, *, turned=False):
     anchors = np.array([[0.3, 0.0], [0.5, -behind]])
     seen = np.array([[UNSEEN, UNSEEN], [UNSEEN, UNSEEN]])
     seen[0, POSITIVE] = seen[1, 1 - second if turned else second] = [-1.0, 1.0]
-    return Lines(lines, anchors, seen, np.diag([std**2, 1e-4] * 2 + [0.0, 0.0]))
+    return Lines(lines, anchors, seen, np.diag([std**2, 1e-4] * 2))
 
 
 def merged(behind, std, second=NEGATIVE, kinds=(0.0, 0.0), *, turned=False):
@@ -51,23 +51,7 @@ def test_what_is_known_of_a_building_decides_about_vague_lines():
 @pytest.mark.parametrize("turned", [False, True])
 def test_lengths_of_boards_and_walls(turned):
     lines = parallel(0.2, NEGATIVE, turned=turned)
-    lines.covariance = np.diag([1e-4, 1e-6] * 2 + [0.0, 0.0])
+    lines.covariance = np.diag([1e-4, 1e-6] * 2)
     assert wall_kinds(lines) == (0.0, pytest.approx(1.8))
     lines.seen[0, NEGATIVE] = [0.0, 0.7]
     assert wall_kinds(lines)[0] == pytest.approx(0.7)
-
-
-@pytest.mark.parametrize("turned", [False, True])
-def test_a_world_whose_place_is_unknown_does_not_merge_two_walls(turned):
-    """The lines are known to 0.02 m beside each other, but the world may be shifted by 2.5 m along them."""
-    for shift, merges in ((0.0, True), (2.5, False)):
-        lines = parallel(0.13, POSITIVE, turned=turned)
-        lines.lines[1, 1] += 0.04
-        normals = np.stack((np.cos(lines.lines[:, 1]), np.sin(lines.lines[:, 1])), axis=1)
-        by_shift = np.zeros((6, 2))
-        by_shift[:4:2], by_shift[4:] = normals, normals[:, ::-1] * [-1.0, 1.0]
-        moved = by_shift @ np.diag([2.5**2, 0.0]) @ by_shift.T
-        if not shift:
-            moved[4:], moved[:, 4:] = 0.0, 0.0
-        lines.covariance = np.diag([0.02**2, 1e-4] * 2 + [0.0, 0.0]) + moved
-        assert merge_lines(lines, (0.0, 0.0)) == merges

@@ -7,8 +7,6 @@ from support.smoother_runs import noisy_run, position_error, state_from_motions,
 from limslam_agent.slam.least_squares.normal_equations import DegenerateError
 from limslam_agent.slam.line_graph.problem import make_problem
 from limslam_agent.slam.line_graph.reassociation import (
-    carriers,
-    lines_of,
     merge,
     reassociate,
     solve_labels,
@@ -56,22 +54,6 @@ def test_a_drive_of_which_no_line_is_left_is_not_solved():
     problem, _ = noisy_run(2)
     with pytest.raises(DegenerateError):
         solve_labels(problem, state_from_motions(problem), np.full(len(problem.readings), -1))
-
-
-def test_anchors_move_with_the_world():
-    problem, poses = noisy_run(2)
-    found = solve_labels(problem, state_from_motions(problem), true_labels(problem, poses))
-    kept, by_pose = carriers(problem, found)
-    ends = found.solution.unknowns.ends
-    shift, turn = np.array([0.3, -0.2]), 1e-6
-    for line, anchor, index, row in zip(found.state.lines, found.state.anchors, kept, by_pose, strict=True):
-        x, y = anchor - found.state.poses[0, ends[index[0] // 3], :2]
-        along = np.array([-np.sin(line[1]), np.cos(line[1])])
-        moved = np.array([np.cos(turn) * x - np.sin(turn) * y - x, np.sin(turn) * x + np.cos(turn) * y - y])
-        assert row @ [*shift, turn] == pytest.approx(along @ (shift + moved), abs=1e-9)
-    joint = lines_of(problem, found).covariance
-    assert joint.shape == (12, 12)
-    assert np.linalg.eigvalsh(joint).min() > -1e-12
 
 
 def test_lines_of_different_walls_are_not_merged():
