@@ -17,9 +17,7 @@ from limslam_agent.slam.line_graph.factors import Expected, motion_jacobians
 from limslam_agent.slam.line_graph.problem import Problem, State, expected, moved
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
-MOST_ITERATIONS = 6
-"""Most iterations of a solution. Those that have not converged then have wrong associations."""
-
+_MOST_ITERATIONS = 6  # of a solution; those that have not converged then have wrong associations
 _LINE_STD = np.array([100.0, 10.0])  # m and rad: keeps the equations of a line regular if it was read only once
 _MOST_HALVINGS, _CHOOSING = 6, 2  # of a step; iterations after which the set of grazing readings is fixed
 _CONVERGED = 1e-3  # m or rad: the last step; what remains is of the order of its square
@@ -131,11 +129,10 @@ class Solution:
         return self.equations.marginals(pose_columns(poses)).reshape(*self.state.poses.shape, 3)
 
 
-def solve(problem: Problem, state: State, labels: IntArray, iterations: int = MOST_ITERATIONS) -> Solution:
+def solve(problem: Problem, state: State, labels: IntArray) -> Solution:
     """The optimum near a state by the Gauss-Newton method, for readings with known lines.
 
-    ``labels`` (k,) is the line of each reading, or -1 for readings that are not used. At most so many ``iterations``
-    are made.
+    ``labels`` (k,) is the line of each reading, or -1 for readings that are not used.
 
     Raises
     ------
@@ -147,7 +144,7 @@ def solve(problem: Problem, state: State, labels: IntArray, iterations: int = MO
     calibrated = 0 if problem.prior is None else state.calibration.shape[1]
     unknowns = Unknowns(len(problem.starts), problem.steps, calibrated, len(state.lines))
     graph, weights = _Graph(problem, labels, unknowns), np.zeros(len(labels))
-    for iteration in range(iterations):
+    for iteration in range(_MOST_ITERATIONS):
         readings = expected(problem, state, labels)
         if iteration < _CHOOSING:
             weights = not_grazing(readings, labels) / problem.stds**2

@@ -14,7 +14,7 @@ from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, board_o
 from limslam_agent.slam.line_graph import line_kernels as kernels
 from limslam_agent.slam.line_graph.factors import expected_readings, rays
 from limslam_agent.slam.line_graph.line_merging import Lines, merge_lines, wall_kinds
-from limslam_agent.slam.line_graph.line_smoother import MOST_ITERATIONS, Solution, solve
+from limslam_agent.slam.line_graph.line_smoother import Solution, solve
 from limslam_agent.slam.line_graph.problem import Problem, State
 from limslam_agent.slam.line_graph.straightness import straight_labels
 from limslam_env.geometry import FloatArray, IntArray
@@ -22,13 +22,10 @@ from limslam_env.geometry.line import direction
 
 _ROUNDS = 8  # of merging, association and solving, at most
 _SETTLED = 2e-3  # m: the last round is the first one that moves no pose farther
-GATE = 3.5
-"""A line explains a reading that it predicts within this number of standard deviations."""
-BEYOND = 0.10
-"""How far beyond a line's ends a beam may meet it, m."""
+_GATE = 3.5  # standard deviations, within which a line explains a reading: 0.9995 of its own readings
+_BEYOND = 0.10  # m: how far beyond a line's ends a beam may meet it
 _MARGIN = 3.0  # standard deviations by which the second-best line must predict a reading worse
 _FEWEST_OF_SIDE = 4  # readings
-_ROUGH = 3  # iterations before bent lines are looked for; fewer of them lose readings of right lines
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,7 +67,7 @@ def reassociate(problem: Problem, state: State, labels: IntArray) -> Association
             # The walls are boards for sure: what was read from one side can be read from the other side.
             seen[..., 0], seen[..., 1] = seen[..., 0].min(axis=1)[:, None], seen[..., 1].max(axis=1)[:, None]
         labels = assigned(problem, merged.state, seen)
-        found = straightened(problem, solve_again(problem, merged.state, labels, iterations=_ROUGH))
+        found = straightened(problem, solve_again(problem, merged.state, labels))
         if np.abs(found.state.poses - before)[..., :2].max() < _SETTLED and not has_merged:
             break
     return found
@@ -85,7 +82,7 @@ def solve_labels(problem: Problem, state: State, labels: IntArray) -> Associatio
     return Association(solve(problem, with_lines(problem, without_lines(state), labels), labels), labels)
 
 
-def solve_again(problem: Problem, state: State, labels: IntArray, iterations: int = MOST_ITERATIONS) -> Association:
+def solve_again(problem: Problem, state: State, labels: IntArray) -> Association:
     """The optimum for associations with the lines of a state; lines with too few readings are removed.
 
     Raises
@@ -95,7 +92,7 @@ def solve_again(problem: Problem, state: State, labels: IntArray, iterations: in
     """
     labels, kept = renumbered(labels)
     state = replace(state, lines=state.lines[kept], anchors=state.anchors[kept])
-    return Association(solve(problem, state, labels, iterations), labels)
+    return Association(solve(problem, state, labels), labels)
 
 
 def renumbered(labels: IntArray, fewest: int = FEWEST) -> tuple[IntArray, IntArray]:
@@ -170,18 +167,18 @@ def seen_ends(problem: Problem, state: State, labels: IntArray) -> FloatArray:
 def assigned(problem: Problem, state: State, ends: FloatArray) -> IntArray:
     """For each reading, the line that predicts it, or -1 if no line or two lines predict it.
 
-    A line can explain the readings from a side between the ends (m, 2, 2) on this side, and up to ``BEYOND``
-    outside.
+    A line can explain the readings from a side between the ends (m, 2, 2) on this side, and up to
+    ``_BEYOND`` outside.
     """
     readings = problem.readings
     best, misfits = np.empty(len(readings), dtype=np.int64), np.empty((len(readings), 2))
     biases = state.calibration[readings.places // problem.steps, 3]
     kernels.best_lines(
         state.flat_poses, readings.places, problem.beams, readings.distances - biases, state.lines, state.anchors,
-        ends, BEYOND, problem.sensor.cone, best, misfits,
+        ends, _BEYOND, problem.sensor.cone, best, misfits,
     )  # fmt: skip
     misfits /= problem.stds[:, None]
-    is_clear = (misfits[:, 0] < GATE) & (misfits[:, 1] - misfits[:, 0] > _MARGIN)
+    is_clear = (misfits[:, 0] < _GATE) & (misfits[:, 1] - misfits[:, 0] > _MARGIN)
     return np.where(is_clear, best, -1)
 
 
