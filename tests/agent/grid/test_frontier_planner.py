@@ -54,21 +54,6 @@ def test_frontiers_are_free_cells_beside_unknown_ones() -> None:
     ]
 
 
-def test_a_group_touches_at_corners_and_small_groups_are_left_out() -> None:
-    # (1, 4), (2, 5), (2, 6), (3, 5) hang together by corners; (3, 1) is alone.
-    alone = ["-------", "----x--", "-----xx", "-----x-", "-------"]
-    assert drawn(frontier_cells(OPEN, 2)) == alone
-    assert drawn(frontier_cells(OPEN, 4)) == alone
-    assert not frontier_cells(OPEN, 5).any()
-
-
-def test_what_lies_past_the_grids_edge_is_unknown() -> None:
-    # The grid grows only when something falls outside of it: free space can reach its last row exactly.
-    assert drawn(frontier_cells(grid_of("#####", "#...#", "#...#"), 3)) == ["-----", "-----", "-xxx-"]
-    assert drawn(frontier_cells(grid_of("#...#", "#...#", "#####"), 3)) == ["-xxx-", "-----", "-----"]
-    assert drawn(frontier_cells(grid_of("..#", "..#", "..#"), 3)) == ["xx-", "x--", "xx-"]
-
-
 def test_ignored_cells_are_no_frontier_and_what_they_leave_counts_by_itself() -> None:
     # A frontier of seven cells in a row; what is ignored parts it into three and two.
     grid = grid_of("#########", "#.......#", "?????????")
@@ -213,22 +198,6 @@ def test_paths_lead_cell_by_cell_over_free_ground_and_cut_no_corners(seed: int) 
         assert (np.diff(ways.cost[path[:, 0], path[:, 1]]) > 0.0).all()
 
 
-def walled(*openings: str) -> GridView:
-    """Two halves of a room with one wall between them, in row 5, that is drawn."""
-    return grid_of(*["." * len(openings[0])] * 5, *openings, *["." * len(openings[0])] * 5)
-
-
-def test_a_way_round_is_preferred_to_a_tight_passage() -> None:
-    # An opening of 3 cells leaves 0.15 m from the middle to the posts, one of 5 leaves 0.25 m.
-    grid = walled("##...############.....##")
-    path = routes(grid, place(1, 3), 0.18, NO_COMFORT).path_to((9, 3))
-    through = path[path[:, 0] == 5, 1]
-    assert ((through >= 17) & (through <= 21)).all()
-    # For a robot that fits, the near door is the shorter way.
-    path = routes(grid, place(1, 3), 0.1, NO_COMFORT).path_to((9, 3))
-    assert path[path[:, 0] == 5, 1].tolist() == [3]
-
-
 def test_each_metre_too_near_a_wall_costs_twenty_more_at_least() -> None:
     # A corridor of one cell, 0.05 m to the wall on both sides.
     grid = grid_of("#" * 12, "." * 12, "#" * 12)
@@ -245,20 +214,6 @@ def test_from_outside_of_the_grid_nothing_can_be_reached(row: int, column: int) 
     assert ways.cost.shape == (5, 5)
     assert np.isinf(ways.cost).all()
     assert (ways.predecessors < 0).all()
-
-
-@pytest.mark.parametrize("row", [1, 2])
-def test_a_robot_that_stands_too_near_a_wall_still_gets_out(row: int) -> None:
-    # The belief has drifted into the zone that is kept around the wall; all of it must not be a trap.
-    grid = grid_of("#########", *["." * 9] * 8)
-    ways = routes(grid, place(row, 4), 0.22, 0.15)
-    path = ways.path_to((7, 4))
-    assert np.isfinite(ways.cost[7, 4])
-    assert path[0].tolist() == [row, 4]
-    # It leaves the zone by the shortest way, and does not run along the wall to a cell that is near it too.
-    assert path[:4, 0].tolist() == [row, row + 1, row + 2, row + 3]
-    along = ways.path_to((1, 8))
-    assert along[:, 0].max() >= 3
 
 
 def test_comfort_keeps_the_way_off_the_walls_where_there_is_room() -> None:

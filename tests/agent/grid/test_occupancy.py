@@ -50,15 +50,6 @@ def test_a_beam_clears_what_it_crosses_and_occupies_where_it_ends() -> None:
     assert all(value(grid, column, row) == 0 for column in range(2, 12) for row in (-1, 1))
 
 
-@pytest.mark.parametrize(("heading", "right", "up"), [(0.0, 1, 0), (0.5, 0, 1), (1.0, -1, 0), (-0.5, 0, -1)])
-def test_rows_go_up_and_columns_to_the_right(heading: float, right: int, up: int) -> None:
-    grid = OccupancyGrid(CONFIG)
-    grid.update(at_centre(2, 3, heading * math.pi), ONE, np.array([0.8]), YES)
-    assert value(grid, 2 + 8 * right, 3 + 8 * up) == -4
-    assert value(grid, 2 + 5 * right, 3 + 5 * up) == 1
-    assert sum(each < 0 for each in known(grid).values()) == 1
-
-
 @pytest.mark.parametrize("reading", [0.2, float(np.float32(0.2)), 0.1])
 def test_a_reading_at_the_minimum_marks_nothing(reading: float) -> None:
     with_it, without = OccupancyGrid(CONFIG), OccupancyGrid(CONFIG)
@@ -102,21 +93,6 @@ def test_after_a_refusal_the_map_is_as_it_was() -> None:
     with pytest.raises(ValueError, match="the map has grown"):
         grid.update(at_centre(-30_000, 0), ONE, np.array([1.0]), YES)
     assert known(grid) == before
-
-
-@pytest.mark.parametrize("reading", [math.nan, math.inf, 0.7])
-def test_readings_that_cannot_be_used_change_nothing(reading: float) -> None:
-    with_it, without = OccupancyGrid(CONFIG), OccupancyGrid(CONFIG)
-    ranges = np.array([0.5, 0.6, 1.2, 1.1, 0.7, 0.5])
-    usable = np.array([True, True, False, True, True, True])
-    without.update(at_centre(0, 0), SIX, ranges, usable)
-    ranges[2] = reading
-    with_it.update(at_centre(0, 0), SIX, ranges, usable)
-    assert known(with_it) == known(without)
-    # That beam would have hit something here.
-    full = OccupancyGrid(CONFIG)
-    full.update(at_centre(0, 0), SIX, np.array([0.5, 0.6, 0.7, 1.1, 0.7, 0.5]), np.ones(6, dtype=bool))
-    assert known(full) != known(with_it)
 
 
 def test_a_cell_is_counted_once_a_step_however_many_samples_fall_into_it() -> None:
@@ -173,9 +149,3 @@ def test_cells_and_centres_are_inverse_and_tell_rows_from_columns() -> None:
     assert len(cells) == 24
     np.testing.assert_array_equal(view.cells(view.centres(cells)), cells)
     np.testing.assert_allclose(view.centres(np.array([[3, 0]])), [[-0.75, 3.75]])
-
-
-def test_values_at_points_are_those_of_their_cells_and_unknown_outside():
-    view = GridView(np.array([-1.0, 2.0]), 0.5, np.array([[1, 2, 3], [-4, 5, -6]], dtype=np.int16))
-    points = np.array([[-0.9, 2.1], [0.4, 2.9], [-0.6, 2.6], [-1.1, 2.1], [0.6, 2.1], [0.4, 3.1]])
-    np.testing.assert_array_equal(view.values_at(points), [1, -6, -4, 0, 0, 0])

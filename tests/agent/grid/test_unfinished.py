@@ -86,13 +86,6 @@ def test_a_stretch_shorter_than_asked_is_left_out() -> None:
     assert not len(unfinished(grid, walls, 0.25))
 
 
-def test_a_single_occupied_cell_before_a_wall_is_no_stretch() -> None:
-    grid = room(20, 20)
-    values = grid.values.copy()
-    values[1, 10] = -4
-    assert not len(unfinished(GridView(grid.low, CELL, values), walls_of(20, 20)))
-
-
 def test_an_obstacle_without_walls_is_unfinished_all_around() -> None:
     grid = room(20, 20)
     values = grid.values.copy()
@@ -110,10 +103,3 @@ def test_only_the_ground_that_the_robot_can_reach_counts(place) -> None:
     assert ground[1, 1:5].all() == (place[0] < 0.5)
     assert ground[1, 7:11].all() == (place[0] > 0.5)
     assert ground.sum() == 4
-
-
-def test_no_faces_give_no_stretch() -> None:
-    nothing = Faces(np.zeros((0, 2)), np.zeros((0, 2)))
-    assert in_long_stretches(nothing, 0.15, CELL).shape == (0,)
-    empty = GridView(np.zeros(2), CELL, np.zeros((3, 3), dtype=np.int16))
-    assert not len(border_faces(empty, empty.free))

@@ -70,19 +70,6 @@ def test_the_bias_is_made_up_for_in_proportion_to_the_distance(x: float, y: floa
     np.testing.assert_array_equal(motion.increment[:2], [x, y])
 
 
-def test_the_scale_stretches_the_way_and_leaves_the_turn() -> None:
-    motion = motion_from_odometry(np.array([1.0, -0.2, 0.3]), OdometryConfig(distance_scale=1.075))
-    np.testing.assert_allclose(motion.increment, [1.075, -0.215, 0.3], atol=1e-15)
-
-
-@settings(deadline=None, max_examples=100)
-@given(metres, metres, st.floats(-1.0, 1.0))
-def test_the_covariance_of_odometry_is_symmetric_and_positive(x: float, y: float, turn: float) -> None:
-    covariance = motion_from_odometry(np.array([x, y, turn]), OdometryConfig()).covariance
-    np.testing.assert_allclose(covariance, covariance.T, atol=1e-18)
-    assert np.linalg.eigvalsh(covariance).min() > 0.0
-
-
 def test_odometry_is_less_certain_the_farther_and_the_more_it_turns() -> None:
     config = OdometryConfig()
     still = motion_from_odometry(np.zeros(3), config).covariance
@@ -115,11 +102,6 @@ def test_odometry_that_is_not_three_finite_numbers_is_refused(bad: object) -> No
         motion_of({"ranges": np.zeros(6), "odometry": np.array(bad)}, ROBOT, NOISE, OdometryConfig())
 
 
-def test_an_observation_without_motion_is_refused() -> None:
-    with pytest.raises(ValueError, match="'wheels' or 'odometry'"):
-        motion_of({"ranges": np.zeros(6)}, ROBOT, NOISE, OdometryConfig())
-
-
 SIZES = OdometryCalibration(0.02, -0.01, 0.03)
 QUIET = NominalNoise(0.0, 1e-9)
 
@@ -141,12 +123,6 @@ def test_the_derivative_by_the_factors_is_that_of_central_differences(wheels: tu
         for unit in np.eye(3)
     ]  # fmt: skip
     np.testing.assert_allclose(calibrated(motion, 0.16, SIZES).by_calibration, np.column_stack(columns), atol=1e-9)
-
-
-def test_what_lies_beside_the_arc_stays() -> None:
-    slipped = motion_from_odometry(np.array([0.05, 0.01, 0.1]), OdometryConfig())
-    still = calibrated(slipped, ROBOT.axle, OdometryCalibration(0.0, 0.0, 0.0))
-    np.testing.assert_allclose(still.increment, slipped.increment, atol=1e-15)
 
 
 def test_a_turn_that_may_be_noise_says_nothing_of_the_axle() -> None:

@@ -14,7 +14,6 @@ from limslam_agent.slam.line_graph.factors import drive, expected_readings, moti
 from limslam_agent.slam.line_graph.line_smoother import chi_square, pose_columns, solve
 from limslam_agent.slam.line_graph.problem import (
     CALIBRATION_PRIOR,
-    Readings,
     expected,
     make_problem,
 )
@@ -142,16 +141,6 @@ def test_covariances_are_those_of_a_dense_solution():
     rows = np.searchsorted(unknowns.kept, columns)
     joint = solution.covariance[np.ix_(rows, rows)]
     assert joint == pytest.approx(dense[3 * steps - 6 :, 3 * steps - 6 :], rel=1e-3, abs=1e-9)
-
-
-def test_a_block_without_readings_is_solved(monkeypatch):
-    monkeypatch.setattr(line_smoother, "_BLOCK", 7)
-    problem, poses = noisy_run(4)
-    kept = problem.readings.places > 20
-    readings = Readings(*(getattr(problem.readings, name)[kept] for name in ("places", "beams", "distances")))
-    problem = replace(problem, readings=readings)
-    solution = smoothed(problem, poses)
-    assert np.isfinite(solution.of_poses).all()
 
 
 def numbered_row(problem, state, line, k):
