@@ -142,7 +142,7 @@ class Lines:
         own = self.seen[pairs.second[which]]
         own[:, 0] = np.minimum(own[:, 0], pairs.seen[which, :, 0])
         own[:, 1] = np.maximum(own[:, 1], pairs.seen[which, :, 1])
-        self.merged_into[pairs.first[which]] = pairs.second[which]
+        self.merged_into[self.merged_into == pairs.first[which]] = pairs.second[which]
 
     def _points(self, chosen: IntArray, places: FloatArray) -> FloatArray:
         """Points (k, 2) at places (k,) along chosen lines (k,)."""

@@ -79,7 +79,8 @@ def solve_labels(problem: Problem, state: State, labels: IntArray) -> Associatio
     Lines with too few readings are left out.
     """
     labels, _ = renumbered(labels)
-    return Association(solve(problem, with_lines(problem, without_lines(state), labels), labels), labels)
+    bare = replace(state, lines=state.lines[:0], anchors=state.anchors[:0])
+    return Association(solve(problem, with_lines(problem, bare, labels), labels), labels)
 
 
 def solve_again(problem: Problem, state: State, labels: IntArray) -> Association:
@@ -95,39 +96,24 @@ def solve_again(problem: Problem, state: State, labels: IntArray) -> Association
     return Association(solve(problem, state, labels), labels)
 
 
-def renumbered(labels: IntArray, fewest: int = FEWEST) -> tuple[IntArray, IntArray]:
-    """Labels of the lines in the order of first readings, and the old numbers (m,).
-
-    Lines with fewer than ``fewest`` readings are left out.
-    """
-    known, firsts, inverse, counts = np.unique(labels, return_index=True, return_inverse=True, return_counts=True)
-    is_line = (known >= 0) & (counts >= fewest)
-    order = np.argsort(np.where(is_line, firsts, len(labels)), kind="stable")[: int(is_line.sum())]
-    numbers = np.full(len(known), -1)
-    numbers[order] = np.arange(len(order))
-    return numbers[inverse], known[order]
-
-
-def without_lines(state: State) -> State:
-    """The same poses without lines."""
-    return replace(state, lines=state.lines[:0], anchors=state.anchors[:0])
+def renumbered(labels: IntArray) -> tuple[IntArray, IntArray]:
+    """Labels of the lines with enough readings, from 0 on, and the old numbers (m,) of these lines."""
+    known, inverse, counts = np.unique(labels, return_inverse=True, return_counts=True)
+    is_line = (known >= 0) & (counts >= FEWEST)
+    return np.where(is_line, np.cumsum(is_line) - 1, -1)[inverse], known[is_line]
 
 
 def with_lines(problem: Problem, state: State, labels: IntArray) -> State:
     """The state with further lines, through the readings of each label from the number of its lines on."""
-    known = len(state.lines)
+    known, readings = len(state.lines), problem.readings
     count = max(int(labels.max(initial=-1)) + 1 - known, 0)
     lines, anchors = np.zeros((count, 2)), np.zeros((count, 2))
+    origins, ahead = rays(state.flat_poses[readings.places], problem.beams)
+    ends = origins + readings.distances[:, None] * ahead
     for number in np.unique(labels[labels >= known]).tolist():
-        points = hit_points(problem, state, np.flatnonzero(labels == number))
+        points = ends[labels == number]
         lines[number - known, 1], anchors[number - known] = fit_line(points, 1.0).line[1], points.mean(axis=0)
     return replace(state, lines=np.vstack((state.lines, lines)), anchors=np.vstack((state.anchors, anchors)))
-
-
-def hit_points(problem: Problem, state: State, chosen: IntArray) -> FloatArray:
-    """The end points (k, 2) of chosen readings, m."""
-    origins, ahead = rays(state.flat_poses[problem.readings.places[chosen]], problem.beams[chosen])
-    return origins + problem.readings.distances[chosen, None] * ahead
 
 
 def places_along(problem: Problem, state: State, labels: IntArray) -> FloatArray:
@@ -142,18 +128,14 @@ def places_along(problem: Problem, state: State, labels: IntArray) -> FloatArray
     return along
 
 
-def sides_of(problem: Problem, state: State, labels: IntArray) -> IntArray:
-    """The side (k,) of its line that each reading was taken from: ``POSITIVE`` or ``NEGATIVE``."""
-    headings = state.flat_poses[problem.readings.places, 2] + problem.beams[:, 2]
-    return np.where(np.cos(state.lines[labels, 1] - headings) < 0.0, POSITIVE, NEGATIVE)
-
-
 def seen_ends(problem: Problem, state: State, labels: IntArray) -> FloatArray:
     """The ends of each line's readings from each side (m, 2, 2), m, without the outermost reading at each end.
 
     Where a side has few readings, these may be of another wall, and the side counts as not seen.
     """
-    sided = np.where(labels >= 0, 2 * labels + sides_of(problem, state, labels), -1)
+    headings = state.flat_poses[problem.readings.places, 2] + problem.beams[:, 2]
+    side = np.where(np.cos(state.lines[labels, 1] - headings) < 0.0, POSITIVE, NEGATIVE)
+    sided = np.where(labels >= 0, 2 * labels + side, -1)
     along, count = places_along(problem, state, labels), 2 * len(state.lines)
     order = np.lexsort((along, sided))
     order = order[sided[order] >= 0]
@@ -183,7 +165,7 @@ def assigned(problem: Problem, state: State, ends: FloatArray) -> IntArray:
 
 
 def straightened(problem: Problem, found: Association) -> Association:
-    """The optimum with bent lines divided, and without runs of readings that lie on one side of their line."""
+    """The optimum with bent lines divided."""
     labels = straight_labels(problem, found.state, found.labels, places_along(problem, found.state, found.labels))
     return solve_again(problem, with_lines(problem, found.state, labels), labels)
 
@@ -194,27 +176,13 @@ def merge(problem: Problem, found: Association) -> tuple[Association, bool, tupl
     Each merge updates all lines through their joint covariance. Poses and lines are solved for again when a line has
     moved far. This repeats until no pair can merge.
     """
-    has_merged, lines = False, lines_of(problem, found)
-    kinds = wall_kinds(lines)
-    while merge_lines(lines, kinds):
-        labels = np.where(found.labels >= 0, rooted(lines.merged_into)[found.labels], -1)
-        found, has_merged = solve_again(problem, found.state, labels), True
-        lines = lines_of(problem, found)
-        kinds = wall_kinds(lines)
-    return found, has_merged, kinds
-
-
-def lines_of(problem: Problem, found: Association) -> Lines:
-    """The lines of a solution, for merging."""
-    state = found.state
-    seen = seen_ends(problem, state, found.labels)
-    return Lines(state.lines.copy(), state.anchors, seen, found.solution.of_lines.copy())
-
-
-def rooted(merged_into: IntArray) -> IntArray:
-    """The final line (m,) of each line, by following the merges in ``merged_into``."""
+    has_merged = False
     while True:
-        further = merged_into[merged_into]
-        if np.array_equal(further, merged_into):
-            return merged_into
-        merged_into = further
+        state = found.state
+        seen = seen_ends(problem, state, found.labels)
+        lines = Lines(state.lines.copy(), state.anchors, seen, found.solution.of_lines.copy())
+        kinds = wall_kinds(lines)
+        if not merge_lines(lines, kinds):
+            return found, has_merged, kinds
+        labels = np.where(found.labels >= 0, lines.merged_into[found.labels], -1)
+        found, has_merged = solve_again(problem, state, labels), True
