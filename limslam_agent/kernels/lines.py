@@ -40,8 +40,9 @@ def hough_votes(points: FloatArray, min_votes: int, r_step: float, theta_step: f
     inverse = single(1.0) / single(step)
     lowest = single(low) * inverse
     angles, bins = num_angles(theta_step), int(np.rint((reach + step - low + 1.0) / step))
-    counts, wide = np.zeros((angles + 2) * (bins + 2), dtype=np.int16), bins + 2
-    found, size, angle = np.empty(len(points) * angles, dtype=np.int64), 0, single(0.0)
+    counts, wide = np.zeros((angles + 2) * (bins + 2), dtype=np.int32), bins + 2
+    most = len(points) * angles // max(min_votes, 1)
+    found, size, angle = np.empty(most, dtype=np.int64), 0, single(0.0)
     xs, ys, places = points[:, 0].astype(single), points[:, 1].astype(single), np.empty(len(points), dtype=np.int32)
     for n in range(angles):
         cos = single(math.cos(float(angle)) * float(inverse))

@@ -10,7 +10,7 @@ was u away then, between 0 and m, and what exceeds u is slip. The mean square of
 and may have touched it for some time.
 
 Contact with an edge that no beam sees, as behind the robot, remains unnoticed. Beams whose minimum exceeds three
-quarters of the body's radius say nothing about contact.
+quarters of the body's radius say nothing about contact. The row "bumping" of the scoreboard feels the numbers below.
 """
 
 import math
