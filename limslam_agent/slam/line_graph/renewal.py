@@ -20,12 +20,12 @@ from limslam_agent.slam.consistent.wall_map import NEW, Wall
 from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.line_graph.line_smoother import pose_columns
 from limslam_agent.slam.line_graph.reassociation import seen_ends
-from limslam_agent.slam.line_graph.smoothed_map import drawn_pieces, is_contradicted, wall_extents
+from limslam_agent.slam.line_graph.smoothed_map import contradictions, drawn_pieces, wall_extents
 from limslam_agent.slam.line_graph.smoother import FilteredRun, Settled, filter_labels, settle
 from limslam_env.geometry import FloatArray, IntArray
 
-SHORTEST = 0.3
-"""Least length of a wall, m, that the error of its direction is based on."""
+_SHORTEST = 0.3  # m: least length of a wall that the error of its direction is based on
+_CONTRADICTED = 0.01  # share of the beams that go through walls of a wrong map
 
 
 def renewed(start: MapState, stretch: FilteredRun, config: SmootherConfig) -> tuple[MapState, FloatArray] | None:
@@ -47,7 +47,7 @@ def renewed(start: MapState, stretch: FilteredRun, config: SmootherConfig) -> tu
         poses of the stretch (t, 3). None if the stretch cannot be smoothed, or if its beams contradict the result.
     """
     found = settle(stretch, config)
-    if found is None or is_contradicted(found.problem, found.association):
+    if found is None or contradictions(found.problem, found.association) > _CONTRADICTED:
         return None
     # A wall has some errors in each stretch again, which are about as large as that of a range.
     aged = _aged(start, found.problem.range_std)
@@ -58,7 +58,7 @@ def renewed(start: MapState, stretch: FilteredRun, config: SmootherConfig) -> tu
 def _aged(state: MapState, end_std: float) -> MapState:
     """The map with the ends of each wall, m, less certain by a standard deviation, m."""
     variance, lengths = end_std**2, np.array([np.ptp(wall.extent.ends) for wall in state.walls])
-    lengths = np.maximum(lengths, SHORTEST)
+    lengths = np.maximum(lengths, _SHORTEST)
     added = np.column_stack((np.full(len(lengths), 0.5 * variance), 2.0 * variance / lengths**2))
     return replace(state, covariance=state.covariance + np.diag(np.append(np.zeros(POSE), added)))
 

@@ -21,7 +21,6 @@ from limslam_env.geometry.segment import lengths
 _FEWEST_SHOWN = 10  # readings of a line that is drawn
 # The least length of a drawn segment: in m, and in standard deviations of a range.
 _SHORTEST_SHOWN, _SHORTEST_IN_STDS = 0.20, 7.5
-_CONTRADICTED = 0.01  # share of the beams that go through walls of a wrong map
 
 
 @dataclass(frozen=True, eq=False)
@@ -81,11 +80,6 @@ def contradictions(problem: Problem, found: Association) -> float:
     counts = problem.is_hit | lasts[looks.places, looks.beams]
     kept = Readings(looks.places[counts], looks.beams[counts], looks.distances[counts])
     return tally(replace(problem, looks=kept), found).contradictions / max(len(kept), 1)
-
-
-def is_contradicted(problem: Problem, found: Association) -> bool:
-    """Whether more beams pass through walls than in a correct map."""
-    return contradictions(problem, found) > _CONTRADICTED
 
 
 def smoothed_map(problem: Problem, found: Association) -> tuple[list[Landmark], FloatArray]:
