@@ -30,8 +30,9 @@ _FEWEST_OF_SIDE = 4  # readings
 
 @dataclass(frozen=True, eq=False)
 class Association:
-    """A solution, and the line (k,) of each reading in this solution; -1 for readings that were not used."""
+    """A problem, its solution, and the line (k,) of each reading in it; -1 for readings that were not used."""
 
+    problem: Problem
     solution: Solution
     labels: IntArray
 
@@ -61,13 +62,13 @@ def reassociate(problem: Problem, state: State, labels: IntArray) -> Association
     found = solve_labels(problem, state, labels)
     for _ in range(_ROUNDS):
         before = found.state.poses
-        merged, has_merged, kinds = merge(problem, found)
+        merged, has_merged, kinds = merge(found)
         seen = seen_ends(problem, merged.state, merged.labels)
         if board_odds(0.0, *kinds) > SURE:
             # The walls are boards for sure: what was read from one side can be read from the other side.
             seen[..., 0], seen[..., 1] = seen[..., 0].min(axis=1)[:, None], seen[..., 1].max(axis=1)[:, None]
         labels = assigned(problem, merged.state, seen)
-        found = straightened(problem, solve_again(problem, merged.state, labels))
+        found = straightened(solve_again(problem, merged.state, labels))
         if np.abs(found.state.poses - before)[..., :2].max() < _SETTLED and not has_merged:
             break
     return found
@@ -80,7 +81,7 @@ def solve_labels(problem: Problem, state: State, labels: IntArray) -> Associatio
     """
     labels, _ = renumbered(labels)
     bare = replace(state, lines=state.lines[:0], anchors=state.anchors[:0])
-    return Association(solve(problem, with_lines(problem, bare, labels), labels), labels)
+    return Association(problem, solve(problem, with_lines(problem, bare, labels), labels), labels)
 
 
 def solve_again(problem: Problem, state: State, labels: IntArray) -> Association:
@@ -93,7 +94,7 @@ def solve_again(problem: Problem, state: State, labels: IntArray) -> Association
     """
     labels, kept = renumbered(labels)
     state = replace(state, lines=state.lines[kept], anchors=state.anchors[kept])
-    return Association(solve(problem, state, labels), labels)
+    return Association(problem, solve(problem, state, labels), labels)
 
 
 def renumbered(labels: IntArray) -> tuple[IntArray, IntArray]:
@@ -164,19 +165,20 @@ def assigned(problem: Problem, state: State, ends: FloatArray) -> IntArray:
     return np.where(is_clear, best, -1)
 
 
-def straightened(problem: Problem, found: Association) -> Association:
+def straightened(found: Association) -> Association:
     """The optimum with bent lines divided."""
+    problem = found.problem
     labels = straight_labels(problem, found.state, found.labels, places_along(problem, found.state, found.labels))
     return solve_again(problem, with_lines(problem, found.state, labels), labels)
 
 
-def merge(problem: Problem, found: Association) -> tuple[Association, bool, tuple[float, float]]:
+def merge(found: Association) -> tuple[Association, bool, tuple[float, float]]:
     """Merge the lines that may be one wall; whether there were such lines, and the lengths of boards and walls, m.
 
     Each merge updates all lines through their joint covariance. Poses and lines are solved for again when a line has
     moved far. This repeats until no pair can merge.
     """
-    has_merged = False
+    problem, has_merged = found.problem, False
     while True:
         state = found.state
         seen = seen_ends(problem, state, found.labels)

@@ -12,7 +12,7 @@ from limslam_agent.slam.consistent.limits import MAX_GAP, THROUGH_TOLERANCE
 from limslam_agent.slam.consistent.wall_map import WallExtent
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.line_graph import line_kernels as kernels
-from limslam_agent.slam.line_graph.problem import Problem, Readings, State
+from limslam_agent.slam.line_graph.problem import Readings, State
 from limslam_agent.slam.line_graph.reassociation import Association, places_along
 from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.geometry.line import direction, normal, normalise
@@ -46,9 +46,10 @@ class Tally:
     contradictions: int
 
 
-def tally(problem: Problem, found: Association) -> Tally:
+def tally(found: Association) -> Tally:
     """Count hits and misses along the lines of a solution."""
-    state, looks, used = found.state, problem.looks, found.labels >= 0
+    problem, state, used = found.problem, found.state, found.labels >= 0
+    looks = problem.looks
     labels, along = found.labels[used], places_along(problem, state, found.labels)[used]
     bins, count = np.floor(along / BIN).astype(np.int64), len(state.lines)
     low, high = np.full(count, np.iinfo(np.int64).max), np.full(count, np.iinfo(np.int64).min)
@@ -68,28 +69,29 @@ def tally(problem: Problem, found: Association) -> Tally:
     return Tally(low, hits, misses, reached, crossed)
 
 
-def contradictions(problem: Problem, found: Association) -> float:
+def contradictions(found: Association) -> float:
     """Share of the looks that pass through walls, without those that saw nothing and may be dropouts of the sensor.
 
     A beam that saw nothing counts if it also saw nothing in the steps before and after.
     """
-    looks, steps = problem.looks, len(problem.starts) * problem.steps
+    problem, looks = found.problem, found.problem.looks
+    steps = len(problem.starts) * problem.steps
     is_empty = np.zeros((steps + 2, len(problem.robot.beams)), dtype=bool)
     is_empty[looks.places[~problem.is_hit] + 1, looks.beams[~problem.is_hit]] = True
     lasts = is_empty[:-2] & is_empty[1:-1] & is_empty[2:]
     counts = problem.is_hit | lasts[looks.places, looks.beams]
     kept = Readings(looks.places[counts], looks.beams[counts], looks.distances[counts])
-    return tally(replace(problem, looks=kept), found).contradictions / max(len(kept), 1)
+    return tally(replace(found, problem=replace(problem, looks=kept))).contradictions / max(len(kept), 1)
 
 
-def smoothed_map(problem: Problem, found: Association) -> tuple[list[Landmark], FloatArray]:
+def smoothed_map(found: Association) -> tuple[list[Landmark], FloatArray]:
     """The walls of a solution: the lines with walls, as landmarks about the world's origin, and the segments (k, 4), m.
 
     A wall is where beams ended along a line and no beam passed through.
     """
-    segments, owners = _drawn(problem, found)
+    segments, owners = _drawn(found)
     lines, covariances = world_lines(found)
-    along = places_along(problem, found.state, found.labels)
+    along = places_along(found.problem, found.state, found.labels)
     landmarks = []
     for index in np.unique(owners).tolist():
         own, (r, theta) = along[found.labels == index], lines[index].tolist()
@@ -115,9 +117,9 @@ def world_lines(found: Association) -> tuple[FloatArray, FloatArray]:
     return normalise(lines), np.asarray(jacobians @ blocks @ np.swapaxes(jacobians, 1, 2))
 
 
-def wall_extents(problem: Problem, found: Association) -> dict[int, WallExtent]:
+def wall_extents(found: Association) -> dict[int, WallExtent]:
     """Where along each line beams ended and passed, by the line's index, for lines with enough readings."""
-    counted = tally(problem, found)
+    counted = tally(found)
     return {
         index: WallExtent(
             int(counted.low[index]), np.stack((counted.hits[index], counted.misses[index])), counted.reached[index]
@@ -131,14 +133,14 @@ def drawn_pieces(extent: WallExtent) -> FloatArray:
     return extent.intervals(MAX_GAP, THROUGH_TOLERANCE)
 
 
-def _drawn(problem: Problem, found: Association) -> tuple[FloatArray, IntArray]:
+def _drawn(found: Association) -> tuple[FloatArray, IntArray]:
     """The wall segments (k, 4), m, and the line (k,) of each."""
     drawn, owners = [no_rows(4)], [np.zeros(0, dtype=np.int64)]
-    for index, extent in wall_extents(problem, found).items():
+    for index, extent in wall_extents(found).items():
         drawn.append(_points(found.state, index, drawn_pieces(extent)).reshape(-1, 4))
         owners.append(np.full(len(drawn[-1]), index))
     every, owner = np.concatenate(drawn), np.concatenate(owners)
-    is_long = lengths(every) >= max(_SHORTEST_SHOWN, _SHORTEST_IN_STDS * problem.range_std)
+    is_long = lengths(every) >= max(_SHORTEST_SHOWN, _SHORTEST_IN_STDS * found.problem.range_std)
     return np.asarray(every[is_long]), np.asarray(owner[is_long])
 
 

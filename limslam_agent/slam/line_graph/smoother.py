@@ -115,14 +115,6 @@ class SmoothedRun:
     robot: RobotSpec
 
 
-@dataclass(frozen=True, eq=False)
-class Settled:
-    """A problem and its solution."""
-
-    problem: Problem
-    association: Association
-
-
 def smooth_run(
     run: FilteredRun, config: SmootherConfig | None = None, unplaced: int | None = None
 ) -> SmoothedRun | None:
@@ -138,7 +130,7 @@ def smooth_run(
     return None if found is None else _smoothed(found, run)
 
 
-def settle(run: FilteredRun, config: SmootherConfig) -> Settled | None:
+def settle(run: FilteredRun, config: SmootherConfig) -> Association | None:
     """The solution of a run; None if there is nothing to smooth."""
     if len(run.poses) < 2:
         return None
@@ -151,7 +143,7 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Settled | None:
     if np.count_nonzero(labels >= 0) < FEWEST:
         return None
     try:
-        best = Settled(problem, reassociate(problem, state_from_poses(problem, run.poses), labels))
+        best = reassociate(problem, state_from_poses(problem, run.poses), labels)
         if config.calibrate == "if_needed":
             best = _calibrated_if_needed(best, run, labels)
     except DegenerateError:
@@ -159,13 +151,13 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Settled | None:
     return best
 
 
-def _calibrated_if_needed(found: Settled, run: FilteredRun, labels: IntArray) -> Settled:
+def _calibrated_if_needed(found: Association, run: FilteredRun, labels: IntArray) -> Association:
     """The solution with constant errors of wheels, axle and ranges if these are significant, before and after it."""
     sized = _calibrated(found.problem)
-    if not _has_errors(sized, solve(sized, found.association.state, found.association.labels)):
+    if not _has_errors(sized, solve(sized, found.state, found.labels)):
         return found
-    again = Settled(sized, reassociate(sized, state_from_poses(sized, run.poses), labels))
-    return again if _has_errors(sized, again.association.solution) else found
+    again = reassociate(sized, state_from_poses(sized, run.poses), labels)
+    return again if _has_errors(sized, again.solution) else found
 
 
 def _has_errors(problem: Problem, solution: Solution) -> bool:
@@ -218,11 +210,11 @@ def filter_labels(
     return np.asarray(table[problem.readings.places, problem.readings.beams])
 
 
-def _smoothed(best: Settled, run: FilteredRun) -> SmoothedRun:
-    problem, found = best.problem, best.association
+def _smoothed(found: Association, run: FilteredRun) -> SmoothedRun:
+    problem = found.problem
     poses = np.moveaxis(found.state.poses, 0, 1).copy()
     poses[..., 2] = wrap_angle(poses[..., 2])
-    landmarks, segments = smoothed_map(problem, found)
+    landmarks, segments = smoothed_map(found)
     covariances = np.moveaxis(found.solution.of_poses, 0, 1)
     return SmoothedRun(
         poses=np.concatenate((poses, run.poses[len(poses) :])),
@@ -230,6 +222,6 @@ def _smoothed(best: Settled, run: FilteredRun) -> SmoothedRun:
         landmarks=landmarks,
         segments=segments,
         calibration=found.state.calibration if problem.prior is not None or problem.sensor.bias else None,
-        contradictions=contradictions(problem, found),
+        contradictions=contradictions(found),
         robot=problem.robot,
     )

@@ -44,7 +44,7 @@ def test_lines_of_one_wall_are_merged():
     halves = 2 * wanted + (problem.readings.places > problem.steps // 2)
     begin = solve_labels(problem, state_from_motions(problem), halves)
     assert len(begin.state.lines) > 4
-    found, has_merged, _ = merge(problem, begin)
+    found, has_merged, _ = merge(begin)
     assert has_merged
     assert len(found.state.lines) == 4
     assert agreeing(found, wanted) == 1.0
@@ -59,7 +59,7 @@ def test_a_drive_of_which_no_line_is_left_is_not_solved():
 def test_lines_of_different_walls_are_not_merged():
     problem, poses = noisy_run(3, noise=0.04)
     begin = solve_labels(problem, state_from_motions(problem), true_labels(problem, poses))
-    found, has_merged, _ = merge(problem, begin)
+    found, has_merged, _ = merge(begin)
     assert not has_merged
     assert np.array_equal(found.labels, begin.labels)
 
