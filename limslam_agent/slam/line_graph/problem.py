@@ -79,6 +79,8 @@ class Problem:
         How the ranges are measured. A calibration estimates their bias from that of the sensor on.
     prior
         Inverse covariance of a robot's calibration, or None.
+    jumps
+        Motions (n, t - 1, 3) of carried robots, m, of which the wheels say nothing; None if no robot was carried.
     """
 
     robot: RobotSpec
@@ -89,6 +91,7 @@ class Problem:
     looks: Readings
     sensor: RangeSensor
     prior: FloatArray | None = None
+    jumps: FloatArray | None = None
 
     @property
     def steps(self) -> int:
@@ -133,7 +136,8 @@ class Problem:
         """The measured motions (n, t - 1, 3), m, by the calibration (n, 4) of the wheels."""
         sizes = np.ones((len(self.wheels), 1, 3))
         sizes[:, 0, :2] += calibration[:, :2]
-        return self.wheels * sizes
+        found = self.wheels * sizes
+        return found if self.jumps is None else found + self.jumps
 
     def whitened(self, errors: FloatArray) -> FloatArray:
         """Errors of the motions (n, t - 1, 3), m, or derivatives of them (n, t - 1, 3, k), in standard deviations."""

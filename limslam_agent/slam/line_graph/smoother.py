@@ -183,15 +183,16 @@ def with_breaks(problem: Problem, run: FilteredRun) -> Problem:
 
     The filter has found them by hundreds of readings, of which the associations of the run hold a few only.
     """
-    wheels, roots = problem.wheels.copy(), problem.roots.copy()
+    wheels, roots, jumps = problem.wheels.copy(), problem.roots.copy(), np.zeros_like(problem.wheels)
     for number, step in run.breaks:
         poses, covariances = run.poses[step - 1 : step + 1, number].copy(), run.covariances[step - 1 : step + 1, number]
         poses[1, 2] = poses[0, 2] + wrap_angle(float(poses[1, 2] - poses[0, 2]))
-        wheels[number, step - 1] = motions_between(poses, problem.robot.axle)[0]
+        wheels[number, step - 1] = 0.0
+        jumps[number, step - 1] = motions_between(poses, problem.robot.axle)[0]
         jacobian = motion_jacobians(poses, problem.robot.axle)[0]
         both = block_diag(covariances[0], covariances[1] + np.diag(_FOUND_STDS**2))
         roots[number, step - 1] = np.linalg.inv(np.linalg.cholesky(jacobian @ both @ jacobian.T))
-    return replace(problem, wheels=wheels, roots=roots)
+    return replace(problem, wheels=wheels, roots=roots, jumps=jumps if run.breaks else None)
 
 
 def filter_labels(
