@@ -213,7 +213,7 @@ class Mapper(Frames):
         breaks, records = list(recovery.breaks), list(recovery.records)
         if self._lookup is not None:
             records = [*self._lookup.records, *records]
-        return PlaceHistory(list(self._revisions), breaks, self._unplaced, records, list(recovery.losses))
+        return PlaceHistory(list(self._revisions), breaks, self._unplaced, records)
 
     @property
     def covariances(self) -> FloatArray:

@@ -71,7 +71,9 @@ AGENT = {
         *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"),
         *agent("config", "kernels", "slam.core", "slam.consistent", "slam.least_squares"),
     },
-    "limslam_agent.slam.graph": {*WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config", "slam.least_squares")},
+    "limslam_agent.slam.graph": {
+        *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config", "kernels", "slam.least_squares"),
+    },
     "limslam_agent.slam.online_graph": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.graph", "slam.least_squares")},
     "limslam_agent.slam": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core"), *ESTIMATORS},
     "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "dropouts", "kernels")},

@@ -62,8 +62,6 @@ class Recovery:
         What is known about a robot that is lost, or that is not yet sure of its place; None otherwise.
     breaks
         Steps before which the robot was carried away, in the frame that it has found again.
-    losses
-        Steps before which the robot was lost, since the odometry has jumped the last time.
     records
         What happened, for ``result.json``.
     """
@@ -74,7 +72,6 @@ class Recovery:
         self._copies: list[KnownFrame] = []
         self.absence: Absence | None = None
         self.breaks: list[int] = []
-        self.losses: list[int] = []
         self.records: list[dict[str, Any]] = []
         self._offset = np.zeros((3, 3))  # covariance of a map that was begun anew
 
@@ -170,8 +167,6 @@ class Recovery:
         before.first = max(first, self.log.begin + 1)
         if before.search is not None:
             before.search.begin_anew()
-        if jump > 0.0:
-            self.losses.clear()
         self._copies = []
         self._note_event("lost", step=before.first, reason=loss.status.reason)
 
@@ -181,7 +176,6 @@ class Recovery:
         If the readings have said in which step it was carried away, the map until then is good.
         """
         known = known_before(self._copies, first, 1 if loss.is_dated else _MARGIN) or self._copy(slam, grid)
-        self.losses.append(known.step)
         self.log.forget_before(known.step)
         if loss.is_carried:  # it may be anywhere in its map: the standard deviation of a uniform distribution
             jump = max(jump, max(known.grid.view.values.shape) * known.grid.view.cell / math.sqrt(12.0))

@@ -68,16 +68,12 @@ class PlaceHistory:
         The local map of a robot that is still lost at the end; None otherwise.
     records
         When the robot was lost and found, and the matches that decided it.
-    losses
-        The steps before which the robot was lost, in order. Those before the last jump of the odometry are left out:
-        it does not say how the robot moved.
     """
 
     revisions: list[Revision] = field(default_factory=list)
     breaks: list[int] = field(default_factory=list)
     unplaced: Unplaced | None = None
     records: list[dict[str, Any]] = field(default_factory=list)
-    losses: list[int] = field(default_factory=list)
 
     @property
     def placed(self) -> slice:

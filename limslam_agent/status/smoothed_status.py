@@ -27,7 +27,6 @@ def smoothed_status(
     *,
     while_driving: Level,
     lost_since: float | None = None,
-    is_continued: bool = False,
 ) -> Status:
     """Whether the smoothed path and map can be trusted.
 
@@ -46,18 +45,10 @@ def smoothed_status(
     lost_since
         Time after the start, s, from which on the filter did not know the robot's place, or was wrong about it; None if
         it was not.
-    is_continued
-        Whether the smoother has found the poses since then by itself.
     """
-    if lost_since is not None and not is_continued:
+    if lost_since is not None:
         return Status("lost", f"the place of the robot is unknown from {lost_since:.0f} s on")
-    status = _by_readings(contradictions, filtered, smoothed, while_driving)
-    if lost_since is None:
-        return status
-    words = f"only the smoothed path shows the robot's place from {lost_since:.0f} s on"
-    if status.level == "ok":
-        return Status("unsure", words)
-    return Status(status.level, f"{words}; {status.reason}")
+    return _by_readings(contradictions, filtered, smoothed, while_driving)
 
 
 def _by_readings(

@@ -117,7 +117,9 @@ def test_a_stretch_that_does_not_fit_the_map_is_not_used(monkeypatch):
 
     def joined_wrongly(*args):
         state, poses = renewed(*args)
-        return replace(state, lines=state.lines + np.array([0.6, 0.0])), poses
+        # All walls are moved by 0.6 m in x and in y, to whichever side their normals point.
+        moves = 0.6 * (np.cos(state.lines[:, 1]) + np.sin(state.lines[:, 1]))
+        return replace(state, lines=state.lines + np.column_stack((moves, np.zeros(len(moves))))), poses
 
     monkeypatch.setattr("limslam_agent.slam.line_graph.renewal.renewed", joined_wrongly)
     slam, poses, _, steps = driven(config(ROUND_S), told)

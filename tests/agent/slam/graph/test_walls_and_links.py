@@ -129,15 +129,3 @@ def test_a_cloud_is_the_same_wherever_the_frame_is(drive, true_cloud):
     assert isinstance(cloud, PointCloud)
     assert np.allclose(cloud.normals_in_key, true_cloud.normals_in_key, atol=1e-6)
     assert np.array_equal(cloud.good, true_cloud.good)
-
-
-def test_a_line_that_turns_away_from_all_of_its_points_is_not_found():
-    generator = np.random.default_rng(4)
-    count = int(generator.integers(20, 60))
-    places = generator.uniform(0.0, 1.0, (count, 2)) * [generator.uniform(0.5, 1.5), generator.uniform(0.2, 0.8)]
-    turns = generator.uniform(0.0, 6.28) + generator.normal(0.0, 0.01, count)
-    good = generator.random(count) < 0.8
-    config = WallLineConfig(angle_bin=np.radians(1.0), spread=10, min_points=8, min_length=0.4, max_gap=0.6)
-    normals = np.column_stack((np.cos(turns), np.sin(turns)))
-    found = lines_in(places, normals, good, np.array([[0, count]]), config, config.tolerance)
-    assert len(found.angles) == len(np.unique(found.lines)) == 1
