@@ -22,7 +22,6 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 kernel = entry_of(__name__)
 
 NO_SUPPORT = "no other loop nearby agrees"
-NOT_ADDED = "the map does not agree better with itself with it"
 OUTVOTED = "its weight in the graph of chunks is too low"
 KEPT = "kept"
 
@@ -31,17 +30,8 @@ KEPT = "kept"
 _AGREE_DISTANCE, _AGREE_TURN = 0.6, math.radians(9.0)
 _SUPPORT_FROM, _SUPPORT_TO = 2.2, 7.8
 _MIN_TRAVEL, _MAX_DISTANCE = 13.5, 13.0  # m: visits are compared from this distance driven on, up to this distance
-DOUBTFUL_SHARE = 0.12
-"""A stretch is doubtful if other visits contradict a larger share of its judged points, and much more than is usual."""
-
-_MUCH_MORE = 8.0
-"""A stretch is wrong rather than cluttered if it is contradicted this many times as often as the rest of the log."""
-
-_LEAST_USUAL = 0.01  # the share of contradicted points that is expected at least
-_LEAST_JUDGED = 100  # fewer points are not judged
+_LEAST_JUDGED = 100  # points: on a stretch where other visits have seen fewer, nothing is concluded
 _STRETCH = 2  # chunks before and after a chunk
-_USUAL = 0.75  # quantile of the shares of all stretches
-_MOSTLY = 0.5  # a stretch of which a larger share is contradicted is wrong, whatever is usual
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,26 +151,17 @@ class VisitCounts:
         total = max(1, int(self.points.sum()))
         return float(self.confirmed.sum() / total), float(self.contradicted.sum() / total)
 
-    def doubtful(self, least: float, seam: int = 0) -> IntArray:
-        """Middles of the chunks around which points are contradicted much more often than in the rest of the log.
+    def doubtful(self, seam: int = 0) -> IntArray:
+        """Middles of the chunks around which points are contradicted more often than confirmed.
 
-        There, a larger share than ``least`` of the points that other visits have seen is contradicted. In a cluttered
-        building, points are contradicted everywhere. Where a corridor was laid onto a similar corridor, visits
-        contradict each other there only. Where points are contradicted more often than confirmed, the stretch lies at a
-        wrong place: clutter does not explain that, and in a short log such a stretch makes many contradictions look
-        usual. A second log begins at the key pose ``seam``: its chunks are not around those of the first log.
+        Clutter does not explain that: the stretch lies at a wrong place. A second log begins at the key pose ``seam``:
+        its chunks are not around those of the first log.
         """
         log = self.middles >= seam
         around = (np.abs(np.subtract.outer(places := np.arange(len(log)), places)) <= _STRETCH) & (log[:, None] == log)
         contradicted = around @ self.contradicted
-        judged = contradicted + around @ self.confirmed
-        share = np.where(judged >= _LEAST_JUDGED, contradicted / np.maximum(judged, 1), 0.0)
-        return self.middles[share > min(_MOSTLY, _largest_usual(float(np.quantile(share, _USUAL)), least))]
-
-
-def _largest_usual(usual: float, least: float) -> float:
-    """The largest share of contradicted points that clutter explains in a log with this usual share."""
-    return max(least, _MUCH_MORE * max(usual, _LEAST_USUAL))
+        confirmed = around @ self.confirmed
+        return self.middles[(contradicted > confirmed) & (contradicted + confirmed >= _LEAST_JUDGED)]
 
 
 def visit_counts(keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, max_range: float) -> VisitCounts:

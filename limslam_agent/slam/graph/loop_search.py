@@ -21,37 +21,12 @@ _GATE = 2.5  # m: chunks within this distance show the same place, however well 
 _LEAST_WINDOW, _LEAST_TURN = 0.6, math.radians(8.0)  # the part that does not depend on the uncertainty, m and rad
 TURN_STEP = math.radians(3.0)
 """Step of the turns of a match, rad."""
-LEAST_SCORE = 0.60
-"""Least score of a match."""
-_BACKWARD_SCORE = 0.50  # of the match in the opposite direction
+# How far from its believed pose a chunk is searched for: standard deviations that are added to the gate and to the
+# window; the largest distance between two chunks, m; and the largest window, m and rad.
+_SIGMAS, _MOST_DISTANCE, _MOST_SHIFT, _MOST_TURN = 2.5, 12.0, 4.0, math.radians(35.0)
+_LEAST_SCORE, _BACKWARD_SCORE = 0.50, 0.40  # of a match, and of the match in the opposite direction
 _BEST = 3  # loops from one chunk
 _BACKWARD_SHIFT, _BACKWARD_TURN = 0.3, np.radians(4.0)
-
-
-@dataclass(frozen=True)
-class Reach:
-    """How far from its believed pose a chunk is searched for.
-
-    Attributes
-    ----------
-    sigmas
-        Standard deviations that are added to the gate and to the window of a match.
-    distance
-        Largest distance between two chunks, m.
-    shift, turn
-        Largest window of a match, m and rad.
-    """
-
-    sigmas: float
-    distance: float
-    shift: float
-    turn: float
-
-
-NEAR = Reach(2.5, 12.0, 4.0, math.radians(35.0))
-"""For most logs."""
-FAR = Reach(4.0, 18.0, 10.0, math.radians(100.0))
-"""For logs in which places were not recognised. In so wide windows, wrong matches are found as well."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,8 +41,6 @@ class Chunks:
         Middle key poses (c,); their poses (c, 3) in the trajectory; distance driven (c,), m.
     hops
         Motions between successive chunks.
-    reach
-        How far chunks are searched for.
     """
 
     maps: list[LocalMap]
@@ -75,7 +48,6 @@ class Chunks:
     poses: FloatArray
     travel: FloatArray
     hops: Hops
-    reach: Reach = NEAR
     _grids: dict[int, SearchGrid] = field(default_factory=dict, repr=False)
 
     def __len__(self) -> int:
@@ -85,7 +57,7 @@ class Chunks:
     def grid(self, number: int) -> SearchGrid:
         """The search grid of a chunk."""
         if number not in self._grids:
-            self._grids[number] = search_grid(self.maps[number], self.reach.shift)
+            self._grids[number] = search_grid(self.maps[number], _MOST_SHIFT)
         return self._grids[number]
 
     def match(self, first: int, second: int, guess: FloatArray, shift: float, turn: float, least: float) -> Match:
@@ -123,12 +95,11 @@ def loops_of_newest(chunks: Chunks, belief: "Belief") -> list[Loop]:
         return []
     guesses, position_std, turn_std = belief.seen_from(old)
     distance = np.hypot(guesses[:, 0], guesses[:, 1])
-    reach = chunks.reach
-    for row in np.nonzero(distance <= np.minimum(reach.distance, _GATE + reach.sigmas * position_std))[0]:
-        shift = min(reach.shift, _LEAST_WINDOW + reach.sigmas * position_std[row])
-        turn = min(reach.turn, _LEAST_TURN + reach.sigmas * turn_std[row])
-        found = chunks.match(int(old[row]), newest, guesses[row], shift, turn, LEAST_SCORE)
-        if found.score > LEAST_SCORE:
+    for row in np.nonzero(distance <= np.minimum(_MOST_DISTANCE, _GATE + _SIGMAS * position_std))[0]:
+        shift = min(_MOST_SHIFT, _LEAST_WINDOW + _SIGMAS * position_std[row])
+        turn = min(_MOST_TURN, _LEAST_TURN + _SIGMAS * turn_std[row])
+        found = chunks.match(int(old[row]), newest, guesses[row], shift, turn, _LEAST_SCORE)
+        if found.score > _LEAST_SCORE:
             candidates.append((int(old[row]), found))
     candidates.sort(key=lambda each: -each[1].score)
     return [

@@ -4,13 +4,13 @@ The log is solved in a frame in which it begins at the origin, and the result is
 result therefore does not depend on the start pose.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.agreement import KEPT, NO_SUPPORT, NOT_ADDED, OUTVOTED, LoopVerdict, supported
+from limslam_agent.slam.graph.agreement import KEPT, NO_SUPPORT, OUTVOTED, LoopVerdict, supported
 from limslam_agent.slam.graph.bundle import Relations, bundle
 from limslam_agent.slam.graph.chunk_graph import (
     KEPT_WEIGHT,
@@ -34,7 +34,7 @@ from limslam_agent.slam.graph.key_poses import (
 )
 from limslam_agent.slam.graph.local_maps import chunk_middles, cut_chunks
 from limslam_agent.slam.graph.local_smoothing import local_covariances, smooth_locally
-from limslam_agent.slam.graph.loop_search import NEAR, Chunks, Reach, search_loops
+from limslam_agent.slam.graph.loop_search import Chunks, search_loops
 from limslam_env.geometry import FloatArray, IntArray, se2
 
 # How often the delay of the ranges is estimated and corrected before the search. A correction of less, s, is the last.
@@ -94,13 +94,16 @@ def saying(where: str, report: Report) -> Report:
 
 
 def smooth_log(
-    data: LogData,
-    start: FloatArray,
-    config: GraphConfig | None = None,
-    report: Report = lambda _: None,
-    reach: Reach = NEAR,
+    data: LogData, start: FloatArray, config: GraphConfig | None = None, report: Report = lambda _: None
 ) -> GraphResult:
-    """Smooth a log after its end.
+    """Smooth a log after its end, by the first of its :func:`rounds`."""
+    return next(rounds(data, start, config or GraphConfig(), report))
+
+
+def rounds(data: LogData, start: FloatArray, config: GraphConfig, report: Report) -> Iterator[GraphResult]:
+    """Smooth a log after its end, and again without an end: each path gives better local maps for the next search.
+
+    A log without loops has one round.
 
     Parameters
     ----------
@@ -112,19 +115,20 @@ def smooth_log(
         The settings; the defaults serve all logs.
     report
         Called at the start of each stage.
-    reach
-        How far places are searched for.
     """
-    config = config or GraphConfig()
     report("local smoothing")
     data, keys, local, known = _synchronised(data, config)
-    if not len(keys.point_key):
-        found = unlooped("odometry", keys, local)
-    elif len(chunk_middles(keys, config.maps, config.maps.hop)) < 2:
-        found = unlooped("local", keys, local)
-    else:
-        found = smooth_with_loops(LogProblem(keys, local, data, config, reach), local, report)
-    return replace(found.moved(np.asarray(start, dtype=float)), errors=joined_bias(known, found.errors))
+    problem, trajectory = LogProblem(keys, local, data, config), local
+    start = np.asarray(start, dtype=float)
+    if not len(keys.point_key) or len(chunk_middles(keys, config.maps, config.maps.hop)) < 2:
+        kind, none = "local" if len(keys.point_key) else "odometry", np.zeros(1, dtype=np.int64)
+        found = GraphResult(kind, keys, local, local.bias, [], none, np.zeros(0))
+        yield replace(found.moved(start), errors=joined_bias(known, found.errors))
+        return
+    while True:
+        found = smooth_with_loops(problem, trajectory, report)
+        trajectory = found.trajectory
+        yield replace(found.moved(start), errors=joined_bias(known, found.errors))
 
 
 def _synchronised(data: LogData, config: GraphConfig) -> tuple[LogData, KeyPoses, Trajectory, FloatArray]:
@@ -147,13 +151,12 @@ def _synchronised(data: LogData, config: GraphConfig) -> tuple[LogData, KeyPoses
 
 @dataclass(frozen=True, eq=False)
 class LogProblem:
-    """One log or two: key poses, trajectory without loops, recording, settings, and the reach of the search."""
+    """One log or two: key poses, trajectory without loops, recording, and settings."""
 
     keys: KeyPoses
     local: Trajectory
     data: LogData
     config: GraphConfig
-    reach: Reach = NEAR
 
     def chunks(self, trajectory: Trajectory) -> Chunks:
         """Chunks that are cut from a trajectory."""
@@ -162,7 +165,7 @@ class LogProblem:
         poses, maps = trajectory.poses[middles], cut_chunks(keys, trajectory, config.maps, middles, data.max_range)
         covariances = inflated(local_covariances(keys, self.local, middles, config, data.range_std))
         hops = Hops(se2.between(poses[:-1], poses[1:]), covariances)
-        return Chunks(maps, middles, poses, keys.key_travel[middles], hops, self.reach)
+        return Chunks(maps, middles, poses, keys.key_travel[middles], hops)
 
     def hop_errors(self, trajectory: Trajectory, chunks: Chunks) -> FloatArray:
         """How far the motions between chunks are from the local smoothing, as chi-squares (c - 1,)."""
@@ -197,22 +200,3 @@ def relations_of(loops: Sequence[Loop], middles: IntArray) -> Relations:
     ends = np.array([(loop.first, loop.second) for loop in loops], dtype=np.int64).reshape(-1, 2)
     relative = np.array([loop.relative for loop in loops]).reshape(-1, 3)
     return middles[ends], relative, np.array([loop.information for loop in loops]).reshape(-1, 3, 3)
-
-
-def without_loops(found: GraphResult, config: GraphConfig, range_std: float) -> tuple[GraphResult, GraphResult]:
-    """The results by odometry alone, and by odometry and the walls along the way, with all loops rejected."""
-    keys = found.keys
-    verdicts = [replace(each, reason=NOT_ADDED if each.kept else each.reason) for each in found.verdicts]
-    odometry = odometry_trajectory(keys, found.trajectory.poses[0])
-    local = smooth_locally(keys, odometry, config, range_std)
-    known = found.errors - found.trajectory.bias
-    first, second = (
-        replace(unlooped(kind, keys, path), errors=known + path.bias, verdicts=verdicts, chunk_keys=found.chunk_keys)
-        for kind, path in (("odometry", odometry), ("local", local))
-    )
-    return first, second
-
-
-def unlooped(kind: str, keys: KeyPoses, trajectory: Trajectory) -> GraphResult:
-    """The result of a log without loops."""
-    return GraphResult(kind, keys, trajectory, trajectory.bias, [], np.zeros(1, dtype=np.int64), np.zeros(0))
