@@ -13,7 +13,6 @@ chi-square of a hop of 2.5 m was at most 10 in right paths, and 21 to 45 where w
 from dataclasses import dataclass
 from typing import Any
 
-
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.agreement import visit_counts
 from limslam_agent.slam.graph.posterior import position_std

@@ -34,7 +34,7 @@ from limslam_agent.slam.graph.key_poses import (
 )
 from limslam_agent.slam.graph.local_maps import chunk_middles, cut_chunks
 from limslam_agent.slam.graph.local_smoothing import local_covariances, smooth_locally
-from limslam_agent.slam.graph.loop_search import Chunks, search_loops
+from limslam_agent.slam.graph.loop_search import search_loops
 from limslam_env.geometry import FloatArray, IntArray, se2
 
 # How often the delay of the ranges is estimated and corrected before the search. A correction of less, s, is the last.
@@ -158,41 +158,33 @@ class LogProblem:
     data: LogData
     config: GraphConfig
 
-    def chunks(self, trajectory: Trajectory) -> Chunks:
-        """Chunks that are cut from a trajectory."""
-        keys, config, data = self.keys, self.config, self.data
-        middles = chunk_middles(keys, config.maps, config.maps.hop)
-        poses, maps = trajectory.poses[middles], cut_chunks(keys, trajectory, config.maps, middles, data.max_range)
-        covariances = inflated(local_covariances(keys, self.local, middles, config, data.range_std))
-        hops = Hops(se2.between(poses[:-1], poses[1:]), covariances)
-        return Chunks(maps, middles, poses, keys.key_travel[middles], hops)
-
-    def hop_errors(self, trajectory: Trajectory, chunks: Chunks) -> FloatArray:
-        """How far the motions between chunks are from the local smoothing, as chi-squares (c - 1,)."""
-        middles, local = chunks.middles, self.local.poses[chunks.middles]
-        return hop_chi_squares(
-            trajectory.poses[middles], Hops(se2.between(local[:-1], local[1:]), chunks.hops.covariances)
-        )
+    def hops(self, middles: IntArray) -> Hops:
+        """The motions between chunks with the middles (c,) along the trajectory without loops."""
+        poses = self.local.poses[middles]
+        covariances = local_covariances(self.keys, self.local, middles, self.config, self.data.range_std)
+        return Hops(se2.between(poses[:-1], poses[1:]), inflated(covariances))
 
 
 def smooth_with_loops(problem: LogProblem, trajectory: Trajectory, report: Report) -> GraphResult:
     """Find the loops between chunks that are cut from a trajectory, and solve for all key poses."""
     keys, data, config = problem.keys, problem.data, problem.config
     report("search for loops")
-    chunks = problem.chunks(trajectory)
-    found = search_loops(chunks)
-    good = supported(found, chunks.poses, chunks.travel)
+    middles = chunk_middles(keys, config.maps, config.maps.hop)
+    local, poses = problem.hops(middles), trajectory.poses[middles]
+    hops = Hops(se2.between(poses[:-1], poses[1:]), local.covariances)
+    found = search_loops(cut_chunks(keys, trajectory, config.maps, middles, data.max_range), poses[0], hops)
+    good = supported(found, poses, keys.key_travel[middles])
     loops = [loop for loop, agreed in zip(found, good, strict=True) if agreed]
     report(f"all poses, {len(loops)} loops")
-    solution = solve_annealed(chunks.poses[0], chunks.hops, loops)
+    solution = solve_annealed(poses[0], hops, loops)
     strong = solution.weights > KEPT_WEIGHT
-    kept = relations_of([loop for loop, each in zip(loops, strong, strict=True) if each], chunks.middles)
-    moved = carry_over(keys, trajectory, chunks.middles, solution.poses)
+    kept = relations_of([loop for loop, each in zip(loops, strong, strict=True) if each], middles)
+    moved = carry_over(keys, trajectory, middles, solution.poses)
     smoothed = bundle(keys, moved, kept, config, data.range_std)
     verdicts = [LoopVerdict(loop, KEPT if each else OUTVOTED) for loop, each in zip(loops, strong, strict=True)]
     verdicts += [LoopVerdict(loop, NO_SUPPORT) for loop, agreed in zip(found, good, strict=True) if not agreed]
-    errors = problem.hop_errors(smoothed, chunks)
-    return GraphResult("loops", keys, smoothed, smoothed.bias, verdicts, chunks.middles, errors)
+    errors = hop_chi_squares(smoothed.poses[middles], local)
+    return GraphResult("loops", keys, smoothed, smoothed.bias, verdicts, middles, errors)
 
 
 def relations_of(loops: Sequence[Loop], middles: IntArray) -> Relations:

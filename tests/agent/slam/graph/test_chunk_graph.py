@@ -6,7 +6,8 @@ import pytest
 from limslam_agent.slam.graph.agreement import distances_after_alignment, supported
 from limslam_agent.slam.graph.chunk_graph import Hops, Loop, hop_chi_squares, joint_covariance, solve, solve_annealed
 from limslam_agent.slam.graph.key_poses import integrate
-from limslam_agent.slam.graph.loop_search import Belief, Chunks
+from limslam_agent.slam.graph.local_maps import LocalMap
+from limslam_agent.slam.graph.loop_search import ChunkGraph
 from limslam_env.geometry import se2
 
 INFORMATION = np.diag([1.0 / 0.1**2, 1.0 / 0.1**2, 1.0 / 0.03**2])
@@ -133,12 +134,12 @@ def test_a_lone_loop_has_no_support_and_two_that_agree_have(truth):
 
 def test_the_covariance_stays_symmetric_and_positive_over_many_loops():
     truth = ring(laps=6)
-    travel = 2.5 * np.arange(len(truth))
-    chunks = Chunks([None] * len(truth), np.arange(len(truth)), truth, travel, drifting(truth, bias=0.0))
-    belief = Belief(chunks)
+    hops, nothing = drifting(truth, bias=0.0), np.zeros((0, 2))
+    blank = [LocalMap(n, 2.5 * n, nothing, nothing, nothing, np.zeros((2, 2), np.int8), 0.1) for n in range(len(truth))]
+    graph = ChunkGraph(blank[0], truth[0])
     for newest in range(1, len(truth)):
-        belief.advance()
-        belief.close(loops_of(truth, [(old, newest) for old in range(newest % 24, newest - 12, 24)]))
-    covariance = belief.covariance
+        graph.add(blank[newest], hops.motions[newest - 1 : newest], hops.covariances[newest - 1])
+        graph.close(loops_of(truth, [(old, newest) for old in range(newest % 24, newest - 12, 24)]))
+    covariance = graph.covariance
     assert np.allclose(covariance, covariance.T, atol=1e-9)
     assert np.linalg.eigvalsh(covariance).min() > -1e-9
