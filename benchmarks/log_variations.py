@@ -21,7 +21,6 @@ from limslam_agent.replay.local_views import moves_of
 from limslam_agent.replay.reversing import with_reversing
 from limslam_agent.replay.smoothing import log_data, trusted_path
 from limslam_agent.replay.trust import PathSignals
-from limslam_agent.slam.graph.agreement import distances_after_alignment
 from limslam_agent.slam.graph.key_poses import LogData, integrate
 from limslam_agent.slam.graph.smooth import GraphResult
 from limslam_env.geometry import BoolArray, FloatArray, se2
@@ -250,7 +249,11 @@ def outcome(path: Path, known: Path, how: Variation, truth: tuple[FloatArray, Fl
 
 def _aligned_error(true: FloatArray, poses: FloatArray) -> float:
     """Root mean square error of the positions of poses (n, 3) after rigid alignment, m."""
-    return float(np.sqrt((distances_after_alignment(poses, true) ** 2).mean()))
+    places, targets = (each[:, :2] - each[:, :2].mean(axis=0) for each in (poses, true))
+    products = places.T @ targets
+    angle = np.arctan2(products[0, 1] - products[1, 0], products[0, 0] + products[1, 1])
+    moved = se2.transform_points(np.array([0.0, 0.0, angle]), places)
+    return float(np.sqrt(((moved - targets) ** 2).sum(axis=1).mean()))
 
 
 if __name__ == "__main__":

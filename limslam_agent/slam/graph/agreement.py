@@ -47,46 +47,24 @@ class LoopVerdict:
         return self.reason == KEPT
 
 
-def agreements(loops: Sequence[Loop], poses: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Errors with which each loop (row) predicts each other loop (column).
+def supported(loops: Sequence[Loop], poses: FloatArray, travel: FloatArray) -> BoolArray:
+    """Which loops (k,) are supported by another nearby loop that agrees and belongs to another chunk.
 
-    Returns distances (k, k), m, and angles (k, k), rad.
-
-    The relative poses between the ends of the loops are computed from ``poses`` (c, 3).
+    ``poses`` (c, 3) and ``travel`` (c,) are the poses of the chunks and the distance driven up to each chunk, m.
     """
-    first, second = np.array([loop.first for loop in loops]), np.array([loop.second for loop in loops])
+    if not loops:
+        return np.zeros(0, dtype=np.bool_)
+    first, second = np.array([(loop.first, loop.second) for loop in loops]).T
     relative = np.array([loop.relative for loop in loops])
+    # Each loop (row) predicts each other one (column).
     before = se2.between(poses[first][None], poses[first][:, None])
     after = se2.between(poses[second][:, None], poses[second][None])
     predicted = se2.compose(se2.compose(before, relative[:, None]), after)
     apart = se2.between(predicted, np.broadcast_to(relative[None], predicted.shape))
-    return np.hypot(apart[..., 0], apart[..., 1]), np.abs(apart[..., 2])
-
-
-def supported(loops: Sequence[Loop], poses: FloatArray, travel: FloatArray) -> BoolArray:
-    """Which loops (k,) are supported by another nearby loop that agrees and belongs to another chunk.
-
-    ``travel`` (c,) is the distance driven up to each chunk, m.
-    """
-    if not loops:
-        return np.zeros(0, dtype=np.bool_)
-    distance, angle = agreements(loops, poses)
-    first = travel[[loop.first for loop in loops]]
-    second = travel[[loop.second for loop in loops]]
-    gap = np.abs(second[:, None] - second[None])
-    near = (gap >= _SUPPORT_FROM) & (gap <= _SUPPORT_TO)
-    near &= np.abs(first[:, None] - first[None]) <= _SUPPORT_TO
-    agree = (distance < _AGREE_DISTANCE) & (angle < _AGREE_TURN)
+    agree = (np.hypot(apart[..., 0], apart[..., 1]) < _AGREE_DISTANCE) & (np.abs(apart[..., 2]) < _AGREE_TURN)
+    gaps = [np.abs(travel[ends][:, None] - travel[ends][None]) for ends in (first, second)]
+    near = (gaps[0] <= _SUPPORT_TO) & (gaps[1] >= _SUPPORT_FROM) & (gaps[1] <= _SUPPORT_TO)
     return np.asarray((near & agree).any(axis=0))
-
-
-def distances_after_alignment(poses: FloatArray, others: FloatArray) -> FloatArray:
-    """Distances (m,) between the positions of two paths (m, 3), after the rigid motion that fits them best."""
-    places, targets = poses[:, :2] - poses[:, :2].mean(axis=0), others[:, :2] - others[:, :2].mean(axis=0)
-    products = places.T @ targets
-    angle = np.arctan2(products[0, 1] - products[1, 0], products[0, 0] + products[1, 1])
-    moved = se2.transform_points(np.array([0.0, 0.0, angle]), places)
-    return np.asarray(np.hypot(*(moved - targets).T))
 
 
 @dataclass(frozen=True, eq=False)

@@ -19,7 +19,6 @@ _ITERATIONS = 6
 _RADIUS, _LAST_RADIUS = 0.4, 0.2  # m, within which other visits are linked in the first and in the last iteration
 _CROSS_INFLATION = 2.0  # factor of the standard deviations of links between visits
 _MAX_TURN = 0.3  # rad: a step that turns a pose by more is scaled down
-_DAMPING = 1e-6  # share of the diagonal that is added to it
 
 Relations = tuple[IntArray, FloatArray, FloatArray]
 """Loops between key poses: their ends (f, 2), relative poses (f, 3) and information (f, 3, 3)."""
@@ -60,7 +59,7 @@ def _iterate(
     add_lines(equations, trajectory.poses, cloud, lines, line_std(range_std))
     ends, relative, information = relations
     add_relations(equations, trajectory.poses, ends, (relative, information), LOOP_KERNEL)
-    step = equations.solve(_DAMPING)
+    step = equations.solve()
     count = len(keys)
     by_pose = step[: 3 * count].reshape(-1, 3)
     largest = float(np.abs(by_pose[:, 2]).max())

@@ -67,23 +67,6 @@ class LogData:
     max_range: float
     range_std: float = 0.0
 
-    def __post_init__(self) -> None:
-        count, beams = self.ranges.shape
-        shapes = {
-            "time": (self.time, (count,)),
-            "odometry": (self.odometry, (count, 3)),
-            "hit": (self.hit, (count, beams)),
-            "origins": (self.origins, (beams, 2)),
-            "angles": (self.angles, (beams,)),
-        }
-        for name, (array, shape) in shapes.items():
-            if array.shape != shape:
-                raise ValueError(f"{name} has shape {array.shape}, not {shape}")
-            if not np.isfinite(array).all():
-                raise ValueError(f"{name} holds something that is not finite")
-        if not count:
-            raise ValueError("the log holds no events")
-
 
 @dataclass(frozen=True, eq=False)
 class KeyPoses:

@@ -204,7 +204,7 @@ def _refine(
     places: FloatArray,
     normals: FloatArray,
     good: BoolArray,
-    free: BoolArray,
+    label: IntArray,
     line: FloatArray,
     min_points: int,
     limits: FloatArray,
@@ -221,7 +221,7 @@ def _refine(
             dx, dy = places[k, 0] - cx, places[k, 1] - cy
             along[k] = nx * dy - ny * dx
             cosine = nx * normals[k, 0] + ny * normals[k, 1]
-            member[k] = free[k] and good[k] and abs(nx * dx + ny * dy) < limits[0] and cosine > limits[3]
+            member[k] = label[k] < 0 and good[k] and abs(nx * dx + ny * dy) < limits[0] and cosine > limits[3]
         best, low, high = _longest_run(along, member, limits[2])
         if best < min_points or high - low < limits[1]:
             return False, low, high
@@ -238,44 +238,33 @@ def _refine(
 def _take(
     places: FloatArray,
     normals: FloatArray,
+    turns: FloatArray,
     good: BoolArray,
-    free: BoolArray,
+    label: IntArray,
+    number: int,
     line: FloatArray,
     ends: tuple[float, float],
     limits: FloatArray,
-) -> None:
-    """Assign the free points between the ends of a line to the line, including points without a reliable normal."""
+    votes: FloatArray,
+    spread: int,
+    grid: tuple[int, int, float, float],
+) -> tuple[int, int]:
+    """Label the free points between the ends of a line, also those without a reliable normal, and remove their votes.
+
+    Returns the numbers of labels and of removed votes.
+    """
+    labelled, removed = 0, 0
     for k in range(len(places)):
         dx, dy = places[k, 0] - line[2], places[k, 1] - line[3]
         along = line[0] * dy - line[1] * dx
         cosine = line[0] * normals[k, 0] + line[1] * normals[k, 1]
         near = abs(line[0] * dx + line[1] * dy) < limits[0] and ends[0] - 0.1 < along < ends[1] + 0.1
-        if near and (cosine > limits[3] or not good[k]):
-            free[k] = False
-
-
-@kernel
-def _assign(
-    places: FloatArray,
-    turns: FloatArray,
-    good: BoolArray,
-    free: BoolArray,
-    label: IntArray,
-    line: int,
-    votes: FloatArray,
-    spread: int,
-    grid: tuple[int, int, float, float],
-) -> tuple[int, int]:
-    """Label the points that a line took, and remove their votes; return the numbers of labels and of removed votes."""
-    labelled, removed = 0, 0
-    for k in range(len(places)):
-        if free[k] or label[k] >= 0:
-            continue
-        label[k] = line
-        labelled += 1
-        if good[k]:
-            _vote(votes, places[k], turns[k], spread, grid, -1.0)
-            removed += 1
+        if label[k] < 0 and near and (cosine > limits[3] or not good[k]):
+            label[k] = number
+            labelled += 1
+            if good[k]:
+                _vote(votes, places[k], turns[k], spread, grid, -1.0)
+                removed += 1
     return labelled, removed
 
 
@@ -306,7 +295,6 @@ def _window(
     touched = _touched(local[chosen], turns[chosen], counts[3], grid)
     for each in chosen:
         _vote(votes, local[each], turns[each], counts[3], grid, 1.0)
-    free = np.ones(len(local), np.bool_)
     line, lines = np.empty(4), 0
     for _try in range(counts[2]):
         best = int(touched[np.argmax(votes[touched])])
@@ -316,11 +304,12 @@ def _window(
         offset = (best % width + 0.5) * side - reach
         line[0], line[1] = np.cos(angle), np.sin(angle)
         line[2], line[3] = offset * line[0], offset * line[1]
-        stands, low, high = _refine(local, normals, good, free, line, counts[0], limits)
+        stands, low, high = _refine(local, normals, good, label, line, counts[0], limits)
         taken = labelled = 0
         if stands:
-            _take(local, normals, good, free, line, (low, high), limits)
-            labelled, taken = _assign(local, turns, good, free, label, lines, votes, counts[3], grid)
+            labelled, taken = _take(
+                local, normals, turns, good, label, lines, line, (low, high), limits, votes, counts[3], grid
+            )
         # The last fit of a line may turn it away from all of its points.
         if labelled:
             found[lines, 0] = np.arctan2(line[1], line[0])

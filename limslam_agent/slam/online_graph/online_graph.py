@@ -119,7 +119,7 @@ class OnlineGraph:
         recent, travel, turned = self._recent, self._recent.travel, self._recent.turned
         recent.append(time, odometry, ranges, hit)
         self.job_ms = 0.0
-        motion = calibrated_motion(recent.last_motion(float(self._anchor.errors[3])), self._anchor.errors)
+        motion = calibrated_motion(recent.last_motion, self._anchor.errors)
         moved = np.array([recent.travel - travel]), np.array([recent.turned - turned])
         self._ridden = compose(self._ridden, motion)
         self._variances = self._variances + motion_variances(*moved)[0]

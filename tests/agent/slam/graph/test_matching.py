@@ -7,7 +7,7 @@ import pytest
 
 from limslam_agent.config.graph import LocalMapConfig
 from limslam_agent.slam.graph import matching
-from limslam_agent.slam.graph.local_maps import FREE, HIT, LocalMap, draw_grid, thinned, united
+from limslam_agent.slam.graph.local_maps import HIT, LocalMap, draw_grid, thinned, united
 from limslam_agent.slam.graph.matching import NO_MATCH, Window, match, match_covariance, search_grid
 from limslam_env.geometry import se2
 
@@ -83,12 +83,6 @@ def test_nothing_is_found_where_nothing_fits():
     assert match(grid, points[:0], np.zeros(3), Window(2.0, 0.3, 0.1), 0.0).score == NO_MATCH
 
 
-def test_a_window_larger_than_the_grid_is_refused():
-    chunk = chunk_of(corner(np.random.default_rng(8)))
-    with pytest.raises(ValueError, match="cells"):
-        match(search_grid(chunk, 1.0), chunk.points, np.zeros(3), Window(3.0, 0.3, 0.1), 0.0)
-
-
 def corridor(*ends):
     """A corridor of 8 m with end walls at these x, seen from its axis."""
     along = np.linspace(-4.0, 4.0, 160)
@@ -117,13 +111,6 @@ def test_too_few_points_to_tell_places_apart_are_not_matched():
     enough = chunk.points[: matching.LEAST_POINTS]
     assert match(grid, enough, np.zeros(3), window, 0.6).score > 0.9
     assert match(grid, enough[1:], np.zeros(3), window, 0.6).score == NO_MATCH
-
-
-def test_a_grid_is_free_along_the_beams_and_hit_at_their_ends():
-    grid = draw_grid(np.array([[2.05, 0.05]]), np.array([[0.05, 0.05]]), 80, MAPS)
-    assert grid[60, 40] == HIT
-    assert grid[45, 40] == FREE
-    assert grid[45, 50] == 0
 
 
 def test_a_union_holds_what_each_chunk_has_seen():

@@ -106,15 +106,6 @@ def recent(times):
     return events
 
 
-def test_odometry_is_interpolated_at_the_time_of_the_ranges():
-    events = recent([0.0, 1.0, 2.0, 4.0])
-    np.testing.assert_allclose(events.last_motion(0.0), [1.0, 0.0, 0.0])
-    # From 1.5 s at x = 1.5 to 3.5 s at x = 2.75.
-    np.testing.assert_allclose(events.last_motion(0.5), [1.25, 0.0, 0.0])
-    np.testing.assert_allclose(events.last_motion(10.0), np.zeros(3))
-    np.testing.assert_allclose(recent([0.0, 1.0, 1.0]).last_motion(0.5)[1:], np.zeros(2))
-
-
 def test_events_keep_their_numbers_when_earlier_ones_are_forgotten():
     events = recent([0.0, 1.0, 2.0, 3.0])
     assert (events.at(1.5), events.at(99.0), events.travel) == (2, 3, 3.0)
