@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.chunk_graph import Loop
-from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory
+from limslam_agent.slam.graph.key_poses import ANOTHER_VISIT, KeyPoses, Trajectory
 from limslam_agent.slam.graph.local_maps import LocalMap, chunk_middles, cut_chunks
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
@@ -29,7 +29,7 @@ KEPT = "kept"
 # and end so far from it, m driven.
 _AGREE_DISTANCE, _AGREE_TURN = 0.6, math.radians(9.0)
 _SUPPORT_FROM, _SUPPORT_TO = 2.2, 7.8
-_MIN_TRAVEL, _MAX_DISTANCE = 13.5, 13.0  # m: visits are compared from this distance driven on, up to this distance
+_MAX_DISTANCE = 13.0  # m: visits are compared up to this distance
 _LEAST_JUDGED = 100  # points: on a stretch where other visits have seen fewer, nothing is concluded
 _STRETCH = 2  # chunks before and after a chunk
 
@@ -107,7 +107,7 @@ class MapScore:
 
         At a confirmed point more other visits have seen a wall than free space, at a contradicted point fewer.
         """
-        far = np.array([_MIN_TRAVEL, _MAX_DISTANCE])
+        far = np.array([ANOTHER_VISIT, _MAX_DISTANCE])
         hits, frees = _votes(
             self.grids, self.low, self.cell, self.points, self.starts, np.ascontiguousarray(poses), self.travel, far
         )

@@ -10,13 +10,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from limslam_agent.slam.graph.chunk_graph import REFINING, Hops, Loop, joint_covariance, solve
+from limslam_agent.slam.graph.key_poses import ANOTHER_VISIT
 from limslam_agent.slam.graph.least_squares import relation_covariances, relation_factor
 from limslam_agent.slam.graph.local_maps import LocalMap
 from limslam_agent.slam.graph.matching import Match, SearchGrid, Window, match, match_covariance, search_grid
 from limslam_agent.slam.graph.posterior import aligned_covariance
 from limslam_env.geometry import FloatArray, IntArray, se2
 
-_MIN_TRAVEL = 10.0  # m driven between the chunks of a loop
 _GATE = 2.5  # m: chunks within this distance show the same place, however well their poses are known
 _LEAST_WINDOW, _LEAST_TURN = 0.6, math.radians(8.0)  # the part that does not depend on the uncertainty, m and rad
 TURN_STEP = math.radians(3.0)
@@ -97,7 +97,7 @@ class ChunkGraph:
         """Loops from the newest chunk to some earlier chunks, the best matches first."""
         candidates: list[tuple[int, Match]] = []
         newest, travel = len(self.maps) - 1, np.array([each.travel for each in self.maps])
-        old = np.nonzero(travel[newest] - travel[: newest - 1] >= _MIN_TRAVEL)[0]
+        old = np.nonzero(travel[newest] - travel[: newest - 1] >= ANOTHER_VISIT)[0]
         if not len(old):
             return []
         guesses, position_std, turn_std = self._seen_from(old)

@@ -79,10 +79,6 @@ class GraphResult:
         """The loops that are part of the result, as relations between key poses."""
         return relations_of([verdict.loop for verdict in self.verdicts if verdict.kept], self.chunk_keys)
 
-    def moved(self, motion: FloatArray) -> "GraphResult":
-        """The result after a motion (3,) of its frame."""
-        return replace(self, trajectory=self.trajectory.moved(motion))
-
 
 Report = Callable[[str], None]
 """Called with the stage that begins, in words."""
@@ -119,16 +115,18 @@ def rounds(data: LogData, start: FloatArray, config: GraphConfig, report: Report
     report("local smoothing")
     data, keys, local, known = _synchronised(data, config)
     problem, trajectory = LogProblem(keys, local, data, config), local
-    start = np.asarray(start, dtype=float)
-    if not len(keys.point_key) or len(chunk_middles(keys, config.maps, config.maps.hop)) < 2:
-        kind, none = "local" if len(keys.point_key) else "odometry", np.zeros(1, dtype=np.int64)
-        found = GraphResult(kind, keys, local, local.bias, [], none, np.zeros(0))
-        yield replace(found.moved(start), errors=joined_bias(known, found.errors))
-        return
+    has_loops = len(keys.point_key) > 0 and len(chunk_middles(keys, config.maps, config.maps.hop)) > 1
     while True:
-        found = smooth_with_loops(problem, trajectory, report)
+        if has_loops:
+            found = smooth_with_loops(problem, trajectory, report)
+        else:
+            kind, none = "local" if len(keys.point_key) else "odometry", np.zeros(1, dtype=np.int64)
+            found = GraphResult(kind, keys, local, local.bias, [], none, np.zeros(0))
         trajectory = found.trajectory
-        yield replace(found.moved(start), errors=joined_bias(known, found.errors))
+        placed = trajectory.moved(np.asarray(start, dtype=float))
+        yield replace(found, trajectory=placed, errors=joined_bias(known, found.errors))
+        if not has_loops:
+            return
 
 
 def _synchronised(data: LogData, config: GraphConfig) -> tuple[LogData, KeyPoses, Trajectory, FloatArray]:

@@ -64,7 +64,7 @@ def lines_in(
     limits = np.array([tolerance, config.min_length, config.max_gap, np.cos(_MAX_ANGLE)])
     bins = round(2.0 * np.pi / config.angle_bin)
     counts = np.array([config.min_points, config.max_lines, config.max_tries, config.spread, bins])
-    found = _lines(places, normals, good, spans, _OFFSET_BIN, counts, limits)
+    found = _lines(places, normals, good, spans, counts, limits)
     return WallLines(*found)
 
 
@@ -77,7 +77,7 @@ def add_lines(equations: NormalEquations, poses: FloatArray, cloud: PointCloud, 
         return
     places = cloud.places[lines.points]
     pairs, hessian, gradient = _line_blocks(
-        poses, cloud.key[lines.points], places, lines.lines, lines.angles, lines.centres, std, _INFLATION
+        poses, cloud.key[lines.points], places, lines.lines, lines.angles, lines.centres, std
     )
     first = 3 * len(poses) + ERRORS
     columns = np.hstack((3 * pairs[:, :1] + np.arange(3), first + 2 * pairs[:, 1:] + np.arange(2)))
@@ -106,7 +106,6 @@ def _line_blocks(
     angles: FloatArray,
     centres: FloatArray,
     std: float,
-    inflation: float,
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Sums over points sorted by line and key pose: pairs (k, 2) of key pose and line, (k, 5, 5), (k, 5)."""
     count = 1
@@ -121,7 +120,7 @@ def _line_blocks(
             last += 1
             pairs[last, 0], pairs[last, 1] = a, b
         error = line_error(poses[a], places[row], angles[b], centres[b], by)
-        weight = 1.0 / ((1.0 + (error / (2.0 * std)) ** 2) * std * inflation) ** 2
+        weight = 1.0 / ((1.0 + (error / (2.0 * std)) ** 2) * std * _INFLATION) ** 2
         for u in range(5):
             gradient[last, u] += weight * by[u] * error
             for v in range(5):
@@ -273,7 +272,6 @@ def _window(
     places: FloatArray,
     normals: FloatArray,
     good: BoolArray,
-    side: float,
     counts: IntArray,
     limits: FloatArray,
     label: IntArray,
@@ -287,10 +285,10 @@ def _window(
     local = np.empty_like(places)
     local[:, 0], local[:, 1] = places[:, 0] - mx, places[:, 1] - my
     turns = np.arctan2(normals[:, 1], normals[:, 0])
-    reach = np.sqrt((local**2).sum(axis=1).max()) + 3.0 * side
-    width = int(2.0 * reach / side) + 4
+    reach = np.sqrt((local**2).sum(axis=1).max()) + 3.0 * _OFFSET_BIN
+    width = int(2.0 * reach / _OFFSET_BIN) + 4
     votes = np.zeros(counts[4] * width)
-    grid = (counts[4], width, side, -reach)
+    grid = (counts[4], width, _OFFSET_BIN, -reach)
     chosen = np.nonzero(good)[0]
     touched = _touched(local[chosen], turns[chosen], counts[3], grid)
     for each in chosen:
@@ -301,7 +299,7 @@ def _window(
         if lines == counts[1] or votes[best] < 0.6 * counts[0]:
             break
         angle = (best // width) * 2.0 * np.pi / counts[4]
-        offset = (best % width + 0.5) * side - reach
+        offset = (best % width + 0.5) * _OFFSET_BIN - reach
         line[0], line[1] = np.cos(angle), np.sin(angle)
         line[2], line[3] = offset * line[0], offset * line[1]
         stands, low, high = _refine(local, normals, good, label, line, counts[0], limits)
@@ -326,7 +324,6 @@ def _lines(
     normals: FloatArray,
     good: BoolArray,
     spans: IntArray,
-    side: float,
     counts: IntArray,
     limits: FloatArray,
 ) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
@@ -341,7 +338,7 @@ def _lines(
         if end - begin < 2 * counts[0]:
             continue
         lines = _window(
-            places[begin:end], normals[begin:end], good[begin:end], side, counts, limits, label[: end - begin], found
+            places[begin:end], normals[begin:end], good[begin:end], counts, limits, label[: end - begin], found
         )
         for each in range(lines):
             angles[count + each] = found[each, 0]

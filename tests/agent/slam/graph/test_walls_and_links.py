@@ -91,7 +91,7 @@ def test_visits_are_linked_to_the_nearest_point_of_another_visit():
     assert len(links) > 0.3 * len(cloud.travel)
     point = links[len(links) // 2, 0]
     other = links[links[:, 0] == point][0, 1]
-    fits = cloud.good & (np.abs(cloud.travel - cloud.travel[point]) > 8.0)
-    fits &= cloud.normals @ cloud.normals[point] > 0.8
+    fits = cloud.good & (np.abs(cloud.travel - cloud.travel[point]) > 13.5)
+    fits &= cloud.normals @ cloud.normals[point] > 0.85
     apart = np.where(fits, np.hypot(*(cloud.places - cloud.places[point]).T), np.inf)
     assert apart[other] == apart.min() <= 0.3
