@@ -93,17 +93,6 @@ def test_two_corrections_after_each_other_are_one():
     assert np.abs(once - log.odometry).max() > 0.1
 
 
-def test_dense_scans_are_thinned_to_all_beams_in_turn():
-    log = wandering(beams=180)
-    keys = keys_of(log)
-    all_points = choose_keys(log, PointConfig(points_per_metre=1e6))
-    assert len(all_points.point_event) == log.hit[np.unique(all_points.point_event)].sum()
-    density = len(keys.point_event) / keys.travel[-1]
-    assert 70.0 < density < 145.0
-    angles = np.round(np.arctan2(*(keys.in_robot - keys.origin_in_robot).T[::-1]), 6)
-    assert len(np.unique(angles)) > 0.9 * 180
-
-
 def test_a_log_whose_times_do_not_tell_its_events_apart_keeps_its_odometry():
     log = wandering(60)
     same = replace(log, time=np.repeat(np.arange(20.0), 3))

@@ -7,7 +7,7 @@ import pytest
 
 from limslam_agent.config.graph import LocalMapConfig
 from limslam_agent.slam.graph import matching
-from limslam_agent.slam.graph.local_maps import HIT, LocalMap, draw_grid, thinned, united
+from limslam_agent.slam.graph.local_maps import HIT, LocalMap, draw_grid, thinned
 from limslam_agent.slam.graph.matching import NO_MATCH, Window, match, match_covariance, search_grid
 from limslam_env.geometry import se2
 
@@ -111,13 +111,3 @@ def test_too_few_points_to_tell_places_apart_are_not_matched():
     enough = chunk.points[: matching.LEAST_POINTS]
     assert match(grid, enough, np.zeros(3), window, 0.6).score > 0.9
     assert match(grid, enough[1:], np.zeros(3), window, 0.6).score == NO_MATCH
-
-
-def test_a_union_holds_what_each_chunk_has_seen():
-    generator = np.random.default_rng(9)
-    chunk = chunk_of(corner(generator))
-    poses = np.array([[1.0, 2.0, 0.3], [3.0, 1.0, -0.5]])
-    both = united([chunk, chunk], poses, 160, MAPS)
-    in_world = se2.transform_points(poses[1], chunk.places)
-    expected = se2.transform_points(se2.inverse(poses[0]), in_world)
-    assert np.allclose(both.places[len(chunk.places) :], expected)

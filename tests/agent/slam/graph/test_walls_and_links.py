@@ -6,7 +6,7 @@ from support.corridors import corridor_log, loop_errors
 
 from limslam_agent.config.graph import GraphConfig, WallLineConfig
 from limslam_agent.slam.graph.key_poses import ERRORS, Trajectory, choose_keys, event_poses, odometry_trajectory
-from limslam_agent.slam.graph.local_smoothing import chained, smooth_locally
+from limslam_agent.slam.graph.local_smoothing import smooth_locally
 from limslam_agent.slam.graph.point_links import find_normals, links_across, point_cloud
 from limslam_agent.slam.graph.wall_lines import lines_in
 
@@ -28,15 +28,6 @@ def test_normals_of_a_wall_point_to_the_sensor():
     assert np.allclose(normals, [0.0, -1.0], atol=1e-9)
 
 
-def test_scattered_points_and_grazed_walls_have_no_trusted_normal():
-    generator = np.random.default_rng(0)
-    places = generator.uniform(0.0, 1.0, (100, 2))
-    assert find_normals(places, np.full((100, 2), 5.0), np.zeros(100), 0.0)[1].mean() < 0.2
-    x = np.linspace(0.0, 3.0, 61)
-    wall = np.column_stack((x, np.zeros(61)))
-    assert not find_normals(wall, np.column_stack((x - 10.0, np.full(61, 0.5))), x, 0.0)[1].any()
-
-
 def test_walls_of_a_window_are_found_with_their_points():
     generator = np.random.default_rng(2)
     along = np.sort(generator.uniform(0.0, 4.0, 60))
@@ -48,19 +39,6 @@ def test_walls_of_a_window_are_found_with_their_points():
     assert sorted(np.round(lines.centres[:, 1], 1)) == [-1.0, 1.0]
     assert np.bincount(lines.lines).tolist() == [60, 60]
     assert np.abs(np.cos(lines.angles)).max() < 0.02
-
-
-def test_a_chained_step_turns_all_that_comes_later(drive):
-    _, _, keys = drive
-    before = odometry_trajectory(keys, np.zeros(3))
-    by_pose = np.zeros((len(keys), 3))
-    by_pose[50:, 2] = 0.3
-    by_pose[50:, :2] = 0.3 * (before.poses[50:, :2] - before.poses[49, :2]) @ np.array([[0.0, 1.0], [-1.0, 0.0]])
-    after = chained(before, np.append(by_pose.ravel(), np.zeros(ERRORS)))
-    lengths = [np.hypot(*np.diff(each.poses[:, :2], axis=0).T) for each in (before, after)]
-    assert np.allclose(after.poses[:50], before.poses[:50])
-    assert np.allclose(lengths[0][50:], lengths[1][50:], rtol=1e-6)
-    assert np.hypot(*(after.poses[-1] - before.poses[-1])[:2]) > 0.5
 
 
 def test_local_smoothing_makes_the_way_straight(drive):

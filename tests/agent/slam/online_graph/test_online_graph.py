@@ -6,15 +6,12 @@ import numpy as np
 import pytest
 from support.corridors import SIX_BEAMS, corridor_log
 
-from limslam_agent.config.graph import OdometryErrorConfig
 from limslam_agent.config.presets import preset
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.mapper import Mapper
 from limslam_agent.replay import hand_over
 from limslam_agent.replay.filter_estimate import FilterEstimate
-from limslam_agent.slam.online_graph.local_frame import OdometryErrors
 from limslam_agent.slam.online_graph.online_graph import Beams, OnlineGraph
-from limslam_agent.slam.online_graph.recent_events import RecentEvents
 from limslam_agent.status.status import Status
 from limslam_env.geometry import se2
 from limslam_env.interface import NominalNoise
@@ -83,35 +80,6 @@ def test_the_missing_turn_of_the_odometry_is_found(lap):
     errors = graph.errors
     assert abs(np.degrees(errors.mean[0]) - 1.0) < 3.0 * np.degrees(np.sqrt(np.linalg.inv(errors.information)[0, 0]))
     assert abs(np.degrees(errors.mean[0]) - 1.0) < 0.4
-
-
-def test_windows_add_their_information_by_their_share():
-    config = OdometryErrorConfig()
-    unknown = OdometryErrors.unknown(config)
-    prior = unknown.prior(config)
-    assert prior.bias_std == pytest.approx(config.bias_std)
-    # A window that says as much as the prior, with all of its driving new, doubles the information.
-    found = np.array([0.01, 0.0, 0.0, 0.0, 0.0])
-    known = unknown.after(found, 2.0 * unknown.information, 1.0)
-    np.testing.assert_allclose(known.information, 2.0 * unknown.information)
-    np.testing.assert_allclose(known.mean, found, atol=1e-12)
-    assert known.prior(config).bias_std == pytest.approx(config.bias_std / np.sqrt(2.0))
-    np.testing.assert_array_equal(unknown.after(found, 2.0 * unknown.information, 0.0).mean, np.zeros(5))
-
-
-def recent(times):
-    events = RecentEvents()
-    for number, time in enumerate(times):
-        events.append(time, np.array([float(number), 0.0, 0.0]), np.ones(2), np.ones(2, dtype=bool))
-    return events
-
-
-def test_events_keep_their_numbers_when_earlier_ones_are_forgotten():
-    events = recent([0.0, 1.0, 2.0, 3.0])
-    assert (events.at(1.5), events.at(99.0), events.travel) == (2, 3, 3.0)
-    events.forget_before(2)
-    assert (events.first, events.last, events.at(2.5), events.travel_at(3)) == (2, 3, 3, 3.0)
-    assert len(events.data(np.zeros((2, 2)), np.zeros(2), 5.0, 0.01).time) == 2
 
 
 def test_the_graph_goes_on_once_the_filter_is_lost(monkeypatch):
