@@ -127,7 +127,7 @@ def add_lines(equations: NormalEquations, poses: FloatArray, cloud: PointCloud, 
         return
     places = cloud.places[lines.points]
     pairs, hessian, gradient = _line_blocks(
-        poses, cloud.key[lines.points], places, lines.lines, lines.angles, lines.centres, std, _INFLATION
+        poses, cloud.key[lines.points], places, lines.lines, lines.angles, lines.centres, std
     )
     first = 3 * len(poses) + ERRORS
     columns = np.hstack((3 * pairs[:, :1] + np.arange(3), first + 2 * pairs[:, 1:] + np.arange(2)))
@@ -156,7 +156,6 @@ def _line_blocks(
     angles: FloatArray,
     centres: FloatArray,
     std: float,
-    inflation: float,
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Sums over points sorted by line and key pose: pairs (k, 2) of key pose and line, (k, 5, 5), (k, 5)."""
     count = 1
@@ -171,7 +170,7 @@ def _line_blocks(
             last += 1
             pairs[last, 0], pairs[last, 1] = a, b
         error = line_error(poses[a], places[row], angles[b], centres[b], by)
-        weight = 1.0 / ((1.0 + (error / (2.0 * std)) ** 2) * std * inflation) ** 2
+        weight = 1.0 / ((1.0 + (error / (2.0 * std)) ** 2) * std * _INFLATION) ** 2
         for u in range(5):
             gradient[last, u] += weight * by[u] * error
             for v in range(5):
