@@ -105,7 +105,7 @@ def derived(home: np.uint64, episode: int, purpose: int) -> np.uint64:
 @inlined
 def chosen(key: np.uint64, count: int) -> int:
     """Which of so many things a key chooses."""
-    return int((key >> _S11) % np.uint64(count))
+    return np.int64((key >> _S11) % np.uint64(count))
 
 
 @entry
