@@ -9,7 +9,7 @@ import numpy as np
 import limslam_env  # noqa: F401 (registers the environments)
 
 COUNTS = 4096, 65_536, 1_048_576
-_ACTIONS, _WARM, _SHORTEST, _ROUNDS = 8, 400, 1.0, 5
+_ACTIONS, _WARM, _SHORTEST, _ROUNDS = 8, 400, 0.5, 7
 
 
 def device_rate(count: int, **arguments: Any) -> tuple[float, float, float]:

@@ -85,7 +85,8 @@ class LimSlamDeviceEnv(Batched, gym.vector.VectorEnv[dict[str, Any], Any, Any]):
         results, _ = self._begin(generator, seed, options)
         if seed is not None:
             self._np_random, self._np_random_seed = generator, seed
-        return _observation_and_info(results)
+        self._handed = _handed_out(results)
+        return self._handed[0].copy(), self._handed[-1].copy()
 
     def step(self, actions: Any) -> tuple[dict[str, Any], Any, Any, Any, dict[str, Any]]:
         """Drive for one control period; ``actions`` (n, 2), float32, are left and right wheel speeds, -1 to 1.
@@ -99,9 +100,9 @@ class LimSlamDeviceEnv(Batched, gym.vector.VectorEnv[dict[str, Any], Any, Any]):
         """
         if not self._is_running:
             raise gym.error.ResetNeeded("call reset before step")
-        results = self._simulation.step(actions)
-        observation, info = _observation_and_info(results)
-        return observation, results.rewards.reshape(-1), results.terminated, results.truncated, info
+        self._simulation.step(actions)
+        observation, rewards, terminated, truncated, info = self._handed
+        return observation.copy(), rewards, terminated, truncated, info.copy()
 
     def to_device(self, array: NDArray[np.float32]) -> Any:
         """A copy of an array on the device, for actions that are made without a library for GPUs."""
@@ -112,12 +113,17 @@ class LimSlamDeviceEnv(Batched, gym.vector.VectorEnv[dict[str, Any], Any, Any]):
         self._simulation.synchronize()
 
 
-def _observation_and_info(results: Results) -> tuple[dict[str, Any], dict[str, Any]]:
-    """What the only robot of each environment observes, and what is true of it."""
+def _handed_out(results: Results) -> tuple[dict[str, Any], Any, Any, Any, dict[str, Any]]:
+    """What each step returns: views of the results, in which there is one robot in each environment."""
     count = len(results.time)
-    ranges, wheels, pose, collision, wall_seen = (
+    ranges, wheels, pose, collision, wall_seen, rewards = (
         part.reshape(count, *part.shape[2:])
-        for part in (results.ranges, results.wheels, results.poses, results.contact, results.wall_seen)
-    )
-    truth = {"pose": pose, "time": results.time, "coverage": results.coverage}
-    return {"ranges": ranges, "wheels": wheels}, truth | {"collision": collision, "wall_seen": wall_seen}
+        for part in (
+            results.ranges, results.wheels, results.poses, results.contact, results.wall_seen, results.rewards,
+        )
+    )  # fmt: skip
+    info = {
+        "pose": pose, "time": results.time, "coverage": results.coverage, "collision": collision,
+        "wall_seen": wall_seen,
+    }  # fmt: skip
+    return {"ranges": ranges, "wheels": wheels}, rewards, results.terminated, results.truncated, info
