@@ -32,7 +32,7 @@ class LimSlamDeviceEnv(Batched, gym.vector.VectorEnv[dict[str, Any], Any, Any]):
     * Floor plans are generated beforehand: ``LimSlam-Random-v0`` needs ``plans``.
     * Info has no masks and no ``cost``. There are no pictures.
 
-    The kernel is compiled at the first reset, in about half a minute.
+    The kernel is compiled at the first reset, in about 20 s.
     """
 
     metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012

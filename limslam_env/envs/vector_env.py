@@ -54,6 +54,7 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
     the single environment; with noise they have the same distributions. No step loops over all environments in Python, and
     from 1024 environments on several threads share the work. The results depend on the seed and the number of
     environments, but not on the number of threads.
+    `gym.make_vec(..., device="cuda")` makes a batch on a GPU (:class:`limslam_env.envs.device_env.LimSlamDeviceEnv`).
 
     ## Spaces
     `single_action_space` and `single_observation_space` are those of the single environment. Actions have the shape
