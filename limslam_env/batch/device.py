@@ -91,7 +91,7 @@ class DeviceSimulation(BatchSimulation):
     ) -> Results:
         """Begin new episodes in all environments, and observe them; all of ``mask`` (n,) is true."""
         if self._renewal is not None:
-            self._numbers[:] = self._renewal.numbers
+            self._numbers[:] = np.asarray(self._renewal.numbers)
         self.begin(mask, start, seeds)
         places, worlds = self._places, self._places.sites.worlds
         size, width = self.num_envs * worlds.coverable.shape[1], worlds.coverable.shape[1]
