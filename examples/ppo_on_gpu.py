@@ -127,7 +127,7 @@ def main() -> None:
     options = arguments.parse_args()
     torch.manual_seed(options.seed)
     count = options.envs
-    envs = gym.make_vec(
+    envs: Any = gym.make_vec(
         "LimSlam-Random-v0",
         num_envs=count,
         plans=options.plans,

@@ -28,8 +28,9 @@ from limslam_env.simulation.starts import TRIES
 _BLOCK = 128  # threads
 
 # numba's simulator of CUDA runs the same code on arrays of numpy.
-_to_device = np.array if config.ENABLE_CUDASIM else cuda.to_device
-_device_array = np.empty if config.ENABLE_CUDASIM else cuda.device_array
+_IS_SIMULATED = getattr(config, "ENABLE_CUDASIM", False)
+_to_device = np.array if _IS_SIMULATED else cuda.to_device
+_device_array = np.empty if _IS_SIMULATED else cuda.device_array
 
 
 class Renewal(NamedTuple):
@@ -81,7 +82,7 @@ class DeviceSimulation(BatchSimulation):
         if places.num_plans is None:
             raise ValueError("on a device, floor plans are generated once and then drawn from: plans=256, for instance")
         super().__init__(places, robot, noise, task, max_steps, num_threads)
-        self._results = _uploaded(no_results(self.num_envs, self.num_robots, len(robot.beams)))
+        self._results: Results = _uploaded(no_results(self.num_envs, self.num_robots, len(robot.beams)))
         self._renewal: Renewal | None = None
         self._kernel: Any = None
         self._arguments: tuple[Any, ...] = ()

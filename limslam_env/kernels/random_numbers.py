@@ -103,7 +103,7 @@ def derived(home: np.uint64, episode: int, purpose: int) -> np.uint64:
 
 
 @inlined
-def chosen(key: np.uint64, count: int) -> int:
+def chosen(key: np.uint64, count: int) -> np.int64:
     """Which of so many things a key chooses."""
     return np.int64((key >> _S11) % np.uint64(count))
 
