@@ -93,7 +93,7 @@ AGENT = {
     },
     "limslam_agent.map_snapshot": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "slam.core")},
     "limslam_agent.frames": {
-        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "frame_mapper", "grid", "places", "slam"),
+        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "frame_mapper", "grid", "places", "slam", "status"),
     },
     "limslam_agent.mapper": {
         *WHAT_AN_AGENT_MAY_KNOW,
