@@ -224,7 +224,7 @@ class Recovery:
         # nothing says any more that it was carried away: a robot that has drifted may also read sudden changes, and in
         # a large building, some other place fits nearly always.
         near = near_fit(place, rays, absence.covariance)
-        is_far_likely = absence.is_carried and not self._fits_near(near, rays, DECIDED)
+        is_far_likely = absence.is_carried and not self._fits_near(near, rays)
         # A search of the whole map may miss the place near by.
         far = 1.0 if is_far_likely else FAR_SHARE
         found = absence.search.seek(rays, far, [near.fit], may_be_bent=not is_far_likely)
@@ -242,17 +242,16 @@ class Recovery:
         rays = rays_of(self.log.since(absence.first), self._robot, sensor)
         # Ground that the map does not have is unlikely beforehand, since nothing says that the robot was carried away.
         near = near_fit(absence.search.place, rays, absence.covariance)
-        if not self._fits_near(near, rays, 0.0):
+        if not self._fits_near(near, rays):
             return None
         return self._placement(absence, rays, absence.search.accept(near.fit, rays[:, :2].mean(axis=0)), sensor)
 
-    def _fits_near(self, near: NearFit, rays: FloatArray, on_map: float) -> bool:
-        """Whether rays (n, 7) fit the map at their likeliest place near the believed pose.
+    def _fits_near(self, near: NearFit, rays: FloatArray) -> bool:
+        """Whether rays (n, 7) fit the map at their likeliest place near the believed pose, and do not contradict it.
 
-        Along a long wall, other places near by fit as well. So the covariance of the pose counts, too. ``on_map`` is
-        the least logarithm of the likelihood ratio of the contradictions there.
+        Along a long wall, other places near by fit as well. So the covariance of the pose counts, too.
         """
-        fits = near.evidence >= LEAD and near.fit.is_on_map >= on_map  # without rays, they do not
+        fits = near.evidence >= LEAD and near.fit.is_on_map >= 0.0  # without rays, they do not
         return fits and not is_far(near.fit.pose, rays[:, :2].mean(axis=0))
 
     @property

@@ -27,7 +27,7 @@ WINDOW, LONGEST_SPACING = 3.0, 0.30
 PLACE = 0.3
 """Contradictions less far apart, m, may have one cause, as a short wall that is missing."""
 
-_CARRIED = 10.0  # evidence of a change after which the robot is lost: it outweighs that few robots are carried away
+_CARRIED = 12.0  # evidence of a change after which the robot is lost: it is carried once in e^12 steps, 4.5 h, at most
 _SUPPORTED = 15.0  # evidence of readings that clearly fit
 _EXPLAINED = 1.0  # evidence of a reading for the map: more than that of seeing nothing on free ground
 _MAPS = 4
