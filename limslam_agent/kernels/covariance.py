@@ -185,19 +185,17 @@ def transport_rows(
 def add_products(P: FloatArray, whole: int, left: FloatArray, right: FloatArray) -> None:
     """P += left^T right, both (rank, size), which is symmetric; ``rank`` is a multiple of four."""
     rank, size = left.shape
-    # Two rows at once, so that what is loaded of ``right`` is used twice. The pair's two numbers beyond a diagonal are
-    # not read; a row that is left over comes first.
-    first = whole + (size - whole) % 2
-    for i in range(first):
+    if size % 2:
         for k in range(rank):
-            for j in range(size if i < whole else first):
-                P[i, j] += left[k, i] * right[k, j]
-    for i in range(first, size, 2):
-        row, other = P[i], P[i + 1]
+            for j in range(size):
+                P[0, j] += left[k, 0] * right[k, j]
+    # Two rows at once, so that what is loaded of ``right`` is used twice. What they have beyond the diagonal is not read.
+    for i in range(size % 2, size, 2):
+        row, other, end = P[i], P[i + 1], size if i < whole else i + 2
         for k in range(0, rank, 4):
             a, b, c, d = left[k, i], left[k + 1, i], left[k + 2, i], left[k + 3, i]
             e, f, g, h = left[k, i + 1], left[k + 1, i + 1], left[k + 2, i + 1], left[k + 3, i + 1]
-            for j in range(i + 2):
+            for j in range(end):
                 one, two, three, four = right[k, j], right[k + 1, j], right[k + 2, j], right[k + 3, j]
                 row[j] += a * one + b * two + c * three + d * four
                 other[j] += e * one + f * two + g * three + h * four
