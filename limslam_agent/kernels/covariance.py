@@ -189,7 +189,8 @@ def add_products(P: FloatArray, whole: int, left: FloatArray, right: FloatArray)
         for k in range(rank):
             for j in range(size):
                 P[0, j] += left[k, 0] * right[k, j]
-    # Two rows at once, so that what is loaded of ``right`` is used twice. Nothing beyond the diagonal is read.
+    # Two rows at once, so that what is loaded of ``right`` is used twice. The first of them is updated one place beyond
+    # the diagonal, which is not read.
     for i in range(size % 2, size, 2):
         row, other, end = P[i], P[i + 1], size if i < whole else i + 2
         for k in range(0, rank, 4):
