@@ -3,6 +3,10 @@
 ``slam.consistent.clone_ekf`` explains the filter, whose letters x, P, H, S, W are those of the literature. The state
 has the first ``size`` places of its arrays. ``begins`` says where its parts begin: the end of the poses, the first
 line, and the first clone.
+
+Of the symmetric P, the first ``whole`` rows, those of the poses, are kept whole. Of each other row, only the part from
+the column ``whole`` to the diagonal is kept, so that an update and a marginalisation touch half of the memory: P of
+many robots does not fit the processor's cache. What lies elsewhere in P is not read until :func:`mirror` has set it.
 """
 
 import math
@@ -10,33 +14,31 @@ import math
 import numpy as np
 
 from limslam_agent.kernels.algebra import wrapped
-from limslam_agent.kernels.compilation import algebra, compiled, entry, lean_entry
+from limslam_agent.kernels.compilation import algebra, entry, lean_entry
 from limslam_agent.kernels.measurement import fill_transport
 from limslam_agent.kernels.tables import POSE
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
-_TOGETHER = 8
-"""Rows of P that are copied at once: the numbers of one line of a processor's cache."""
 
-
-@compiled
-def mirror_pose(P: FloatArray, size: int, at: int) -> None:
-    """Set the columns of P of the pose that begins at the index ``at`` to its rows."""
-    for j in range(size):
-        for i in range(POSE):
-            P[j, at + i] = P[at + i, j]
+@lean_entry
+def mirror(P: FloatArray, size: int, whole: int) -> None:
+    """Set all of P (size, size) that is not kept."""
+    for i in range(whole, size):
+        for j in range(whole):
+            P[i, j] = P[j, i]
+        for j in range(whole, i):
+            P[j, i] = P[i, j]
 
 
 @lean_entry
 def move_pose(
     x: FloatArray, P: FloatArray, size: int, at: int, increment: FloatArray, covariance: FloatArray,
-    by_pose: FloatArray, by_increment: FloatArray, is_whole: bool,
+    by_pose: FloatArray, by_increment: FloatArray, whole: int,
 ) -> None:  # fmt: skip
     """Move a pose, which begins in the state at the index ``at``, by an increment (3,) in its frame, m, m, rad.
 
     The increment's covariance (3, 3) is added. ``by_pose`` and ``by_increment`` (3, 3), which hold zeros, are set to
-    the derivatives of the new pose. If not ``is_whole``, only the pose's rows of P are changed. Its columns, whose
-    numbers lie far apart in memory, have to be set by :func:`mirror_pose` before they are read.
+    the derivatives of the new pose.
     """
     cos, sin = math.cos(x[at + 2]), math.sin(x[at + 2])
     ahead, left = cos * increment[0] - sin * increment[1], sin * increment[0] + cos * increment[1]
@@ -57,20 +59,21 @@ def move_pose(
             for k in range(POSE):
                 for m in range(POSE):
                     P[at + i, at + j] += by_increment[i, k] * covariance[k, m] * by_increment[j, m]
-    if is_whole:
-        mirror_pose(P, size, at)
+    for j in range(whole):
+        for i in range(POSE):
+            P[j, at + i] = P[at + i, j]
 
 
 @lean_entry
-def copy_pose(x: FloatArray, P: FloatArray, by_errors: FloatArray, size: int, at: int) -> None:
-    """Append a copy of the pose that begins at the index ``at`` to a state of a size; only the pose's rows are read."""
+def copy_pose(x: FloatArray, P: FloatArray, by_errors: FloatArray, size: int, whole: int, at: int) -> None:
+    """Append a copy of the pose that begins at the index ``at`` to a state of a size."""
     for k in range(POSE):
         x[size + k] = x[at + k]
         for j in range(by_errors.shape[1]):
             by_errors[size + k, j] = by_errors[at + k, j]
         for j in range(size):
             P[size + k, j] = P[at + k, j]
-    for j in range(size):
+    for j in range(whole):
         for k in range(POSE):
             P[j, size + k] = P[size + k, j]
     for i in range(POSE):
@@ -79,7 +82,9 @@ def copy_pose(x: FloatArray, P: FloatArray, by_errors: FloatArray, size: int, at
 
 
 @lean_entry
-def keep_states(x: FloatArray, P: FloatArray, by_errors: FloatArray, is_kept: BoolArray, kept: IntArray) -> None:
+def keep_states(
+    x: FloatArray, P: FloatArray, by_errors: FloatArray, whole: int, is_kept: BoolArray, kept: IntArray
+) -> None:  # fmt: skip
     """Marginalise all states (n,) but those to keep, in place. The derivatives by constant errors have n rows.
 
     ``kept`` (2, n) is scratch: where each state was, and where the stretch of states ends that move together.
@@ -100,31 +105,38 @@ def keep_states(x: FloatArray, P: FloatArray, by_errors: FloatArray, is_kept: Bo
             x[new] = x[old]
             for j in range(by_errors.shape[1]):
                 by_errors[new, j] = by_errors[old, j]
-        begin = first if new < first else 0
-        while begin < size:
-            end, shift = kept[1, begin], kept[0, begin] - begin
+        begin, last = first if new < first else 0, size if new < whole else new + 1
+        while begin < last:
+            end, shift = min(kept[1, begin], last), kept[0, begin] - begin
             for j in range(begin, end):
                 P[new, j] = P[old, j + shift]
             begin = end
 
 
-@algebra
+@entry
 def dense_block(P: FloatArray, columns: IntArray) -> FloatArray:
-    """Block (k, k) of a covariance: its rows and columns ``columns`` (k,)."""
+    """Block (k, k) of a covariance: its rows and columns ``columns`` (k,), which are of no pose but the first one."""
     block = np.empty((len(columns), len(columns)))
     for i in range(len(columns)):
         for j in range(len(columns)):
-            block[i, j] = P[columns[i], columns[j]]
+            low, high = min(columns[i], columns[j]), max(columns[i], columns[j])
+            block[i, j] = P[low, high] if low < POSE else P[high, low]
     return block
 
 
-@algebra
-def dense_rows(P: FloatArray, size: int, columns: IntArray) -> FloatArray:
+@entry
+def dense_rows(P: FloatArray, size: int, whole: int, columns: IntArray) -> FloatArray:
     """Rows (k, size) of a covariance."""
     rows = np.empty((len(columns), size))
     for i in range(len(columns)):
-        for j in range(size):
-            rows[i, j] = P[columns[i], j]
+        column = columns[i]
+        end = size if column < whole else column + 1
+        for j in range(whole):
+            rows[i, j] = P[j, column]
+        for j in range(whole, end):
+            rows[i, j] = P[column, j]
+        for j in range(end, size):
+            rows[i, j] = P[j, column]
     return rows
 
 
@@ -170,27 +182,24 @@ def transport_rows(
 
 
 @algebra
-def add_products(P: FloatArray, left: FloatArray, right: FloatArray) -> None:
+def add_products(P: FloatArray, whole: int, left: FloatArray, right: FloatArray) -> None:
     """P += left^T right, both (rank, size), which is symmetric; ``rank`` is a multiple of four."""
     rank, size = left.shape
     if size % 2:
         for k in range(rank):
-            P[0, 0] += left[k, 0] * right[k, 0]
-    for first in range(size % 2, size, _TOGETHER):
-        last = min(first + _TOGETHER, size)
-        # Two rows at once, so that what is loaded of ``right`` is used twice.
-        for i in range(first, last, 2):
-            row, other = P[i], P[i + 1]
-            for k in range(0, rank, 4):
-                a, b, c, d = left[k, i], left[k + 1, i], left[k + 2, i], left[k + 3, i]
-                e, f, g, h = left[k, i + 1], left[k + 1, i + 1], left[k + 2, i + 1], left[k + 3, i + 1]
-                for j in range(i + 2):
-                    one, two, three, four = right[k, j], right[k + 1, j], right[k + 2, j], right[k + 3, j]
-                    row[j] += a * one + b * two + c * three + d * four
-                    other[j] += e * one + f * two + g * three + h * four
-        for j in range(last):
-            for i in range(max(first, j + 1), last):
-                P[j, i] = P[i, j]
+            for j in range(size):
+                P[0, j] += left[k, 0] * right[k, j]
+    # Two rows at once, so that what is loaded of ``right`` is used twice. The first of them is updated one place beyond
+    # the diagonal, which is not read.
+    for i in range(size % 2, size, 2):
+        row, other, end = P[i], P[i + 1], size if i < whole else i + 2
+        for k in range(0, rank, 4):
+            a, b, c, d = left[k, i], left[k + 1, i], left[k + 2, i], left[k + 3, i]
+            e, f, g, h = left[k, i + 1], left[k + 1, i + 1], left[k + 2, i + 1], left[k + 3, i + 1]
+            for j in range(end):
+                one, two, three, four = right[k, j], right[k + 1, j], right[k + 2, j], right[k + 3, j]
+                row[j] += a * one + b * two + c * three + d * four
+                other[j] += e * one + f * two + g * three + h * four
 
 
 @entry
@@ -229,7 +238,7 @@ def correct_state(
         for j in range(size):
             left[rank + k, j] = right[rank + POSE + k, j] = both[j, k]
             left[rank + POSE + k, j] = P[k, j]
-    add_products(P, left, right)
+    add_products(P, begins[0], left, right)
     for heading in range(2, begins[0], POSE):
         x[heading] = wrapped(x[heading])
     return after

@@ -211,7 +211,7 @@ def iterate(
     anchor, before = (anchors[index, 0], anchors[index, 1]), x[:size].copy()
     moved, at_first, pose = np.zeros((size, POSE)), np.empty((size, POSE)), np.empty((POSE, size))
     fill_transport(x, size, begins_of, anchors, num_lines, at_first)
-    rows = dense_rows(P, size, columns)
+    rows = dense_rows(P, size, begins_of[0], columns)
     H, HP, shifted, further = np.empty((count, 7)), np.empty((count, size)), rows, np.empty(rows.shape)
     change, scaled, S = np.zeros(size), variances.copy(), np.empty((count, count))
     off, solution = np.empty(count), np.empty(count)

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from limslam_agent.config.presets import AgentConfig, ConsistentConfig, preset
-from limslam_agent.kernels.covariance import mirror_pose
 from limslam_agent.kernels.tables import (
     ANGLE,
     CLONES,
@@ -317,7 +316,7 @@ def accept(
     if variance:
         covariance = covariance + slip_covariance(variance, angle)
     by_pose, by_increment = np.zeros((POSE, POSE)), np.zeros((POSE, POSE))
-    move(ekf.x, ekf.P, size_of(ekf.counts), 0, increment, covariance, by_pose, by_increment, False)  # noqa: FBT003
+    move(ekf.x, ekf.P, size_of(ekf.counts), 0, increment, covariance, by_pose, by_increment, POSE)
     travel[DRIVEN] += math.hypot(increment[0], increment[1])
     travel[TURNED] += abs(increment[2])
     lines = ekf.x[POSE : POSE + 2 * ekf.counts[LINES]].reshape(ekf.counts[LINES], 2)
@@ -359,7 +358,6 @@ def step_some(
         for side in range(_NUM_SIDES):
             is_over = has_ended(travel, state.fill, side, WALL_END)
             if state.fill[side, FRESH] >= settings.batch or is_over:
-                mirror_pose(ekf.P, size_of(ekf.counts), 0)
                 process(
                     ekf, state.walls, state.pending, state.fill, side, travel[DRIVEN], settings, spec.beams, is_over,
                     None,

@@ -14,7 +14,7 @@ Bonnabel, "An EKF-SLAM algorithm with consistency properties", 2015), and P is t
 
 import numpy as np
 
-from limslam_agent.kernels.covariance import correct_state, move_pose
+from limslam_agent.kernels.covariance import correct_state, mirror, move_pose
 from limslam_agent.kernels.tables import CLONES, LINES, LINES_FROM, POSES_END, Filter
 from limslam_agent.slam.consistent import clone_filter
 from limslam_agent.slam.consistent.clone_filter import begins_of, clones_from, equality, line_at, num_lines, size_of
@@ -74,6 +74,7 @@ class CloneEKF:
     def P(self) -> FloatArray:  # noqa: N802 (the literature's letter)
         """Its covariance (n, n), a view."""
         size = size_of(self.arrays.counts)
+        mirror(self.arrays.P, size, self._poses_end)
         return self.arrays.P[:size, :size]
 
     @property
@@ -197,7 +198,7 @@ class CloneEKF:
         """
         arrays, at, size = self.arrays, POSE * robot, size_of(self.arrays.counts)
         by_pose, by_increment, moved = np.zeros((POSE, POSE)), np.zeros((POSE, POSE)), slice(at, at + POSE)
-        move_pose(arrays.x, arrays.P, size, at, increment, covariance, by_pose, by_increment, True)  # noqa: FBT003
+        move_pose(arrays.x, arrays.P, size, at, increment, covariance, by_pose, by_increment, self._poses_end)
         if arrays.by_errors.shape[1]:
             arrays.by_errors[moved] = by_pose @ arrays.by_errors[moved]
         if by_calibration is None:

@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from limslam_agent.kernels.covariance import copy_pose, correct_state, keep_states
+from limslam_agent.kernels.covariance import copy_pose, correct_state, dense_block, dense_rows, keep_states
 from limslam_agent.kernels.measurement import ends_of_beams, error_transport
 from limslam_agent.kernels.segments import cut_at_bends
 from limslam_agent.kernels.tables import CLONES, LINES, LINES_FROM, NEXT_CLONE, POSE, POSES_END, Filter
@@ -104,7 +104,7 @@ def side_of(ekf: Filter, places: IntArray, readings: FloatArray, index: int) -> 
 def clone(ekf: Filter, robot: int) -> int:
     """Add a copy of a robot's pose to the state, which must have room for it, and return the copy's number."""
     number = ekf.counts[NEXT_CLONE]
-    copy_pose(ekf.x, ekf.P, ekf.by_errors, size_of(ekf.counts), POSE * robot)
+    copy_pose(ekf.x, ekf.P, ekf.by_errors, size_of(ekf.counts), ekf.counts[POSES_END], POSE * robot)
     ekf.clones[ekf.counts[CLONES]] = number
     ekf.counts[CLONES] += 1
     ekf.counts[NEXT_CLONE] += 1
@@ -113,7 +113,8 @@ def clone(ekf: Filter, robot: int) -> int:
 
 def keep(ekf: Filter, is_kept: BoolArray) -> None:
     """Marginalise all of the state (n,) but those to keep. The caller updates the counts."""
-    keep_states(ekf.x, ekf.P, ekf.by_errors, is_kept, np.empty((2, len(is_kept)), dtype=np.int64))
+    kept = np.empty((2, len(is_kept)), dtype=np.int64)
+    keep_states(ekf.x, ekf.P, ekf.by_errors, ekf.counts[POSES_END], is_kept, kept)
 
 
 def keep_clones(ekf: Filter, wanted: FloatArray) -> None:
@@ -208,10 +209,7 @@ def equality(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatAr
 def difference(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatArray]:
     """Difference (2,) of two lines about the younger's anchor, m and rad, and its covariance (2, 2)."""
     off, H, columns = equality(ekf, older, younger)
-    block = np.empty((len(columns), len(columns)))
-    for i in range(len(columns)):
-        block[i] = ekf.P[columns[i]][columns]
-    return off, H @ block @ H.T
+    return off, H @ dense_block(ekf.P, columns) @ H.T
 
 
 def merge(ekf: Filter, older: int, younger: int, iterations: int) -> None:
@@ -231,7 +229,7 @@ def merge(ekf: Filter, older: int, younger: int, iterations: int) -> None:
         moved = error_transport(ekf.x, size, begins, ekf.anchors, count) - at_first
         off, H, columns = equality(ekf, older, younger)
         # The rows of P as a transport of its error by ``moved`` changes them: see ``correct_state``.
-        rows = ekf.P[columns, :size] + moved[columns] @ pose
+        rows = dense_rows(ekf.P, size, begins[0], columns) + moved[columns] @ pose
         HP = H @ (rows + rows[:, :POSE].copy() @ moved.T.copy())
         so_far = ekf.x[:size] - start
         innovation = H @ so_far[columns] - off

@@ -276,7 +276,7 @@ class ConsistentEstimator(Estimator):
 
         if len(self._map):
             ekf, at, sensor = self._filter, POSE * number, self.sensor
-            x, y, heading = ekf.P.diagonal()[at : at + POSE].tolist()
+            x, y, heading = ekf.arrays.P.diagonal()[at : at + POSE].tolist()
             clear_along_beams(
                 self.walls, ekf.anchored, ekf.anchors, ekf.x[at : at + POSE], (x + y, heading), front.ranges,
                 front.measured, self._mounted.beam_table, (float(sensor.std), float(sensor.growth)),
