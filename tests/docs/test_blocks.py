@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import typer
 from support.arena import made_entry
-from support.markdown import ROOT, Block, all_blocks, blocks, code_spans, commands, pages
+from support.markdown import ROOT, Block, all_blocks, blocks, code_spans, commands, name_of, pages
 
 from limslam_agent.cli.main import app as limslam_app
 from limslam_agent.cli.settings import robot_named
@@ -41,7 +41,6 @@ NOT_RUN = {
 }
 # Commands that are not the project's own, by their first words.
 OTHERS = {
-    "ray": "Ray's own command line; a cluster is needed",
     "tensorboard": "TensorBoard's own command line; it serves until it is stopped",
     "evo_ape": "another project's command, for trajectories of a finished run",
     "git": "changes a checkout",
@@ -60,7 +59,7 @@ SHORT = {
     ("limslam", "worlds"): [],
     ("python -m benchmarks", "run"): ["--dry-run"],
 }
-NOT_SHORT = {"--engine": "needs a cluster", "explore": "its jobs name 100 floor plans, which take long to draw"}
+NOT_SHORT = {"explore": "its jobs name 100 floor plans, which take long to draw"}
 
 
 def apps() -> dict[str, typer.Typer]:
@@ -144,7 +143,7 @@ def live_robot() -> dict:
     return {"robot": parts["FakeRobot"](in_real_time=False), "agent": agent, "spec": parts["SPEC"], "np": parts["np"]}
 
 
-NEEDS = {"live.md": live_robot}
+NEEDS = {"docs/live.md": live_robot}
 # test_readme runs the README and looks at what it prints.
 PYTHON_PAGES = [
     page for page in pages() if page.name != "README.md" and any(block.language == "python" for block in blocks(page))
@@ -152,9 +151,9 @@ PYTHON_PAGES = [
 
 
 @pytest.mark.usefixtures("folder")
-@pytest.mark.parametrize("page", PYTHON_PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PYTHON_PAGES, ids=name_of)
 def test_the_python_blocks_of_a_page_run_one_after_the_other(page):
-    namespace = {"__name__": "__main__"} | NEEDS.get(page.name, dict)()
+    namespace = {"__name__": "__main__"} | NEEDS.get(name_of(page), dict)()
     for block in blocks(page):
         if block.language == "python":
             if reason_for(block, NOT_RUN):
@@ -216,7 +215,7 @@ def options_of(command) -> set[str]:
     return own_options.union(*(options_of(part) for part in getattr(command, "commands", {}).values()))
 
 
-@pytest.mark.parametrize("page", pages(), ids=lambda page: page.name)
+@pytest.mark.parametrize("page", pages(), ids=name_of)
 def test_commands_within_the_prose_have_options_that_exist(page):
     for span in code_spans(page):
         words = span.split()
