@@ -98,8 +98,8 @@ def parsed(app: typer.Typer, words: list[str]) -> None:
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """A folder of its own, with the world that the page about environments describes."""
-    page = blocks(ROOT / "docs" / "environments.md")
+    """A folder of its own, with the world that the page of public names describes."""
+    page = blocks(ROOT / "docs" / "api.md")
     world = next(block for block in page if block.language == "toml" and "walls" in block.text)
     (tmp_path / "bedroom.toml").write_text(world.text, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
