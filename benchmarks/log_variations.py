@@ -20,10 +20,10 @@ from limslam_agent.replay.local_views import moves_of
 from limslam_agent.replay.reversing import with_reversing
 from limslam_agent.replay.smoothing import log_data, trusted_path
 from limslam_agent.replay.trust import PathSignals
-from limslam_agent.slam.graph.agreement import distances_after_alignment
 from limslam_agent.slam.graph.key_poses import LogData, integrate
 from limslam_agent.slam.graph.smooth import GraphResult
 from limslam_env.geometry import BoolArray, FloatArray, se2
+from limslam_env.metrics.metrics import trajectory_metrics
 
 _ABOUT = np.array([0.0, 0.0, np.pi])
 _POSITION_NOISE = 0.02  # m per square root of a metre
@@ -212,4 +212,5 @@ def outcome(path: Path, known: Path, how: Variation, truth: tuple[FloatArray, Fl
 
 def _aligned_error(true: FloatArray, poses: FloatArray) -> float:
     """Root mean square error of the positions of poses (n, 3) after rigid alignment, m."""
-    return float(np.sqrt((distances_after_alignment(poses, true) ** 2).mean()))
+    found = trajectory_metrics(true, poses)["ate_aligned_m"]
+    return math.nan if found is None else found

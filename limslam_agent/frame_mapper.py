@@ -14,7 +14,6 @@ from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.known_map import KnownMap
 from limslam_agent.status.monitor import StatusMonitor
 from limslam_agent.status.sudden_changes import Sight
-from limslam_env.geometry import FloatArray
 from limslam_env.interface import Observation
 
 
@@ -41,6 +40,8 @@ class FrameMapper:
         The monitor of each robot's estimate.
     drawers
         What draws each robot's readings into the grid.
+    renewal
+        What smooths the last minutes.
     slam_ms
         Wall-clock time that SLAM and renewal took in the latest step, without the grid, ms.
     """
@@ -56,14 +57,12 @@ class FrameMapper:
         """Begin to monitor the estimate of each robot, and a new stretch that can be smoothed."""
         self.reset_monitors()
         self._extraction: Extraction | None = None
-        self._renewal = Renewal(self.slam, self._config, self.grid)
+        self.renewal = Renewal(self.slam, self._config, self.grid)
 
     def reset_monitors(self) -> None:
         """Forget all doubts about the estimates so far."""
-        slam, free_space_counts = self.slam, self._config.free_space_counts
-        self.monitors = [
-            StatusMonitor(slam.robot, slam.range_sensor, free_space_counts=free_space_counts) for _ in slam.robots
-        ]
+        slam = self.slam
+        self.monitors = [StatusMonitor(slam.robot, slam.range_sensor) for _ in slam.robots]
 
     def process(self, observations: Sequence[Observation], frame: int, *, may_renew: bool = True) -> bool:
         """Process one observation of each robot.
@@ -102,26 +101,11 @@ class FrameMapper:
 
     def renew_lost(self) -> bool:
         """Renew the estimate of a robot that has just been lost, if that explains its readings; whether it was done."""
-        is_renewed = self._renewal.renew_lost()
+        is_renewed = self.renewal.renew_lost()
         if is_renewed:
-            self.grid = self._renewal.grid
+            self.grid = self.renewal.grid
             self.reset_monitors()
         return is_renewed
-
-    @property
-    def has_jumped(self) -> bool:
-        """Whether the last renewal has moved the path far."""
-        return self._renewal.has_jumped
-
-    @property
-    def renewed_path(self) -> list[FloatArray]:
-        """Poses (3,) of the robot in the steps of the stretch that was renewed last, by all its readings."""
-        return self._renewal.poses
-
-    @property
-    def renewed_covariances(self) -> list[FloatArray]:
-        """Covariances (3, 3) that the filter stated for these poses."""
-        return self._renewal.covariances
 
     def _new_drawers(self) -> Sequence[ReadingDrawer]:
         return [ReadingDrawer(self.slam.mounted) for _ in self.slam.robots]
@@ -133,11 +117,13 @@ class FrameMapper:
         sight = Sight(slam.poses[number], ranges, slam.increments[number])
         if monitor.observe(sight, is_busy=is_busy):
             monitor.sensor = slam.range_sensor
-            monitor.check(slam.covariances[number], KnownMap(slam.segments, self.grid.view, slam.range_sensor))
+            counts = self._config.free_space_counts
+            known = KnownMap(slam.segments, self.grid.view, slam.range_sensor, free_space_counts=counts)
+            monitor.check(slam.covariances[number], known)
 
     def _renew(self, observation: Observation, *, may_renew: bool) -> bool:
         """Smooth the last minutes, if that is due; whether that has moved the path far."""
-        renewal = self._renewal
+        renewal = self.renewal
         if not renewal.is_possible or "wheels" not in observation:
             return False
         begin = time.perf_counter()

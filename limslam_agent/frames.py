@@ -1,4 +1,4 @@
-"""Frames: the frames in which robots map one after the other, and steps that are processed again in them."""
+"""Frames: the frames in which robots map one after the other, and how a lost robot goes from one to the next."""
 
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
@@ -8,10 +8,17 @@ import numpy as np
 from limslam_agent.config.presets import AgentConfig, self_calibrating
 from limslam_agent.frame_mapper import FrameMapper
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.places.history import StepLog
+from limslam_agent.places.absence import Placement
+from limslam_agent.places.history import LoggedStep, StepLog
+from limslam_agent.places.recovery import Recovery
+from limslam_agent.places.revisions import Revision, Unplaced
 from limslam_agent.slam.slam import LineSlam, RangeSensor
+from limslam_agent.status.monitor import Loss
+from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import Observation, RobotSpec
+
+WRONG_PLACE = Loss(Status("lost", "the readings contradict the map at the place that was found"), 0)
 
 
 class ProcessedAgain(NamedTuple):
@@ -59,6 +66,8 @@ class Frames:
         self._present = FrameMapper(slam, OccupancyGrid(self.config.grid), self.config)
         self.frame = self.map_number = self._own_map = self._maps = 0
         self.slam_ms = 0.0
+        self._revisions = list[Revision]()
+        self._unplaced: Unplaced | None = None
 
     @property
     def slam(self) -> LineSlam:
@@ -106,3 +115,104 @@ class Frames:
         again = self._process_again((log[number].observation,) for number in range(begin, end))
         log.move(begin, again.poses[:, 0])
         return again
+
+    def _follow(self, recovery: Recovery, observation: Observation, motion: FloatArray) -> None:
+        """Keep a step, and see to it that a lost robot goes on in a local frame and finds its place again."""
+        own, sensor = self._present.monitors[0], self.slam.range_sensor
+        step = LoggedStep.of(observation, self.slam, motion)
+        recovery.note(step, self.slam, self._present.grid, is_suspicious=own.is_suspicious)
+        if own.loss is not None and recovery.still_fits(own, sensor):
+            self._present.reset_monitors()
+        elif own.loss is not None:
+            self._lose(recovery, own.loss, own.jump)
+        elif recovery.is_due():
+            if recovery.is_lost:
+                found = recovery.seek(sensor)
+                if found is not None:
+                    self._go_on_at(recovery, found)
+            elif recovery.is_refuted(sensor):
+                self._lose(recovery, WRONG_PLACE, 0.0)
+            else:
+                recovery.confirm(own.by_readings, self.slam, self._present.grid.view)
+
+    def _lose(self, recovery: Recovery, loss: Loss, jump: float) -> None:
+        """See to it that a robot that is lost goes on: in a renewed map, near by, or in a local frame."""
+        if recovery.may_be_wrong:
+            self._revisions.pop()  # the place that was found was wrong
+        recovery.lose(loss, jump, self.slam, self._present.grid)
+        found: Placement | None = None
+        if recovery.may_have_drifted:
+            if self._go_on_renewed(recovery):
+                return
+            found = recovery.seek_near(self.slam.range_sensor)
+        if found is None:
+            self._go_on_locally(recovery)
+        else:
+            self._go_on_at(recovery, found)
+
+    def _go_on_locally(self, recovery: Recovery) -> None:
+        """Begin a new map in a local frame, with the steps since the robot was lost.
+
+        The new map takes the place of the earlier one if that has too few walls for the robot to be found in it.
+        """
+        absence, log = recovery.absence, recovery.log
+        assert absence is not None  # noqa: S101 (the robot is lost)
+        is_anew = recovery.begin_anew()
+        slam = self._slam_at(log[absence.first - 1].pose)
+        if absence.known is not None and absence.known.slam.odometry_calibrations[0] is not None:
+            slam.calibrate(absence.known.slam.odometry_calibrations[0])
+        self._use(slam, OccupancyGrid(self.config.grid))
+        self._number_map(is_own=is_anew)
+        self.slam.robots[0].step = absence.first - 1
+        # The first step may be a jump of the odometry, which the local frame begins with and need not doubt again.
+        second = min(absence.first + 1, log.end)
+        begun = self._replay(log, absence.first, second)
+        self._present.begin_anew()
+        again = self._replay(log, second, log.end)
+        if is_anew:
+            self._revise(absence.first, begun, again)
+
+    def _go_on_renewed(self, recovery: Recovery) -> bool:
+        """Renew the estimate of a robot that has just been lost, if that explains its readings; whether it was done."""
+        is_renewed = self._present.renew_lost()
+        if is_renewed:
+            renewal = self._present.renewal
+            poses, covariances = renewal.poses, renewal.covariances
+            self.frame += renewal.has_jumped
+            self._revisions.append(Revision(recovery.log.end - len(poses), np.array(poses), np.array(covariances)))
+            recovery.has_been_renewed(poses, self.slam, self._present.grid)
+        return is_renewed
+
+    def _go_on_at(self, recovery: Recovery, found: Placement) -> None:
+        """Go on in the frame that the robot was lost from, at the place that was found."""
+        absence, log = recovery.absence, recovery.log
+        assert absence is not None and absence.known is not None  # noqa: PT018, S101 (the robot was lost from a frame)
+        self._use(*absence.known.copied())
+        self.slam.robots[0].step = log.begin - 1
+        before = self._replay(log, log.begin, found.step)
+        found, closed = found.put(self.slam, self._present.grid)
+        # The comparisons until now have seen how the robot was carried away, and no stretch with that motion can be
+        # smoothed.
+        self._present.begin_anew()
+        self._revise(log.begin, before, self._replay(log, found.step, log.end))
+        # The search has weighed the readings of these steps together. While they are processed again, a bent map may
+        # contradict a few of them, and the robot would be lost and found in turns.
+        self._present.reset_monitors()
+        recovery.has_joined(found, closed)
+
+    def _give_up(self, recovery: Recovery) -> None:
+        """Take back the map that the robot was lost from. The robot's place in it remains unknown."""
+        absence = recovery.absence
+        assert absence is not None and absence.known is not None  # noqa: PT018, S101 (the robot was lost from a frame)
+        local = self._present.grid.copied().view
+        self._unplaced = Unplaced(absence.known.step, self.slam.segments, self.slam.landmarks, local)
+        pose, covariance = self.slam.pose, self.slam.covariance
+        self._use(*absence.known.copied())
+        self.slam.relocate(pose, covariance)
+        recovery.note_event("not found", step=recovery.log.end - 1)
+
+    def _revise(self, begin: int, *parts: ProcessedAgain) -> None:
+        """Note that the poses from a step on are known better now."""
+        poses = np.concatenate([part.poses[:, 0] for part in parts])
+        covariances = np.concatenate([part.covariances[:, 0] for part in parts])
+        self._revisions.append(Revision(begin, poses, covariances))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from limslam_agent.belief import Belief
-from limslam_agent.config.presets import AgentConfig, self_calibrating
+from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.mapper import Mapper
@@ -14,7 +14,6 @@ from limslam_agent.places.history import LoggedStep, copied
 from limslam_agent.places.localisation import KnownPlaces
 from limslam_agent.places.meeting import Meeting
 from limslam_agent.places.revisions import PlaceHistory, Unplaced
-from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.status import Status, worst
 from limslam_env.geometry import BoolArray, FloatArray
@@ -228,8 +227,7 @@ class JoiningMapper(Mapper):
         If the readings of one robot contradict the map of the other one, both stay apart, and the result is False.
         """
         starts, odometry = np.array([self._own[0], start]), np.array(self._odometry)
-        config, sensor = self._found_by(apart)
-        slam = LineSlam(self.robot, config, starts, sensor)
+        slam = LineSlam(self.robot, self.config, starts)
         slam.relocate(start, covariance, robot=1)
         self._apart = None
         self._start_at(starts, slam)
@@ -247,19 +245,6 @@ class JoiningMapper(Mapper):
         self._meeting.has_joined(start)
         self._forget_steps()
         return True
-
-    def _found_by(self, apart: Sequence[Mapper]) -> tuple[AgentConfig, RangeSensor | None]:
-        """The settings of a SLAM, and its sensor, by what the robots have found out about odometry and sensor alone.
-
-        The robots share one kind of sensor. If each of them has found another one, the mean of both is assumed. A team
-        does not know how the beams of single robots are turned. What was found with turned beams does not hold without.
-        """
-        is_calibrated = any(mapper.slam.odometry_calibration is not None for mapper in apart)
-        specified = RangeSensor(self.config.range_std, cone=self.robot.cone)
-        found = [mapper.slam.range_sensor for mapper in apart]
-        others = [each.numbers for each in found if each != specified and not each.turns]
-        mean = RangeSensor(*np.mean(others, axis=0).tolist()) if others else None
-        return self_calibrating(self.config) if is_calibrated else self.config, mean
 
     def _separate_mappers(self) -> list[Mapper]:
         """Mappers that begin at the robots' own starts.

@@ -1,6 +1,6 @@
 """Mapper: SLAM, the occupancy grid and pure odometry, without a policy.
 
-What a step does within a frame is in :mod:`limslam_agent.frame_mapper`, and what all frames share in
+What a step does within a frame is in :mod:`limslam_agent.frame_mapper`, and how a lost robot changes frames in
 :mod:`limslam_agent.frames`. The mapper begins again when errors of odometry
 or sensor are found early, begins in the map of an earlier run, and goes on in other frames when the robot is lost.
 """
@@ -12,19 +12,17 @@ import numpy as np
 from limslam_agent.belief import Belief
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset
-from limslam_agent.frames import Frames, ProcessedAgain
+from limslam_agent.frames import Frames
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.map_snapshot import MapSnapshot
-from limslam_agent.places.absence import Placement
 from limslam_agent.places.history import LoggedStep, copied
 from limslam_agent.places.lookup import NOT_YET_FOUND, Lookup
-from limslam_agent.places.recovery import WRONG_PLACE, Recovery
-from limslam_agent.places.revisions import PlaceHistory, Revision, Unplaced
+from limslam_agent.places.recovery import Recovery
+from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.motion import check_travel, longest_travel
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.monitor import Loss
 from limslam_agent.status.rays import wall_points
 from limslam_agent.status.status import Status
 from limslam_env.geometry import BoolArray, FloatArray
@@ -109,8 +107,6 @@ class Mapper(Frames):
         self._starts, self._is_finished = starts, False
         self._begin(slam)
         self._first_steps, self._known = list[tuple[Observation, ...]](), self._found()
-        self._revisions = list[Revision]()
-        self._unplaced: Unplaced | None = None
         self._recovery, self._lookup = self._new_recovery(), self._new_lookup()
         self.prior_frame: FloatArray | None = None
         self.odometry = starts.copy()
@@ -134,7 +130,7 @@ class Mapper(Frames):
         if has_jumped:
             self.frame += 1
             if self._recovery is not None:
-                self._recovery.move(self._present.renewed_path[:-1])  # the present step is noted afterwards
+                self._recovery.move(self._present.renewal.poses[:-1])  # the present step is noted afterwards
         self.odometry = np.array([compose(*each) for each in zip(self.odometry, motions, strict=True)])
         self.odometry.setflags(write=False)
         if self._lookup is not None and self._lookup.is_open:
@@ -213,7 +209,8 @@ class Mapper(Frames):
         breaks, records = list(recovery.breaks), list(recovery.records)
         if self._lookup is not None:
             records = [*self._lookup.records, *records]
-        return PlaceHistory(list(self._revisions), breaks, self._unplaced, records, list(recovery.losses))
+        is_suspicious = self._present.monitors[0].is_suspicious
+        return PlaceHistory(list(self._revisions), breaks, self._unplaced, records, is_suspicious)
 
     @property
     def covariances(self) -> FloatArray:
@@ -297,101 +294,3 @@ class Mapper(Frames):
             self._recovery.arrive(lookup.steps, again.poses[:, 0], found.rays)
         self.odometry = compose(self.prior_frame, self.odometry)
         self.odometry.setflags(write=False)
-
-    def _follow(self, recovery: Recovery, observation: Observation, motion: FloatArray) -> None:
-        """Keep a step, and see to it that a lost robot goes on in a local frame and finds its place again."""
-        own, sensor = self._present.monitors[0], self.slam.range_sensor
-        step = LoggedStep.of(observation, self.slam, motion)
-        recovery.note(step, self.slam, self._present.grid, is_suspicious=own.is_suspicious)
-        if own.loss is not None and recovery.still_fits(own, sensor):
-            self._present.reset_monitors()
-        elif own.loss is not None:
-            self._lose(recovery, own.loss, own.jump)
-        elif recovery.is_due():
-            if recovery.is_lost:
-                found = recovery.seek(sensor)
-                if found is not None:
-                    self._go_on_at(recovery, found)
-            elif recovery.is_refuted(sensor):
-                self._lose(recovery, WRONG_PLACE, 0.0)
-            else:
-                recovery.confirm(own.by_readings, self.slam, self._present.grid.view)
-
-    def _lose(self, recovery: Recovery, loss: Loss, jump: float) -> None:
-        """See to it that a robot that is lost goes on: in a renewed map, near by, or in a local frame."""
-        if recovery.may_be_wrong:
-            self._revisions.pop()  # the place that was found was wrong
-        recovery.lose(loss, jump, self.slam, self._present.grid)
-        if recovery.may_be_renewed and self._go_on_renewed(recovery):
-            return
-        found = recovery.seek_near(self.slam.range_sensor)
-        if found is None:
-            self._go_on_locally(recovery)
-        else:
-            self._go_on_at(recovery, found)
-
-    def _go_on_locally(self, recovery: Recovery) -> None:
-        """Begin a new map in a local frame, with the steps since the robot was lost.
-
-        The new map takes the place of the earlier one if that has too few walls for the robot to be found in it.
-        """
-        absence, log = recovery.absence, recovery.log
-        assert absence is not None  # noqa: S101 (the robot is lost)
-        is_anew = recovery.begin_anew()
-        slam = self._slam_at(log[absence.first - 1].pose)
-        if absence.known is not None and absence.known.slam.odometry_calibrations[0] is not None:
-            slam.calibrate(absence.known.slam.odometry_calibrations[0])
-        self._use(slam, OccupancyGrid(self.config.grid))
-        self._number_map(is_own=is_anew)
-        self.slam.robots[0].step = absence.first - 1
-        # The first step may be a jump of the odometry, which the local frame begins with and need not doubt again.
-        second = min(absence.first + 1, log.end)
-        begun = self._replay(log, absence.first, second)
-        self._present.begin_anew()
-        again = self._replay(log, second, log.end)
-        if is_anew:
-            self._revise(absence.first, begun, again)
-
-    def _go_on_renewed(self, recovery: Recovery) -> bool:
-        """Renew the estimate of a robot that has just been lost, if that explains its readings; whether it was done."""
-        is_renewed = self._present.renew_lost()
-        if is_renewed:
-            if self._present.has_jumped:
-                self.frame += 1
-            poses, covariances = self._present.renewed_path, self._present.renewed_covariances
-            self._revisions.append(Revision(recovery.log.end - len(poses), np.array(poses), np.array(covariances)))
-            recovery.has_been_renewed(poses, self.slam, self._present.grid)
-        return is_renewed
-
-    def _go_on_at(self, recovery: Recovery, found: Placement) -> None:
-        """Go on in the frame that the robot was lost from, at the place that was found."""
-        absence, log = recovery.absence, recovery.log
-        assert absence is not None and absence.known is not None  # noqa: PT018, S101 (the robot was lost from a frame)
-        self._use(*absence.known.copied())
-        self.slam.robots[0].step = log.begin - 1
-        before = self._replay(log, log.begin, found.step)
-        found, closed = found.put(self.slam, self._present.grid)
-        # The comparisons until now have seen how the robot was carried away, and no stretch with that motion can be
-        # smoothed.
-        self._present.begin_anew()
-        self._revise(log.begin, before, self._replay(log, found.step, log.end))
-        # The search has weighed the readings of these steps together. While they are processed again, a bent map may
-        # contradict a few of them, and the robot would be lost and found in turns.
-        self._present.reset_monitors()
-        recovery.has_joined(found, closed)
-
-    def _give_up(self, recovery: Recovery) -> None:
-        """Take back the map that the robot was lost from. The robot's place in it remains unknown."""
-        absence = recovery.absence
-        assert absence is not None and absence.known is not None  # noqa: PT018, S101 (the robot was lost from a frame)
-        self._unplaced = Unplaced(absence.known.step, self.slam.segments, self.slam.landmarks, self.grid)
-        pose, covariance = self.slam.pose, self.slam.covariance
-        self._use(*absence.known.copied())
-        self.slam.relocate(pose, covariance)
-        recovery.give_up()
-
-    def _revise(self, begin: int, *parts: ProcessedAgain) -> None:
-        """Note that the poses from a step on are known better now."""
-        poses = np.concatenate([part.poses[:, 0] for part in parts])
-        covariances = np.concatenate([part.covariances[:, 0] for part in parts])
-        self._revisions.append(Revision(begin, poses, covariances))

@@ -12,8 +12,9 @@ from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.places.localisation import is_far
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.known_map import DRIFT, KnownMap
+from limslam_agent.status.known_map import DECIDED, DRIFT, KnownMap
 from limslam_agent.status.rays import rays_of
+from limslam_agent.status.status import LARGE_CORRECTION
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose, inverse, wrap_angle
 from limslam_env.interface import Observation
@@ -24,15 +25,6 @@ LEAST_PERIOD = 30.0
 LEAST_DRIVEN = 1.0
 """A robot that has hardly moved since the last renewal has nothing to smooth, m."""
 
-FAR = 0.3
-"""A renewal that moves the path by more than this somewhere, m, begins a new frame: plans made before mean nothing."""
-
-GAIN = 6.0
-"""Logarithm of a likelihood ratio: by so much the readings must fit better after a renewal that is not expected.
-
-This is one of a lost robot, or one that moves the pose far and by more than the filter states. After any other renewal,
-the readings may fit worse by this at most.
-"""
 
 UNEXPECTED = 16.0
 """Squared Mahalanobis distance: a renewal that moves the pose by more, and farther than a drift, is not expected."""
@@ -127,13 +119,15 @@ class Renewal:
         poses = [compose(moved, pose) for pose in smoothed[1:]]
         grid = self._drawn(poses)
         believed = [row[3] for row in self._rows[1:]]
+        # A renewal of a lost robot, or one that moves the pose far and by more than the filter states, must explain the
+        # readings better. After any other one, they may fit worse, but not clearly.
         gain = self._fit(trial, grid, poses) - self._fit(self._slam, self.grid, believed)
-        if gain < (-GAIN if is_expected and self._expects(trial.pose) else GAIN):
+        if gain < (-DECIDED if is_expected and self._expects(trial.pose) else DECIDED):
             return False
         self._slam.renew(state)
         self.grid, self.poses = grid, poses
         self.covariances = [row[4] for row in self._rows[1:]]
-        self.has_jumped = bool(np.hypot(*(np.array(poses) - np.array(believed))[:, :2].T).max() > FAR)
+        self.has_jumped = bool(np.hypot(*(np.array(poses) - np.array(believed))[:, :2].T).max() > LARGE_CORRECTION)
         return True
 
     def _expects(self, pose: FloatArray) -> bool:

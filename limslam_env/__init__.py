@@ -91,7 +91,7 @@ def _register() -> None:
         gym.register(
             f"LimSlam-{name}-v0",
             entry_point="limslam_env.envs.env:LimSlamEnv",
-            vector_entry_point="limslam_env.envs.vector_env:LimSlamVectorEnv",
+            vector_entry_point="limslam_env.envs.vector_env:vector_env",
             max_episode_steps=MAX_EPISODE_STEPS,
             kwargs=arguments,
         )

@@ -10,6 +10,7 @@ discarded whenever the text of any file changes in the packages that the decorat
 import functools
 import hashlib
 import importlib.util
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
@@ -115,6 +116,12 @@ def _next_of(typing_context: Any, counter: Any) -> Any:
 
 next_of: Callable[[Any], int] = cast(Any, intrinsic(_next_of))
 """The first number of an array of int64, which is then one larger: threads that share the array get different ones."""
+
+
+@inlined
+def floored(number: float) -> int:
+    """The largest whole number that is not above a number. On a GPU, ``math.floor`` alone gives another float."""
+    return int(math.floor(number))  # noqa: RUF046
 
 
 def entry_of(*sources: str, allocates: bool = True) -> Callable[[Kernel], Kernel]:

@@ -71,7 +71,9 @@ AGENT = {
         *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"),
         *agent("config", "kernels", "slam.core", "slam.consistent", "slam.least_squares"),
     },
-    "limslam_agent.slam.graph": {*WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config", "slam.least_squares")},
+    "limslam_agent.slam.graph": {
+        *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("config", "kernels", "slam.least_squares"),
+    },
     "limslam_agent.slam.online_graph": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.graph", "slam.least_squares")},
     "limslam_agent.slam": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core"), *ESTIMATORS},
     "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "dropouts", "kernels")},
@@ -91,7 +93,7 @@ AGENT = {
     },
     "limslam_agent.map_snapshot": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "slam.core")},
     "limslam_agent.frames": {
-        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "frame_mapper", "grid", "places", "slam"),
+        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "frame_mapper", "grid", "places", "slam", "status"),
     },
     "limslam_agent.mapper": {
         *WHAT_AN_AGENT_MAY_KNOW,
@@ -277,7 +279,7 @@ def test_no_package_is_in_an_import_circle():
     ("library", "owners"),
     [
         ("pymunk", {"limslam_env.simulation.physics"}),
-        ("numba", {"limslam_env.compilation", "limslam_env.linking"}),
+        ("numba", {"limslam_env.compilation", "limslam_env.linking", "limslam_env.batch.device"}),
     ],
 )
 def test_these_modules_alone_import_it(library, owners):

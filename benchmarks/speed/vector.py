@@ -19,6 +19,7 @@ import gymnasium as gym
 import numpy as np
 import pymunk
 
+from benchmarks.speed.device import print_device_rates
 from benchmarks.speed.rates import Clock, Loop, print_rates, rates_in_turn, ratio
 from benchmarks.speed.run import BAR, times_faster
 from benchmarks.speed.simulators import SIMULATORS, simulator_loops
@@ -317,7 +318,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
         action="store_true",
         help="count processor time, for a machine that is busy; threads then count as one after the other",
     )
+    parser.add_argument("--device", choices=("cpu", "cuda"), default="cpu", help="cuda: only batches on a GPU")
     options = parser.parse_args(arguments)
+    if options.device == "cuda":
+        print_device_rates()
+        return
     candidates, (others, skipped) = loops(), simulator_loops()
     clock: Clock = time.process_time if options.processor_time else time.perf_counter
     rates = rates_in_turn(candidates | others, options.rounds, clock)

@@ -58,23 +58,18 @@ class WallLineConfig(Bounded):
         Length of a window, m; windows overlap by half.
     tolerance
         Largest distance of a point from its line, m.
-    angle_bin, spread
-        Bin of the Hough space, rad, and the number of these bins on either side that a point votes for.
+    angle_bin
+        Bin of the Hough space, rad.
     min_points, min_length, max_gap
         Fewest points, least length and largest gap along the line, m.
-    max_lines, max_tries
-        Largest number of lines in a window, and largest number of peaks that are tested.
     """
 
     window: Positive = 10.0
     tolerance: NonNegative = 0.12
     angle_bin: Positive = 3.0 * _DEGREE
-    spread: Count = 4
     min_points: Count = 10
     min_length: NonNegative = 0.8
     max_gap: NonNegative = 1.5
-    max_lines: Count = 25
-    max_tries: Count = 60
 
 
 @dataclass(frozen=True)

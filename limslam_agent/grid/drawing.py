@@ -27,7 +27,7 @@ class ReadingDrawer:
         self._robot, self._dropouts = robot, Dropouts(robot)
         # Pose, readings, and those among them that saw nothing and are not drawn yet, of the last steps.
         self._waiting = deque[tuple[FloatArray, FloatArray, BoolArray]](maxlen=_MOST_WAITING)
-        self._frame, self._enough = 0, 1
+        self._frame = 0
 
     def draw(self, grid: OccupancyGrid, frame: int, pose: FloatArray, ranges: FloatArray, measured: BoolArray) -> None:
         """Draw the readings of the next step, and those before that the step has confirmed.
@@ -43,7 +43,7 @@ class ReadingDrawer:
         """
         dropouts = self._dropouts
         dropouts.note(ranges, measured)
-        enough = self._enough = dropouts.enough_after(self._enough)
+        enough = dropouts.enough
         if enough == 1:
             self._waiting.clear()
             grid.update(pose, self._robot, ranges, measured)

@@ -1,4 +1,8 @@
-"""Lines in points: refinement of the candidates of a Hough transform by total least squares."""
+"""Lines in points: the Hough transform finds them, and total least squares refines them.
+
+The Hough transform is that of R. Duda and P. Hart, "Use of the Hough transformation to detect lines and curves in
+pictures", 1972, with the arithmetic of OpenCV's ``HoughLinesPointSet``, which is partly in single precision.
+"""
 
 import math
 
@@ -10,6 +14,79 @@ from limslam_env.geometry import FloatArray, IntArray
 
 BESIDE_CORNER = 0.15
 """A point this close to the end of another line, m along it, may belong to either line."""
+
+MAX_CANDIDATES = 200
+"""Largest number of lines that the Hough transform returns."""
+
+
+@compiled
+def num_angles(step: float) -> int:
+    """Number of OpenCV's bins of theta in half a turn."""
+    number = math.floor(math.pi / step) + 1
+    return number - 1 if number > 1 and abs(math.pi - (number - 1) * step) < 0.5 * step else number
+
+
+@compiled
+def hough_votes(points: FloatArray, min_votes: int, r_step: float, theta_step: float) -> FloatArray:
+    """Lines (k, 2) as (r, theta), m and rad, that enough points (n, 2), m, vote for, best first.
+
+    Bins have a size of ``r_step``, m, by ``theta_step``, rad; r may be negative, and theta is in [0, pi).
+    """
+    single, step = np.float32, r_step
+    reach = 0.0
+    for i in range(len(points)):
+        reach = max(reach, math.sqrt(points[i, 0] * points[i, 0] + points[i, 1] * points[i, 1]))
+    low = -reach - step
+    inverse = single(1.0) / single(step)
+    lowest = single(low) * inverse
+    angles, bins = num_angles(theta_step), int(np.rint((reach + step - low + 1.0) / step))
+    counts, wide = np.zeros((angles + 2) * (bins + 2), dtype=np.int32), bins + 2
+    most = len(points) * angles // max(min_votes, 1)
+    found, size, angle = np.empty(most, dtype=np.int64), 0, single(0.0)
+    xs, ys, places = points[:, 0].astype(single), points[:, 1].astype(single), np.empty(len(points), dtype=np.int32)
+    for n in range(angles):
+        cos = single(math.cos(float(angle)) * float(inverse))
+        sin = single(math.sin(float(angle)) * float(inverse))
+        # A loop of its own, in which the compiler takes several points at once.
+        for i in range(len(points)):
+            places[i] = np.int32(np.rint(xs[i] * cos + ys[i] * sin - lowest))
+        for i in range(len(points)):
+            place = (n + 1) * wide + 1 + places[i]
+            counts[place] += 1
+            # Each bin reaches the threshold once.
+            if counts[place] == min_votes:
+                found[size] = place
+                size += 1
+        angle += single(theta_step)
+    return peaks(counts, wide, found[:size], single(low), r_step, theta_step)
+
+
+@compiled
+def peaks(
+    counts: np.ndarray, wide: int, found: IntArray, low: np.float32, r_step: float, theta_step: float
+) -> FloatArray:  # fmt: skip
+    """Lines (k, 2) of those bins that have more votes than their neighbours."""
+    keys, places, size = np.empty(len(found)), np.empty(len(found), dtype=np.int64), 0
+    for place in found:
+        votes_here = counts[place]
+        if (
+            votes_here > counts[place - 1]
+            and votes_here >= counts[place + 1]
+            and votes_here > counts[place - wide]
+            and votes_here >= counts[place + wide]
+        ):
+            # Most votes first; of equal votes, the first bin.
+            keys[size], places[size] = place - float(votes_here) * 2.0**32, place
+            size += 1
+    sort_with(keys, places, size)
+    size = min(size, MAX_CANDIDATES)
+    lines = np.empty((size, 2))
+    for i in range(size):
+        n = places[i] // wide - 1
+        r = places[i] - (n + 1) * wide - 1
+        lines[i, 0] = float(low + np.float32(r) * np.float32(r_step))
+        lines[i, 1] = float(np.float32(0.0) + np.float32(n) * np.float32(theta_step))
+    return lines
 
 
 @compiled
@@ -154,9 +231,45 @@ def uncontested(
 
 
 @entry
-def find_lines(
-    points: FloatArray, candidates: FloatArray, limits: tuple[float, float], votes: int, gap: float, least: float,
-    only_best: bool, owner: IntArray, lines: FloatArray, ends: FloatArray,
-) -> int:  # fmt: skip
-    """:func:`refine_lines`, as Python calls it."""
-    return refine_lines(points, candidates, limits, votes, gap, least, only_best, owner, lines, ends)
+def extract_lines(
+    points: FloatArray, max_gap: float, min_votes: int, r_step: float, theta_step: float, near_line: float,
+    least: float, only_best: bool,
+) -> tuple[IntArray, FloatArray, FloatArray]:  # fmt: skip
+    """The lines in a buffer of points (n, 2), m, best first, cut at gaps.
+
+    Each point belongs to at most one line. The points of a line are removed, and the remaining points of a weaker
+    candidate must still pass the threshold. So one wall cannot appear twice, neither in neighbouring bins nor across
+    theta = 0, where (r, theta) and (-r, theta + pi) are the same line.
+
+    Parameters
+    ----------
+    max_gap, near_line, least
+        Longest gap in a line, largest distance of a point from its line, and least length of a line, m.
+    min_votes, r_step, theta_step
+        Threshold, and sizes of the bins, m and rad.
+    only_best
+        Whether to stop after the first candidate that has lines.
+
+    Returns
+    -------
+    owner, lines, ends
+        The line of each point (n,), -1 for none, the lines (k, 2) as (r, theta), and their end points (k, 2, 2), m.
+    """
+    total, about, owner = len(points), points.copy(), np.full(len(points), -1)
+    most = total // max(min_votes, 1) + 1
+    lines, ends = np.empty((most, 2)), np.empty((most, 2, 2))
+    if total < min_votes:
+        return owner, lines[:0], ends[:0]
+    # Votes are counted about the points' centre, where r and theta are nearly independent.
+    about[:, 0] -= points[:, 0].sum() / total
+    about[:, 1] -= points[:, 1].sum() / total
+    candidates = hough_votes(about, min_votes, r_step, theta_step)
+    limits = r_step, near_line
+    number = refine_lines(points, candidates, limits, min_votes, max_gap, least, only_best, owner, lines, ends)
+    return owner, lines[:number], ends[:number]
+
+
+@entry
+def fit_points(points: FloatArray, members: IntArray, ends: FloatArray) -> tuple[float, float]:
+    """:func:`fit_line`, as Python calls it."""
+    return fit_line(points, members, ends)

@@ -82,10 +82,10 @@ def sink(queue: Cells, places: Cells, cost: FloatArray, size: int, cell: int) ->
 
 @lean_entry
 def search_paths(
-    open_cells: BoolArray, prices: FloatArray, wanted: BoolArray, extra: FloatArray, start: int, limit: float,
+    open_cells: BoolArray, prices: FloatArray, wanted: BoolArray, extra: FloatArray, start: int,
     queue: Cells, places: Cells, cost: FloatArray, before: Cells,
-) -> float:  # fmt: skip
-    """Find the least-cost paths from a cell to those around it; the least cost of a wanted cell, infinite for none.
+) -> None:  # fmt: skip
+    """Find the least-cost paths from a cell to those around it.
 
     Of equally cheap cells, the one with the largest index is visited first. So paths of equal cost are chosen by the
     grid alone.
@@ -101,8 +101,6 @@ def search_paths(
         nothing.
     start
         Flat index of the cell where paths begin.
-    limit
-        Largest cost of a path.
     queue, places
         Scratch (n,) for n cells: a binary heap, and where each cell is in it.
     cost, before
@@ -129,7 +127,7 @@ def search_paths(
                 continue
             to = to_row * columns + to_column
             reached = so_far + _HALVES[slot] * (price + prices[to_row, to_column])
-            if reached > limit or reached >= cost[to]:
+            if reached >= cost[to]:
                 continue
             size += cost[to] == math.inf
             place = size - 1 if cost[to] == math.inf else places[to]
@@ -138,4 +136,3 @@ def search_paths(
     for place in range(size):
         # A path to a cell that was not visited may still become cheaper.
         cost[queue[place]] = math.inf
-    return nearest

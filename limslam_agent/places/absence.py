@@ -1,7 +1,8 @@
 """What is kept of a robot that is lost, or not yet sure of its place: the frame that it was lost from."""
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -11,9 +12,10 @@ from limslam_agent.places.history import LoggedStep
 from limslam_agent.places.localisation import KnownPlaces
 from limslam_agent.places.search import PlaceSearch
 from limslam_agent.slam.slam import LineSlam
+from limslam_agent.status.monitor import covariance_of_lost
 from limslam_agent.status.rays import moved, wall_points
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import compose, inverse
+from limslam_env.geometry.se2 import between, compose, compose_jacobians, inverse
 
 LEAST_KNOWN = 4.0
 """A robot that is lost from a map with a smaller length of walls, m, begins a new map.
@@ -42,6 +44,12 @@ class KnownFrame:
     def walls_m(self) -> float:
         """Length of all walls, m."""
         return float(np.hypot(*(self.slam.segments[:, 2:] - self.slam.segments[:, :2]).T).sum())
+
+    @property
+    def spread(self) -> float:
+        """Standard deviation of a position of which nothing is known but that it is on the map, m."""
+        view = self.grid.view
+        return float(max(view.values.shape) * view.cell / math.sqrt(12.0))
 
     @property
     def places(self) -> KnownPlaces:
@@ -134,8 +142,8 @@ class Absence:
     is_dated: bool = False
     is_carried: bool = False
     jump: float = 0.0
-    covariance: FloatArray | None = None
-    left: FloatArray | None = None
+    covariance: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+    left: FloatArray = field(default_factory=lambda: np.zeros(3))
     driven: float = 0.0
     placed: Placed | None = None
     has_returned: bool = False
@@ -144,6 +152,16 @@ class Absence:
     def was_moved(self) -> bool:
         """Whether something says that the robot has moved otherwise than its odometry reports."""
         return self.is_carried or self.jump > 0.0
+
+    def covariance_at(self, pose: FloatArray) -> FloatArray:
+        """What has to be added to the covariance (3, 3) at a pose (3,) of the local frame.
+
+        The pose at which the robot was lost stays as uncertain as it was in the earlier frame. An error of its heading
+        moves the poses that are far from there.
+        """
+        since = covariance_of_lost(self.jump, self.driven, knows_heading=not self.is_carried)
+        by_left, _ = compose_jacobians(self.left, between(self.left, pose))
+        return by_left @ self.covariance @ by_left.T + since
 
 
 class Placement(NamedTuple):

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from limslam_agent.status.known_map import KnownMap, PlaceFit
+from limslam_agent.status.known_map import DECIDED, DRIFT, KnownMap, PlaceFit
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose, transform_points, wrap_angle
 from limslam_env.geometry.segment import sample
@@ -35,16 +35,9 @@ _WALL, _HIT, _MISS = 0.20, (2.5, 1.3), -8.0  # m, and evidence of a ray's end at
 _CROSSED, _FREE = -6.0, 0.2  # evidence of a ray's way through a wall, and through free ground
 _LIKENESS = 0.85  # largest share that the evidence of another place has of that of the best one
 _ALIKE = 2.0  # a place is a rival if its test of contradictions speaks less for it by less than this
-_UNLIKELY = 12.0  # logarithm of the number of places that a map has
-_FOUND = 7.0  # least logarithm of the likelihood ratio of the contradictions at the place of a lost robot
 
 LEAD = 25.0
 """Least difference between the evidence of a place and that of every other place."""
-
-ON_MAP = 6.0
-"""Least logarithm of the likelihood ratio of the contradictions at a place: of the right place, and of ground that the
-map does not have.
-"""
 
 FAR_SHARE = 0.3
 """For what share of its evidence a place counts that is far from the believed one, if nothing says that the robot was
@@ -53,9 +46,6 @@ carried away.
 
 FAR = 1.5, math.radians(30.0)
 """A robot that is off by more than this, m and rad, has not drifted, but was carried."""
-
-APART = 0.40, math.radians(15.0)
-"""Two poses are different if they are farther apart than this, m or rad."""
 
 MATCH_STD = 0.05, math.radians(2.0)
 """Standard deviations of position and heading of a place that was found, m and rad."""
@@ -206,14 +196,14 @@ def localise(
         return Localisation(None, 0.0, middle, "the readings fit nowhere")
     shares = {id(fit): far if is_far(fit.pose, middle) else 1.0 for fit in fits}
     # Where the test of contradictions has said that the drive is not there, chance fits count no more.
-    fits.sort(key=lambda fit: (fit.is_on_map < -ON_MAP, -fit.evidence * shares[id(fit)]))
+    fits.sort(key=lambda fit: (fit.is_on_map < -DECIDED, -fit.evidence * shares[id(fit)]))
     places = _places(fits, middle)
     best, share = places[0], shares[id(places[0])]
     is_near = far < 1.0 and share == 1.0
     # A far place is compared with others that count in full, and a near one with far ones that do not.
     rivals = [fit.evidence * (1.0 if share < 1.0 else shares[id(fit)]) for fit in places[1:]]
     runner_up = max([0.0, *rivals]) / share if share > 0.0 else math.inf
-    refusal = _refusal(best, runner_up, 0.0 if is_near else ON_MAP)
+    refusal = _refusal(best, runner_up, 0.0 if is_near else DECIDED)
     # The readings of a drive that has left the ground of the map say little there, and may fit where rooms look alike.
     alike = [fit for fit in places[1:] if shares[id(fit)] >= share and fit.is_on_map > best.is_on_map - _ALIKE]
     if alike and not refusal:
@@ -232,7 +222,7 @@ def _places(fits: Sequence[PlaceFit], middle: FloatArray) -> list[PlaceFit]:
     """The fit of each place, the best ones first, without places that the readings have refuted."""
     places = [fits[0]]
     for fit in fits[1:]:
-        if fit.is_on_map < -ON_MAP:
+        if fit.is_on_map < -DECIDED:
             break
         if all(are_apart(fit.pose, place.pose, middle) for place in places):
             places.append(fit)
@@ -243,7 +233,7 @@ def are_apart(first: FloatArray, second: FloatArray, middle: FloatArray) -> bool
     """Whether two poses (3,) of a drive place its middle (2,), or turn it, differently."""
     shift = transform_points(first, middle[None]) - transform_points(second, middle[None])
     turn = abs(wrap_angle(float(first[2] - second[2])))
-    return float(np.hypot(*shift[0])) > APART[0] or turn > APART[1]
+    return float(np.hypot(*shift[0])) > DRIFT[0] or turn > DRIFT[1]
 
 
 def match_covariance(middle: FloatArray, pose: FloatArray) -> FloatArray:
@@ -275,8 +265,7 @@ def agree(first: Localisation, second: Localisation, *, may_be_bent: bool = Fals
     """
     if first.fit is None or second.fit is None or not second.is_accepted:
         return False
-    is_on_map = second.fit.is_on_map >= _FOUND and (may_be_bent or second.fit.is_on_sound_map >= _FOUND)
-    if not second.is_near and not is_on_map:
+    if not (may_be_bent or second.is_near or second.fit.is_on_sound_map >= DECIDED):
         return False
     return not are_apart(first.fit.pose, second.fit.pose, second.middle)
 

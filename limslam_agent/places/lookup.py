@@ -7,16 +7,13 @@ from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.places.history import LoggedStep
 from limslam_agent.places.localisation import KnownPlaces, match_covariance
 from limslam_agent.places.saved_map import SavedMap
-from limslam_agent.places.search import PlaceSearch
+from limslam_agent.places.search import LONGEST, PlaceSearch
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.rays import moved, rays_of
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, transform_points
 from limslam_env.interface import RobotSpec
-
-LONGEST = 6000
-"""Largest number of steps of a search."""
 
 NOT_YET_FOUND = Status("unsure", "the robot's place in the saved map is not found yet")
 """The status of a robot that maps in a frame of its own, and searches for its place in an earlier map."""

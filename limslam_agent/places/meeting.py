@@ -9,18 +9,16 @@ import numpy as np
 
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.places.history import LoggedStep
-from limslam_agent.places.localisation import MATCH_STD, ON_MAP, KnownPlaces, match_covariance
-from limslam_agent.places.search import CONFIRMED, FAR_CONFIRMED, PlaceSearch, other_place
+from limslam_agent.places.localisation import MATCH_STD, KnownPlaces, match_covariance
+from limslam_agent.places.search import CONFIRMED, FAR_CONFIRMED, LONGEST, PlaceSearch, other_place
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.core.teammates import may_hit_others
 from limslam_agent.slam.slam import LineSlam
+from limslam_agent.status.known_map import DECIDED
 from limslam_agent.status.rays import STEPS, moved, rays_of
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, inverse, transform_points
 from limslam_env.interface import RobotSpec
-
-LONGEST = 6000
-"""Largest number of steps of a search."""
 
 FIRST = 15.0
 """Distance that the robots drive before the first search, m, in the mean. Small maps of one room fit into another room.
@@ -96,7 +94,7 @@ class Meeting:
             return None
         frame = found.fit.pose
         (back,) = places[1].weigh(inverse(frame)[None], self._seen(0, places[0].sensor, frame))
-        if back.is_on_map < -ON_MAP or back.evidence < 0.0:
+        if back.is_on_map < -DECIDED or back.evidence < 0.0:
             return None
         placed, middle = compose(frame, start), transform_points(frame, found.middle[None])[0]
         drift = sum(slam.covariance for slam in slams)

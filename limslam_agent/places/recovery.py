@@ -21,7 +21,6 @@ from limslam_agent.places.localisation import (
     FAR,
     FAR_SHARE,
     LEAD,
-    ON_MAP,
     KnownPlaces,
     Localisation,
     is_far,
@@ -31,15 +30,14 @@ from limslam_agent.places.revisions import BEGUN_ANEW, NOT_CONFIRMED
 from limslam_agent.places.search import CONFIRMED, FAR_CONFIRMED, PlaceSearch, other_place
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.known_map import DRIFT, NearFit, near_fit
-from limslam_agent.status.monitor import Loss, StatusMonitor, covariance_of_lost
+from limslam_agent.status.known_map import DECIDED, DRIFT, NearFit, near_fit
+from limslam_agent.status.monitor import Loss, StatusMonitor
 from limslam_agent.status.rays import moved, rays_of
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import between, compose, compose_jacobians, transform_points
+from limslam_env.geometry.se2 import compose, transform_points
 from limslam_env.interface import RobotSpec
 
-WRONG_PLACE = Loss(Status("lost", "the readings contradict the map at the place that was found"), 0)
 # Number of steps between two copies of the estimate, number of copies that are kept, and least number of steps by which
 # a copy must be older than the first doubt about the estimate.
 _CHECKPOINT, _CHECKPOINTS, _MARGIN = 50, 6, 100
@@ -62,8 +60,6 @@ class Recovery:
         What is known about a robot that is lost, or that is not yet sure of its place; None otherwise.
     breaks
         Steps before which the robot was carried away, in the frame that it has found again.
-    losses
-        Steps before which the robot was lost, since the odometry has jumped the last time.
     records
         What happened, for ``result.json``.
     """
@@ -74,7 +70,6 @@ class Recovery:
         self._copies: list[KnownFrame] = []
         self.absence: Absence | None = None
         self.breaks: list[int] = []
-        self.losses: list[int] = []
         self.records: list[dict[str, Any]] = []
         self._offset = np.zeros((3, 3))  # covariance of a map that was begun anew
 
@@ -117,16 +112,11 @@ class Recovery:
     def added_covariance(self) -> FloatArray:
         """What has to be added to the covariance (3, 3) of the pose; zero if the robot is not lost.
 
-        The pose at which the robot was lost stays as uncertain as it was in the earlier frame. An error of its heading
-        moves the poses that are far from there. The pose at which a new map was begun stays uncertain, too, and all
-        poses in this map with it.
+        The pose at which a new map was begun stays uncertain, and all poses in this map with it.
         """
-        absence = self.absence
-        if absence is None or absence.placed is not None or absence.left is None or absence.covariance is None:
+        if self.absence is None or self.absence.placed is not None:
             return self._offset
-        since = covariance_of_lost(absence.jump, absence.driven, knows_heading=not absence.is_carried)
-        by_left, _ = compose_jacobians(absence.left, between(absence.left, self.log.steps[-1].pose))
-        return self._offset + by_left @ absence.covariance @ by_left.T + since
+        return self._offset + self.absence.covariance_at(self.log.steps[-1].pose)
 
     def note(self, step: LoggedStep, slam: LineSlam, grid: OccupancyGrid, *, is_suspicious: bool = False) -> None:
         """Keep a step of the robot, and now and then a copy of its estimate after it.
@@ -170,10 +160,8 @@ class Recovery:
         before.first = max(first, self.log.begin + 1)
         if before.search is not None:
             before.search.begin_anew()
-        if jump > 0.0:
-            self.losses.clear()
         self._copies = []
-        self._note_event("lost", step=before.first, reason=loss.status.reason)
+        self.note_event("lost", step=before.first, reason=loss.status.reason)
 
     def _lost_from(self, first: int, loss: Loss, jump: float, slam: LineSlam, grid: OccupancyGrid) -> Absence:
         """A robot that was lost at a step, from the latest frame before it.
@@ -181,10 +169,8 @@ class Recovery:
         If the readings have said in which step it was carried away, the map until then is good.
         """
         known = known_before(self._copies, first, 1 if loss.is_dated else _MARGIN) or self._copy(slam, grid)
-        self.losses.append(known.step)
         self.log.forget_before(known.step)
-        if loss.is_carried:  # it may be anywhere in its map: the standard deviation of a uniform distribution
-            jump = max(jump, max(known.grid.view.values.shape) * known.grid.view.cell / math.sqrt(12.0))
+        jump = max(jump, known.spread) if loss.is_carried else jump
         since = max(first, self.log.begin + 1)
         return Absence(
             loss.status.reason, since, since, known, PlaceSearch(known.places), self.log.before(since), loss.is_dated,
@@ -200,7 +186,7 @@ class Recovery:
         if absence is None or absence.known is None or absence.known.walls_m >= LEAST_KNOWN:
             return False
         self._offset = self.added_covariance
-        self._note_event("begun anew", step=absence.first)
+        self.note_event("begun anew", step=absence.first)
         self.absence = Absence(BEGUN_ANEW, absence.first, absence.first, placed=Placed(0.0, np.empty((0, 7)), None))
         return True
 
@@ -220,7 +206,7 @@ class Recovery:
             return False
         rays = rays_of(self.log.since(absence.first), self._robot, sensor)
         rays = np.concatenate((absence.placed.rays, rays))
-        return absence.placed.place.fit_here(rays).is_on_map < -ON_MAP
+        return absence.placed.place.fit_here(rays).is_on_map < -DECIDED
 
     def is_due(self) -> bool:
         """Whether the known map is to be searched now, or a place to be confirmed."""
@@ -237,46 +223,40 @@ class Recovery:
         # A robot that was not carried away has drifted, and is near. If its readings fit near the believed pose,
         # nothing says any more that it was carried away: a robot that has drifted may also read sudden changes, and in
         # a large building, some other place fits nearly always.
-        near = near_fit(place, rays, self._covariance_of(absence))
-        is_far_likely = absence.is_carried and not self._fits_near(near, rays, ON_MAP)
+        near = near_fit(place, rays, absence.covariance)
+        is_far_likely = absence.is_carried and not self._fits_near(near, rays)
         # A search of the whole map may miss the place near by.
         far = 1.0 if is_far_likely else FAR_SHARE
         found = absence.search.seek(rays, far, [near.fit], may_be_bent=not is_far_likely)
         return None if found is None else self._placement(absence, rays, found, sensor)
 
     def seek_near(self, sensor: RangeSensor) -> Placement | None:
-        """The placement of a robot that was just lost, if its readings since then fit the map near the believed pose.
+        """The placement of a robot that may have drifted, if its readings since then fit near the believed pose.
 
-        Such a robot has drifted, and need not go on in a local frame. If something says that it was carried away, or if
-        a place was found before and is wrong, the robot has to be sought.
+        Such a robot need not go on in a local frame.
         """
         absence = self.absence
-        if absence is None or absence.search is None or absence.was_moved or absence.has_returned:
-            return None
-        if absence.known is not None and absence.first <= absence.known.step + 1:
+        assert absence is not None and absence.known is not None and absence.search is not None  # noqa: PT018, S101
+        if absence.first <= absence.known.step + 1:
             return None  # the doubtful readings may be in that map already, and would fit there in any case
         rays = rays_of(self.log.since(absence.first), self._robot, sensor)
         # Ground that the map does not have is unlikely beforehand, since nothing says that the robot was carried away.
-        near = near_fit(absence.search.place, rays, self._covariance_of(absence))
-        if not self._fits_near(near, rays, 0.0):
+        near = near_fit(absence.search.place, rays, absence.covariance)
+        if not self._fits_near(near, rays):
             return None
         return self._placement(absence, rays, absence.search.accept(near.fit, rays[:, :2].mean(axis=0)), sensor)
 
-    def _covariance_of(self, absence: Absence) -> FloatArray:
-        return np.zeros((3, 3)) if absence.covariance is None else absence.covariance
+    def _fits_near(self, near: NearFit, rays: FloatArray) -> bool:
+        """Whether rays (n, 7) fit the map at their likeliest place near the believed pose, and do not contradict it.
 
-    def _fits_near(self, near: NearFit, rays: FloatArray, on_map: float) -> bool:
-        """Whether rays (n, 7) fit the map at their likeliest place near the believed pose.
-
-        Along a long wall, other places near by fit as well. So the covariance of the pose counts, too. ``on_map`` is
-        the least logarithm of the likelihood ratio of the contradictions there.
+        Along a long wall, other places near by fit as well. So the covariance of the pose counts, too.
         """
-        fits = near.evidence >= LEAD and near.fit.is_on_map >= on_map  # without rays, they do not
+        fits = near.evidence >= LEAD and near.fit.is_on_map >= 0.0  # without rays, they do not
         return fits and not is_far(near.fit.pose, rays[:, :2].mean(axis=0))
 
     @property
-    def may_be_renewed(self) -> bool:
-        """Whether a robot that was just lost may find its place by a renewal: nothing says that it was carried away."""
+    def may_have_drifted(self) -> bool:
+        """Whether nothing says that a lost robot was carried away, and no place was found that is wrong."""
         return self.absence is not None and not self.absence.has_returned and not self.absence.was_moved
 
     def has_been_renewed(self, poses: Sequence[FloatArray], slam: LineSlam, grid: OccupancyGrid) -> None:
@@ -287,14 +267,14 @@ class Recovery:
         """
         self.move(poses)
         renewed = KnownPlaces(slam.segments, grid.view, slam.range_sensor)
-        self._note_event("renewed", step=self.log.end - 1)
+        self.note_event("renewed", step=self.log.end - 1)
         self._has_returned(np.empty((0, 7)), renewed, has_drifted=True)
 
     def has_joined(self, placement: Placement, closed: KnownPlaces | None = None) -> None:
         """The robot goes on in the known frame. If this has closed a loop, the map of this frame is ``closed`` now."""
         if not placement.has_drifted:
             self.breaks.append(placement.step)
-        self._note_event("found", step=self.log.end - 1, carried_at=placement.step)
+        self.note_event("found", step=self.log.end - 1, carried_at=placement.step)
         self._has_returned(placement.rays, closed, has_drifted=placement.has_drifted)
 
     def _has_returned(self, rays: FloatArray, place: KnownPlaces | None, *, has_drifted: bool) -> None:
@@ -335,12 +315,8 @@ class Recovery:
             rays = np.concatenate((absence.placed.rays, rays))
             if other_place(KnownPlaces(slam.segments, grid, slam.range_sensor), rays):
                 return
-        self._note_event("confirmed", step=self.log.end - 1)
+        self.note_event("confirmed", step=self.log.end - 1)
         self.absence = None
-
-    def give_up(self) -> None:
-        """The run is over, and the robot is still lost."""
-        self._note_event("not found", step=self.log.end - 1)
 
     def _copy(self, slam: LineSlam, grid: OccupancyGrid) -> KnownFrame:
         return KnownFrame(self.log.end, slam.copied(), grid.copied())
@@ -363,7 +339,8 @@ class Recovery:
             has_drifted = known.explains(frame, covariance, placed_rays)
         return Placement(step, pose, covariance, placed_rays, has_drifted)
 
-    def _note_event(self, event: str, **details: Any) -> None:
+    def note_event(self, event: str, **details: Any) -> None:
+        """Add a record of what happened, with how the latest search stands."""
         search = None if self.absence is None else self.absence.search
         record = {} if search is None else search.record
         if event == "lost":

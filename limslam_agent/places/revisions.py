@@ -6,6 +6,7 @@ from typing import Any
 
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.slam.core.line_map import Landmark
+from limslam_agent.status.monitor import MAYBE_CARRIED
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
 
@@ -68,16 +69,16 @@ class PlaceHistory:
         The local map of a robot that is still lost at the end; None otherwise.
     records
         When the robot was lost and found, and the matches that decided it.
-    losses
-        The steps before which the robot was lost, in order. Those before the last jump of the odometry are left out:
-        it does not say how the robot moved.
+    is_suspicious
+        Whether the robot may have been carried away before the end. The smoother, which believes the wheels, cannot see
+        that.
     """
 
     revisions: list[Revision] = field(default_factory=list)
     breaks: list[int] = field(default_factory=list)
     unplaced: Unplaced | None = None
     records: list[dict[str, Any]] = field(default_factory=list)
-    losses: list[int] = field(default_factory=list)
+    is_suspicious: bool = False
 
     @property
     def placed(self) -> slice:
@@ -86,8 +87,12 @@ class PlaceHistory:
 
     @property
     def doubt(self) -> Status:
-        """The status of a robot whose place or new map was not confirmed at the end; ok otherwise."""
-        return _UNCONFIRMED.get(self.records[-1]["event"], Status()) if self.records else Status()
+        """The status at the end of a robot whose place or map was not confirmed, or that may have been carried away.
+
+        Otherwise, it is ok.
+        """
+        found = _UNCONFIRMED.get(self.records[-1]["event"], Status()) if self.records else Status()
+        return MAYBE_CARRIED if found.level == "ok" and self.is_suspicious else found
 
 
 def revised(poses: FloatArray, covariances: FloatArray, revisions: Sequence[Revision]) -> tuple[FloatArray, FloatArray]:

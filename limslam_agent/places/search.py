@@ -12,15 +12,19 @@ import numpy as np
 
 from limslam_agent.places.localisation import KnownPlaces, Localisation, agree, localise
 from limslam_agent.status.known_map import PlaceFit
+from limslam_agent.status.sudden_changes import WINDOW
 from limslam_env.geometry import FloatArray
 
 _FIRST, _SPACING = 0.8, 0.35  # m: way to the first search, and between two of them
 _TURN_LENGTH = 0.1  # m of this way: a turn by one radian
 
+LONGEST = 6000
+"""Largest number of steps of a search from the start of a drive on."""
+
 LARGEST_RUNNER_UP = 0.70
 """Largest evidence of another place, as a share of the best one, at which a place is confirmed."""
 
-CONFIRMED, FAR_CONFIRMED = 3.0, 30.0
+CONFIRMED, FAR_CONFIRMED = WINDOW, 30.0
 """A place is confirmed after so much driving without contradictions, m: in a map without a frontier, and in any map."""
 
 

@@ -6,20 +6,15 @@ one place, and wrong loops bend the path away from what odometry and the walls a
 evidence: no place was seen twice.
 
 In 96 made-up logs with 5 to 40 points a metre (4 to 11 beams), the error of a right path was 0.3 to 1.2 times its
-expected one. On right paths there, other visits contradicted at most 8 % of the points that they had seen, and 2 to 7 %
-on variations of the logs ``csail`` and ``fr079``. Where two places look alike, points are contradicted at one place
-only: in two made-up rings of corridors at 16 and 29 % of the points along some 20 m of driving, 15 times as often as in
-three quarters of the log. In 21 right paths the factor was at most 5. On simulated logs the chi-square of a hop of
-2.5 m was at most 10 in right paths (7 on ``fr079``), and 21 to 45 where wrong loops had bent the path.
+expected one, and other visits contradicted at most 8 % of the points that they had seen. In simulated logs the
+chi-square of a hop of 2.5 m was at most 10 in right paths, and 21 to 45 where wrong loops had bent the path.
 """
 
 from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
-
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.agreement import DOUBTFUL_SHARE, visit_counts
+from limslam_agent.slam.graph.agreement import visit_counts
 from limslam_agent.slam.graph.posterior import position_std
 from limslam_agent.slam.graph.smooth import GraphResult
 from limslam_agent.status.status import Status
@@ -28,11 +23,12 @@ from limslam_env.geometry import FloatArray, IntArray
 MOST_CONTRADICTED = 0.09
 """A path is doubtful if other visits contradict a larger share of the points that they confirm or contradict."""
 
-MOST_BENT = 16.0
-"""A path is doubtful where its loops bend it away from the local smoothing by a larger chi-square."""
+MOST_BENT = 11.34
+"""A path is doubtful where its loops bend it away from the local smoothing by a larger chi-square: the 99 % quantile
+of three degrees of freedom."""
 
-MOST_STD, MOST_STD_SHARE = 0.6, 0.06
-"""A path is doubtful if its positions are expected to be farther off than this, m, and than this share of its size."""
+MOST_STD = 0.6
+"""A path is doubtful if its positions are expected to be farther off than this, m: it would be wrong."""
 
 _ENOUGH = 0.5  # of the confirmed points: of a path that never meets itself, none is contradicted
 
@@ -43,8 +39,8 @@ class PathSignals:
 
     Attributes
     ----------
-    driven, size
-        Length of the path, and the root mean square distance of its positions from their mean, m.
+    driven
+        Length of the path, m.
     points
         Number of the readings of walls that were used.
     confirmed, contradicted
@@ -57,11 +53,10 @@ class PathSignals:
     bend_times
         Times at which the loops bend the path more than the local smoothing allows, s from the beginning of the log.
     doubtful_times
-        Times around which other visits contradict much more than in the rest of the log, s from its beginning.
+        Times around which other visits contradict more than they confirm, s from the beginning of the log.
     """
 
     driven: float
-    size: float
     points: int
     confirmed: float
     contradicted: float
@@ -95,11 +90,11 @@ class PathSignals:
             reasons.append(f"visits of a place contradict each other at {self.contradicted_share:.0%} of the points")
         if self.doubtful_times:
             times = _listed(self.doubtful_times)
-            reasons.append(f"visits contradict each other much more than elsewhere after {times} s")
+            reasons.append(f"visits contradict what was seen more often than they confirm it after {times} s")
         if self.bend_times:
             times = _listed(self.bend_times)
             reasons.append(f"the path is bent more than odometry and walls allow after {times} s")
-        if self.position_std > max(MOST_STD, MOST_STD_SHARE * self.size):
+        if self.position_std > MOST_STD:
             where = "" if self.loose is None else " from {:.0f} to {:.0f} s".format(*self.loose)
             reasons.append(
                 f"positions may be {self.position_std:.1f} m off, as no recognised place holds the path{where}"
@@ -153,20 +148,14 @@ def path_signals(
     loose = longest_loose(keys.key_travel, found.relations[0])
     return PathSignals(
         driven=keys.driven,
-        size=spread(trajectory.poses),
         points=len(keys.point_key),
         confirmed=visits.shares[0],
         contradicted=visits.shares[1],
         position_std=position_std(keys, trajectory, found.relations, config, sensor[1]),
         loose=None if seam else (float(times[loose[0]]), float(times[loose[1]])),
         bend_times=tuple(times[found.chunk_keys[:-1][found.hop_errors > MOST_BENT]].tolist()),
-        doubtful_times=tuple(times[visits.doubtful(DOUBTFUL_SHARE, seam)].tolist()),
+        doubtful_times=tuple(times[visits.doubtful(seam)].tolist()),
     )
-
-
-def spread(poses: FloatArray) -> float:
-    """Root mean square distance of the positions of poses (n, 3) from their mean, m."""
-    return float(np.sqrt(poses[:, :2].var(axis=0).sum()))
 
 
 def longest_loose(travel: FloatArray, ends: IntArray) -> tuple[int, int]:

@@ -132,12 +132,6 @@ class Episode:
         return known if self.config.robots == 1 and known.stop != 0 else slice(None)
 
     @property
-    def mapped_steps(self) -> slice:
-        """The steps that the final map is drawn from: also those of a lost robot where the smoother has placed them."""
-        is_continued = self.smoothed is not None and self.smoothed.is_continued
-        return slice(None) if is_continued else self.placed_steps
-
-    @property
     def placed_robots(self) -> int:
         """Number of robots whose place in the map is known at the end: the first ones."""
         return 1 if self.config.unknown_starts and self.joined is None else self.config.robots

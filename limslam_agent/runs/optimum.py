@@ -9,8 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from limslam_agent.slam.core.motion import LEAST_VARIANCE
 from limslam_agent.slam.least_squares.normal_equations import DegenerateError
-from limslam_agent.slam.line_graph.problem import Problem, make_problem, state_from_poses
+from limslam_agent.slam.line_graph.problem import ASIDE_STD, Problem, make_problem, state_from_poses
 from limslam_agent.slam.line_graph.reassociation import solve_again, solve_labels
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import NominalNoise, RobotSpec
@@ -50,7 +51,8 @@ def offline_optimum(
     poses
         Or None, if no wall has enough readings.
     """
-    problem = _with_contact(make_problem(robot, noise, true[0], wheels, ranges, wall_seen >= 0), contact)
+    problem = make_problem(robot, noise, true[0], wheels, ranges, wall_seen >= 0)
+    problem = _with_contact(problem, noise.wheel_variance, contact)
     steps = len(true)
     number, step = np.divmod(problem.readings.places, steps)
     walls = wall_seen[step, number, problem.readings.beams]
@@ -67,7 +69,11 @@ def offline_optimum(
     return np.moveaxis(found.state.poses, 0, 1)
 
 
-def _with_contact(problem: Problem, contact: BoolArray) -> Problem:
-    stds, farthest = problem.stds, np.abs(problem.wheels[..., :2]).max(axis=-1, keepdims=True)
+def _with_contact(problem: Problem, wheel_variance: float, contact: BoolArray) -> Problem:
+    """The problem with motions that are as exact as the wheels, except where a robot touches something."""
+    travel = np.abs(problem.wheels)
+    stds = np.sqrt(wheel_variance * travel + LEAST_VARIANCE)
+    stds[..., 2] = ASIDE_STD
     touching = np.moveaxis(contact, 0, 1)[:, 1:, None]
-    return replace(problem, stds=np.where(touching, np.maximum(stds, farthest), stds), loose=())
+    stds = np.where(touching, np.maximum(stds, travel.max(axis=-1, keepdims=True)), stds)
+    return replace(problem, roots=np.eye(3) / stds[..., None])

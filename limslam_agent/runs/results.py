@@ -65,7 +65,6 @@ def score(episode: Episode) -> dict[str, Any]:
     events, closed = _events(episode), [(closure.older, closure.younger) for closure in episode.closures]
     placed = slice(episode.placed_robots)  # the poses of a robot that was not placed are in a frame of its own
     known, online = episode.placed_steps, None if episode.smoothed is None else online_map(episode)
-    mapped = episode.mapped_steps  # the online map is drawn from the steps before the robot was lost
     columns = (episode.true, episode.estimated, episode.odometry, episode.covariances)
     trajectory = team_scores(*(rows[:, placed] for rows in columns))
     limit = offline_optimum_scores(episode, trajectory["ate_m"]) if config.limit else {}
@@ -77,8 +76,8 @@ def score(episode: Episode) -> dict[str, Any]:
         config.robot,
         episode.coverage_grid,
         episode.final_map,
-        episode.true[mapped, placed],
-        episode.final_map.poses[mapped, placed],
+        episode.true[known, placed],
+        episode.final_map.poses[known, placed],
         None if online is None else (replace(online, poses=online.poses[known]), episode.true[known, placed]),
     )
     estimates = {**trajectory, **limit, **smoothed, **walls}

@@ -54,7 +54,7 @@ def smooth_episode(episode: "Episode") -> "SmoothedRun | None":
     if settings is None or episode.in_prior_map or episode.placed_robots < episode.config.robots:
         return None
     # The kernels of the smoother load numba, which takes time that other commands do not need.
-    from limslam_agent.slam.line_graph.smoother import FilteredRun, completed, smooth_run
+    from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_run
 
     places = episode.places
     poses, covariances = revised(episode.estimated, episode.covariances, places.revisions)
@@ -75,12 +75,12 @@ def smooth_episode(episode: "Episode") -> "SmoothedRun | None":
         breaks=(*((0, step) for step in places.breaks), *unknown_start),
         sensor=episode.sensor,
     )
-    found = smooth_run(run, settings, places.placed.stop, places.losses)
+    found = smooth_run(run, settings, places.placed.stop)
     if found is not None and unknown_start:
         # What the second robot's pose was before its first step follows from the one after it.
         motion = compose(inverse(poses[1, 1]), poses[0, 1])
         found.poses[0, 1], found.covariances[0, 1] = compose(found.poses[1, 1], motion), found.covariances[1, 1]
-    return None if found is None else completed(found, poses, covariances)
+    return found
 
 
 def online_map(episode: "Episode") -> FinalMap:
@@ -99,7 +99,7 @@ def final_map(episode: "Episode") -> FinalMap:
     ranges = as_readings(episode.ranges, config.robot.min_ranges, config.robot.max_ranges)
     is_new = np.array([config.robot.measures(step) for step in range(len(ranges))])[:, None]
     measured = is_new & ~np.isnan(ranges) & ~episode.dropped
-    used = episode.mapped_steps
+    used = episode.placed_steps
     grid = drawn_grid(config.agent.grid, smoothed.robot, smoothed.poses[used], ranges[used], measured[used])
     return FinalMap(smoothed.segments, smoothed.landmarks, grid, smoothed.poses)
 
@@ -115,8 +115,7 @@ def final_status(episode: "Episode") -> dict[str, str]:
         revised(episode.estimated, episode.covariances, places.revisions),
         (smoothed.poses, smoothed.covariances),
         while_driving=LEVELS[int(episode.levels.max())],
-        lost_since=lost_since(episode.time, smoothed.continued_from or places.placed.stop),
-        is_continued=smoothed.is_continued,
+        lost_since=lost_since(episode.time, places.placed.stop),
     )
     if status.level == "ok" and NOT_YET_CONFIRMED in online_statuses:
         status = NOT_YET_CONFIRMED

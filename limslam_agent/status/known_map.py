@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.kernels.tables import RAY_REACH, RAY_TO_X, RAY_X
+from limslam_agent.kernels.tables import RAY_LENGTH, RAY_REACH, RAY_TO_X, RAY_X
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.rays import have_ended
 from limslam_env.geometry import BoolArray, FloatArray
@@ -34,7 +34,16 @@ _LEAST_STD, _LEAST_TURN = 0.05, math.radians(1.0)  # m, rad: least deviation of 
 _OWN = 0.5  # part of the pose's standard deviation that the walls near by do not share
 
 DRIFT = 0.5, math.radians(15.0)
-"""A robot that is off by less than this, m and rad, may have drifted, whatever its readings say of its motion."""
+"""A robot that is off by less than this, m and rad, may have drifted, whatever its readings say of its motion.
+
+Two poses that are farther apart are different places.
+"""
+
+DOUBTED, DECIDED = math.log(100.0), math.log(1000.0)
+"""Logarithms of likelihood ratios that raise a doubt, and that decide.
+
+By Wald's bound, a test that stops there is wrong in at most one of 100, or of 1000 cases.
+"""
 
 
 def contradiction_test(contradicting: int, tested: int, *, may_be_bent: bool = False) -> float:
@@ -113,15 +122,27 @@ class KnownMap:
         Walls (k, 4), m, and occupancy grid, which must not change as long as the map is used.
     sensor
         How the ranges are measured. It may be assigned anew. Their bias is that of the rays.
+    free_space_counts
+        Whether a reading that ends in free space says something; it does not if a body may be anywhere.
     """
 
-    def __init__(self, segments: FloatArray, grid: GridView, sensor: RangeSensor) -> None:
+    def __init__(
+        self, segments: FloatArray, grid: GridView, sensor: RangeSensor, *, free_space_counts: bool = True
+    ) -> None:
         self.segments, self.grid, self.sensor = np.ascontiguousarray(segments), grid, sensor
+        self._free_space_counts = free_space_counts
 
     @property
     def frozen(self) -> "KnownMap":
         """The map as it is now, which later steps do not change. The values of a grid's view change with the grid."""
-        return KnownMap(self.segments, replace(self.grid, values=self.grid.values.copy()), self.sensor)
+        grid = replace(self.grid, values=self.grid.values.copy())
+        return KnownMap(self.segments, grid, self.sensor, free_space_counts=self._free_space_counts)
+
+    def counting(self, rays: FloatArray, covariance: FloatArray | None = None) -> FloatArray:
+        """Those of the rays (n, 7) that say something about the pose, whose covariance (3, 3) is given."""
+        if self._free_space_counts:
+            return rays
+        return rays[self.explained(rays, covariance).against < rays[:, RAY_LENGTH]]
 
     def weigh(self, poses: FloatArray, rays: FloatArray) -> list[PlaceFit]:
         """How well rays (n, 7) fit the map, for poses (m, 3) of their frame."""

@@ -8,7 +8,7 @@ import numpy as np
 
 from limslam_agent.kernels.tables import RAY_LENGTH, RAY_REACH, RAY_TO_X, RAY_X
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import RobotSpec
 
@@ -41,13 +41,22 @@ class Seen(Protocol):
 def rays_of(steps: Sequence[Seen], robot: RobotSpec, sensor: RangeSensor | None = None) -> FloatArray:
     """The latest rays (n, 7) of steps, in the order of time: origin, direction, reading and longest
     reading, m, and number of the beam.
+    """
+    return numbered_rays_of(steps, robot, sensor)[0]
+
+
+def numbered_rays_of(
+    steps: Sequence[Seen], robot: RobotSpec, sensor: RangeSensor | None = None
+) -> tuple[FloatArray, IntArray]:
+    """The latest rays (n, 7) of steps, and the number of the step (n,) of each of them.
 
     A beam that has seen nothing has its longest reading. A reading that says nothing, because it is not new, too short,
     or perhaps missed by the sensor, has no ray. ``robot`` has its beams as specified. ``sensor`` is known to turn beams
     and to have a bias; None if it is as specified.
     """
     robot, bias = (robot, 0.0) if sensor is None else (sensor.mounted(robot), sensor.bias)
-    steps, used = steps[-STEPS:], slice(None, None, math.ceil(len(robot.beams) / _BEAMS))
+    first, used = max(len(steps) - STEPS, 0), slice(None, None, math.ceil(len(robot.beams) / _BEAMS))
+    steps = steps[first:]
     poses = np.array([step.pose for step in steps])
     ranges = np.array([step.ranges[used] for step in steps])
     seen_nothing = ranges >= robot.too_far[used]
@@ -61,7 +70,8 @@ def rays_of(steps: Sequence[Seen], robot: RobotSpec, sensor: RangeSensor | None 
     numbers = np.broadcast_to(np.arange(len(robot.beams), dtype=float)[used], ranges.shape)
     others = (each[..., None] for each in (lengths, reaches, numbers))
     rays = np.concatenate((origins, directions, *others), axis=2)[usable]
-    return np.ascontiguousarray(rays[_latest(rays)][-_RAYS:])
+    kept = _latest(rays)[-_RAYS:]
+    return np.ascontiguousarray(rays[kept]), first + np.nonzero(usable)[0][kept].astype(np.int64)
 
 
 def step_rays(ranges: FloatArray, robot: RobotSpec, bias: float) -> FloatArray:

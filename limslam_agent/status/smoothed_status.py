@@ -4,17 +4,16 @@ import math
 
 import numpy as np
 
-from limslam_agent.status.status import LEVELS, Level, Status
+from limslam_agent.status.status import LARGE_CORRECTION, LEVELS, UNSURE_HEADING, Level, Status
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
 
 # The result is unsure or lost if this share of the readings contradicts the smoothed map. From a smaller share on, a
 # robot that was unsure or lost while it drove remains so.
 _UNSURE_SHARE, _LOST_SHARE, _DOUBTED_SHARE = 0.01, 0.03, 0.0025
-# It is unsure if the smoother moved a pose by more than this, m, and the mean NEES / 3 of the filter against the
-# smoothed path exceeds this.
-_MOVED, _MOVED_NEES = 0.30, 5.0
-_UNSURE_HEADING = 4.0  # deg: standard deviation of the smoothed heading at any step
+# It is unsure if the smoother made a large correction, and the mean NEES / 3 of the filter against the smoothed path
+# exceeds this.
+_MOVED_NEES = 5.0
 
 _LEAST_VARIANCES = np.diag([1e-3**2, 1e-3**2, 1e-3**2])
 """Added to the covariances of the filter, m^2 and rad^2: the start is known exactly."""
@@ -27,7 +26,6 @@ def smoothed_status(
     *,
     while_driving: Level,
     lost_since: float | None = None,
-    is_continued: bool = False,
 ) -> Status:
     """Whether the smoothed path and map can be trusted.
 
@@ -46,18 +44,10 @@ def smoothed_status(
     lost_since
         Time after the start, s, from which on the filter did not know the robot's place, or was wrong about it; None if
         it was not.
-    is_continued
-        Whether the smoother has found the poses since then by itself.
     """
-    if lost_since is not None and not is_continued:
+    if lost_since is not None:
         return Status("lost", f"the place of the robot is unknown from {lost_since:.0f} s on")
-    status = _by_readings(contradictions, filtered, smoothed, while_driving)
-    if lost_since is None:
-        return status
-    words = f"only the smoothed path shows the robot's place from {lost_since:.0f} s on"
-    if status.level == "ok":
-        return Status("unsure", words)
-    return Status(status.level, f"{words}; {status.reason}")
+    return _by_readings(contradictions, filtered, smoothed, while_driving)
 
 
 def _by_readings(
@@ -74,11 +64,11 @@ def _by_readings(
     if contradictions >= _UNSURE_SHARE:
         return Status("unsure", share)
     moved, excess = _moved(filtered, smoothed)
-    if moved > _MOVED and excess > _MOVED_NEES:
+    if moved > LARGE_CORRECTION and excess > _MOVED_NEES:
         return Status("unsure", f"smoothing moved poses by up to {moved:.2f} m, of which the filter was too certain")
-    heading = math.degrees(math.sqrt(max(float(smoothed[1][..., 2, 2].max()), 0.0)))
-    if heading > _UNSURE_HEADING:
-        return Status("unsure", f"the smoothed heading's standard deviation reaches {heading:.1f} deg")
+    heading = math.sqrt(max(float(smoothed[1][..., 2, 2].max()), 0.0))
+    if heading > UNSURE_HEADING:
+        return Status("unsure", f"the smoothed heading's standard deviation reaches {math.degrees(heading):.1f} deg")
     return Status()
 
 

@@ -1,5 +1,6 @@
 """The status of an estimate, and its reason in words."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -11,6 +12,12 @@ from limslam_env.geometry import FloatArray, IntArray
 Level = Literal["ok", "unsure", "lost"]
 LEVELS: tuple[Level, ...] = ("ok", "unsure", "lost")
 """The levels of the status, the best one first."""
+
+UNSURE_HEADING = math.radians(4.0)
+"""Standard deviation of the heading beyond which an estimate is unsure, rad."""
+
+LARGE_CORRECTION = 0.3
+"""A correction of a pose by more than this, m, moves the map: what was planned or found before means nothing then."""
 
 
 @dataclass(frozen=True)

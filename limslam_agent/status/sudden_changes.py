@@ -1,11 +1,12 @@
-"""Readings that change so suddenly that the robot may have been carried away.
+"""Changes of the readings before which the robot may have been carried away, and what all readings since then say.
 
 For each step, the readings are explained in two ways: the robot is still *here*, and each beam goes on along what it
 saw before, or sweeps past an edge; or the robot is *elsewhere*, and each reading is that of a random place. The
-evidence is the logarithm of the likelihood ratio of both, as far as the map does not explain the readings. A step with
-some evidence is a *change*: the robot may have been carried away before it.
+evidence is the logarithm of the likelihood ratio of both, as far as the map does not explain the readings. All readings
+since a change are weighed with the map of that moment, which a wrong pose cannot change any more.
 """
 
+import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,14 +14,21 @@ from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.kernels.tables import RAY_BEAM
+from limslam_agent.kernels.tables import RAY_BEAM, RAY_LENGTH, RAY_TO_X
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.known_map import KnownMap
-from limslam_agent.status.rays import LASTING, dropouts, moved, step_rays
+from limslam_agent.status.known_map import DECIDED, DOUBTED, Explained, KnownMap, contradiction_test, near_fit
+from limslam_agent.status.rays import LASTING, STEPS, dropouts, moved, numbered_rays_of, step_rays
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 
-_BEGIN = 1.0  # evidence of a step that is a change
+WINDOW, LONGEST_SPACING = 3.0, 0.30
+"""Length of the last part of the drive whose readings count, and way between two changes at most, m."""
+
+PLACE = 0.3
+"""Contradictions less far apart, m, may have one cause, as a short wall that is missing."""
+
+_CARRIED = 12.0  # evidence of a change after which the robot is lost: it is carried once in e^12 steps, 4.5 h, at most
+_SUPPORTED = 15.0  # evidence of readings that clearly fit
 _EXPLAINED = 1.0  # evidence of a reading for the map: more than that of seeing nothing on free ground
 _MAPS = 4
 
@@ -67,51 +75,138 @@ class Change:
         return float(self.by_beam.sum())
 
 
-class SuddenChanges:
-    """Finds the changes of one robot's readings.
+@dataclass(eq=False)
+class _Candidate:
+    """A change that may be the one before which the robot was carried away.
 
     Attributes
     ----------
+    change, place
+        The change, and where in the drive it was noted, m.
+    is_doubted
+        Whether it has made the robot doubtful, and the readings have not clearly fitted since then.
+    """
+
+    change: Change
+    place: float
+    is_doubted: bool = False
+
+
+class SuddenChanges:
+    """Finds the changes of one robot's readings, and weighs them by all readings since then.
+
+    A change may be sudden, or the robot was carried to a place that looked at first like the one before. So the
+    likeliest step of each ``LONGEST_SPACING`` is a change, too.
+
+    Attributes
+    ----------
+    suspect
+        The likeliest change that makes the robot doubtful; None without it.
+    is_certain
+        Whether the robot was carried away before it, even if the beam that says most is broken.
     weighed
         Number of the latest step in which a change would have been noticed; -1 before the first one. What follows a
         reading says whether it was a dropout, so that the last steps wait.
     """
 
     def __init__(self, robot: RobotSpec) -> None:
-        self._robot, self.weighed = robot, -1
+        self._robot, self.weighed, self._noted = robot, -1, -math.inf
+        self.forget()
         # The map at the latest calls. A wrong pose soon changes it.
         self._known: deque[tuple[int, KnownMap]] = deque(maxlen=_MAPS)
 
-    def find(self, sights: Sequence[Sight], first: int, known: KnownMap, covariance: FloatArray) -> list[Change]:
-        """The changes since the last call.
+    def look(self, sights: Sequence[Sight], first: int, place: float, known: KnownMap, covariance: FloatArray) -> None:
+        """Note the likeliest change since the last call, if it is sudden or the last one is some way back.
+
+        All changes are weighed then.
 
         Parameters
         ----------
         sights, first
-            The latest steps, and the number of the first of them.
+            The latest steps, at least since the oldest change, and the number of the first of them.
+        place
+            Where in the drive the robot is, m.
         known, covariance
             The map as it is now, and the covariance (3, 3) of the pose.
         """
+        found = self._likeliest(sights, first, known, covariance)
+        if found is None or (found.evidence <= 0.0 and place - self._noted < LONGEST_SPACING):
+            return
+        self._noted = place
+        self._candidates.append(_Candidate(found, place))
+        self._weigh(sights, first, place, known, covariance)
+
+    def forget(self) -> None:
+        """Forget all changes: the estimator has closed a loop, and moved the map."""
+        self._candidates, self.is_certain = list[_Candidate](), False
+        self.suspect: Change | None = None
+
+    @property
+    def oldest(self) -> int:
+        """Number of the step of the oldest change that counts; that of the latest step without one."""
+        return self._candidates[0].change.step if self._candidates else self.weighed
+
+    def _weigh(
+        self, sights: Sequence[Sight], first: int, place: float, known: KnownMap, covariance: FloatArray
+    ) -> None:
+        """Weigh the changes by the readings since then, and find the likeliest one that makes the robot doubtful.
+
+        Both the evidence of the readings and the test of their contradictions can speak for a change. A doubt remains
+        until the readings since the last contradiction clearly fit. No robot is lost while all readings together do so,
+        since a body may have passed.
+        """
+        oldest, latest = self._candidates[0].change.step, first + len(sights) - 1
+        rays, steps = numbered_rays_of(sights[oldest - first :], self._robot, known.sensor)
+        self.suspect, self.is_certain, most, since = None, False, DOUBTED, steps + oldest
+        for candidate in self._candidates:
+            change = candidate.change
+            change.known.sensor = known.sensor
+            later = change.known.counting(rays[since >= change.step])
+            here = change.known.explained(later)
+            contradicting = np.flatnonzero(here.against)
+            since_then = here.evidence[contradicting[-1] + 1 :] if len(contradicting) else here.evidence
+            if since_then.sum() > _SUPPORTED:
+                candidate.is_doubted = False
+                continue
+            by_ray = max(-here.evidence, _test_of_places(later, here), key=np.sum)
+            evidence = change.evidence + float(by_ray.sum())
+            if evidence >= DOUBTED:  # or it has drifted
+                near = near_fit(change.known, later, covariance)
+                there = max(-near.evidence, contradiction_test(near.fit.contradictions, near.fit.tested))
+                evidence = min(evidence, change.evidence + there)
+            if evidence >= most:
+                others = without_the_worst(change.by_beam + by_beam(later, by_ray, self._robot))
+                most, self.suspect = evidence, change
+                is_supported = here.evidence.sum() > _SUPPORTED
+                self.is_certain = evidence >= _CARRIED and others >= DECIDED and not is_supported
+            is_held = candidate.is_doubted and latest - change.step <= STEPS
+            candidate.is_doubted = evidence >= DOUBTED or is_held
+        self._candidates = [each for each in self._candidates if each.is_doubted or place - each.place <= WINDOW]
+        doubted = [each.change for each in self._candidates if each.is_doubted]
+        if self.suspect is None and doubted:
+            self.suspect = doubted[0]
+
+    def _likeliest(self, sights: Sequence[Sight], first: int, known: KnownMap, covariance: FloatArray) -> Change | None:
+        """The step since the last call with the most sudden change, if there is a step."""
         self._known.append((first + len(sights) - 1, known.frozen))
         begin = max(self.weighed + 1 - LASTING - first, 0)
         steps = sights[begin:]
         if len(steps) <= LASTING + 1:
-            return []
+            return None
         ranges = np.array([each.ranges for each in steps])
         usable = np.isfinite(ranges) & ~dropouts(ranges >= self._robot.too_far)
         motions = np.array([(np.hypot(*each.increment[:2]), abs(each.increment[2])) for each in steps])
         last = 1 - LASTING
         evidence = change_evidence(ranges[:last], usable[:last], motions[:last], self._robot, known.sensor)
-        found = []
-        for row in np.flatnonzero(evidence.sum(axis=1) > _BEGIN).tolist():
-            number = first + begin + row + 2
-            if number > self.weighed:
-                map_then = next((each for at, each in reversed(self._known) if at <= number), self._known[0][1])
-                is_explained = self._are_explained(steps[row + 2], usable[row + 2], map_then, covariance)
-                by_beam = np.where(is_explained, np.minimum(evidence[row], 0.0), evidence[row])
-                found.append(Change(number, map_then, by_beam))
+        new = max(self.weighed - first - begin - 1, 0)
         self.weighed = first + begin + len(steps) - LASTING
-        return [each for each in found if each.evidence > _BEGIN]
+        if new >= len(evidence):
+            return None
+        row = new + int(evidence[new:].sum(axis=1).argmax())
+        number = first + begin + row + 2
+        map_then = next((each for at, each in reversed(self._known) if at <= number), self._known[0][1])
+        is_explained = self._are_explained(steps[row + 2], usable[row + 2], map_then, covariance)
+        return Change(number, map_then, np.where(is_explained, np.minimum(evidence[row], 0.0), evidence[row]))
 
     def _are_explained(self, sight: Sight, usable: BoolArray, known: KnownMap, covariance: FloatArray) -> BoolArray:
         """Which readings (n_beams,) ended where the map has a wall, so that their change says nothing."""
@@ -146,3 +241,23 @@ def change_evidence(
     evidence = np.empty((len(ranges) - 2, ranges.shape[1]))
     weigh_changes(ranges, usable, motions, robot.beam_table, float(sensor.std), float(sensor.growth), evidence)
     return evidence
+
+
+def _test_of_places(rays: FloatArray, explained: Explained) -> FloatArray:
+    """What rays (n, 7) contribute (n,) to the test of contradictions, if those at one place count once."""
+    test, contradicting = explained.test, np.flatnonzero(explained.against)
+    against = rays[contradicting]
+    points = against[:, :RAY_TO_X] + explained.against[contradicting, None] * against[:, RAY_TO_X:RAY_LENGTH]
+    _, first = np.unique(np.floor(points / PLACE), axis=0, return_index=True)
+    test[np.delete(contradicting, first)] = 0.0
+    return test
+
+
+def by_beam(rays: FloatArray, evidence: FloatArray, robot: RobotSpec) -> FloatArray:
+    """The evidence (n,) of rays (n, 7), summed for each beam (n_beams,)."""
+    return np.asarray(np.bincount(rays[:, RAY_BEAM].astype(int), evidence, len(robot.beams)), dtype=float)
+
+
+def without_the_worst(evidence: FloatArray) -> float:
+    """The evidence (n_beams,) of all beams but the one that says most, which may be broken."""
+    return float(evidence.sum() - evidence.max())

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from limslam_env.batch.noise import BatchNoise
+from limslam_env.batch.noise import noise_settings
 from limslam_env.batch.places import Places
 from limslam_env.batch.progress import cores
 from limslam_env.config import NoiseConfig, TaskConfig
@@ -18,7 +18,7 @@ from limslam_env.kernels.batch_readings import BEGIN, SKIP, STEP
 from limslam_env.kernels.batch_state import Episodes, Results, Robots, Task, fan_of, lanes_for, scratch_for
 from limslam_env.kernels.batch_step import advance
 from limslam_env.kernels.coverage import BODY_MARGIN, RAY_MARGIN
-from limslam_env.kernels.random_numbers import Words, derive_keys
+from limslam_env.kernels.random_numbers import Words, derive_keys, draw_rows
 from limslam_env.kernels.tables import LONGEST_RANGE, NUM_NOISES, OFFSET
 from limslam_env.kernels.tiles import LONGEST_LOOK
 from limslam_env.simulation.coverage import CELL, CoverageGrid
@@ -33,7 +33,8 @@ THREADS_FROM = 1024
 # Environments that a thread takes at once.
 _PORTION = 512
 
-_SETTINGS, _PLACES = 1, 2
+NOISE, PLACES = 1, 2
+"""Purposes of random numbers, besides those of the steps, 0."""
 
 
 class BatchSimulation:
@@ -64,7 +65,7 @@ class BatchSimulation:
     ) -> None:
         count, robots, num_beams = places.num_envs, places.num_robots, len(robot.beams)
         self.robot, self.num_envs, self.num_robots = robot, count, robots
-        self._places, self._noise = places, BatchNoise(noise, robot)
+        self._places, self._settings = places, noise_settings(noise, robot)
         beams = beam_table(robot)
         longest = max(float((beams[:, OFFSET] + beams[:, LONGEST_RANGE]).max()), 2.0 * robot.radius)
         is_small = longest / CELL - RAY_MARGIN <= LONGEST_LOOK and lanes_for(num_beams) <= MOST_LANES
@@ -120,14 +121,14 @@ class BatchSimulation:
         if seeds is not None:
             homes, numbers = np.asarray(seeds.generate_state(self.num_envs, np.uint64), dtype=np.uint64), 0 * numbers
         numbers[envs] += 1
-        keys, settings, places = (
-            derive_keys(homes[envs], numbers[envs], purpose) for purpose in (0, _SETTINGS, _PLACES)
-        )
+        keys, settings, places = (derive_keys(homes[envs], numbers[envs], purpose) for purpose in (0, NOISE, PLACES))
         episodes = self._episodes
         episodes.poses[envs] = self._places.begin(envs, places, None if start is None else start[envs])
         self._homes, self._numbers, episodes.keys[envs] = homes, numbers, keys
         self._place_keys[envs] = places
-        episodes.noise[envs] = self._noise.drawn(envs, settings)
+        rows, noise = envs if len(self._settings.lowest) > 1 else 0 * envs, np.empty((len(envs), NUM_NOISES))
+        draw_rows(settings, rows, *self._settings, noise)
+        episodes.noise[envs] = noise
         episodes.covered[envs] = 0
         width = self._places.sites.tiles.shape[1]
         if width > episodes.unseen.shape[1]:
@@ -177,7 +178,7 @@ class BatchSimulation:
         self._episodes = self._episodes._replace(unseen=_padded(unseen, unseen.shape[1]))
 
     def _advance(self, tasks: IntArray, actions: FloatArray) -> Results:
-        results = _no_results(self.num_envs, self.num_robots, len(self.robot.beams))
+        results = no_results(self.num_envs, self.num_robots, len(self.robot.beams))
         begun, worlds = np.zeros(1, dtype=np.int64), self._places.sites.worlds
         shared: tuple[Any, ...] = tasks, actions, self._robots, worlds, self._episodes, self._task, results
         others: list[Future[None]] = []
@@ -222,7 +223,7 @@ def _no_episodes(world_of: IntArray, num_robots: int, num_beams: int) -> Episode
     )
 
 
-def _no_results(count: int, num_robots: int, num_beams: int) -> Results:
+def no_results(count: int, num_robots: int, num_beams: int) -> Results:
     """New arrays for the results of a step."""
     robots = count, num_robots
     return Results(

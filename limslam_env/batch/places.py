@@ -12,6 +12,7 @@ from limslam_env.batch.progress import cores, work_through
 from limslam_env.batch.worlds import Site, Sites, StartCells, prepare, prepare_plan
 from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.interface import RobotSpec
+from limslam_env.kernels.batch_state import Starts
 from limslam_env.kernels.random_numbers import Words, draw_starts
 from limslam_env.simulation.starts import TRIES, known_poses, least_distance, no_room
 from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
@@ -78,7 +79,28 @@ class Places:
             self._keep(prepare(world, robot, num_robots) for world in self._worlds)
             if len(worlds) > 1:
                 self.world_of[:] = [numbers[world] for world in worlds]
-        self._home = self.world_of.copy()
+        self.home = self.world_of.copy()
+
+    @property
+    def num_plans(self) -> int | None:
+        """How many floor plans there are to draw from at each reset; 0 without any, None if there is no end of them."""
+        return 0 if self._config is None else len(self._seeds) or None
+
+    def starts(self) -> Starts:
+        """Where robots start in all worlds, as one set of arrays."""
+        each = self._starts
+        given = np.zeros((len(each), self.num_robots, 3))
+        for slot, starts in enumerate(each):
+            given[slot, : len(starts.given)] = starts.given
+        return Starts(
+            given,
+            np.array([len(starts.given) for starts in each]),
+            np.concatenate([starts.runs for starts in each]),
+            np.array([starts.count for starts in each]),
+            np.array([starts.space for starts in each]),
+            np.cumsum([0, *(len(starts.runs) for starts in each)]),
+            least_distance(self._robot),
+        )
 
     def begin(self, envs: IntArray, keys: Words, start: FloatArray | None) -> FloatArray:
         """Give environments (k,) their worlds, and their robots poses (k, m, 3), m and rad.
@@ -123,7 +145,7 @@ class Places:
         """The slots (k,) of the worlds that environments (k,) get by keys (k,)."""
         if self._seeds:
             return ((keys >> np.uint64(11)) % np.uint64(len(self._seeds))).astype(np.int64)
-        return self._home[envs]
+        return self.home[envs]
 
     def _plan(self, config: FloorPlanConfig, seed: int) -> World:
         return floor_plan(config, np.random.default_rng(seed), self._robot.radius)

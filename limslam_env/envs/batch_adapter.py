@@ -1,6 +1,6 @@
 """What the adapters of batches share: arguments, actions, seeds, and info in Gymnasium's form for vectors."""
 
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, ClassVar, NamedTuple, TypeAlias
 
 import gymnasium as gym
 import numpy as np
@@ -69,6 +69,8 @@ class Batched:
         As Gymnasium names it.
     """
 
+    _kind: ClassVar[type[BatchSimulation]] = BatchSimulation
+
     def _set_up(
         self,
         world: BatchSource,
@@ -94,7 +96,7 @@ class Batched:
         self._num_robots, self.num_envs = num_robots, num_envs
         source, seeds = worlds_of(world, num_envs), seeds_of(plans, world)
         places = Places(source, self.robot, num_robots, num_envs, seeds, num_threads)
-        self._simulation = BatchSimulation(places, self.robot, self.noise, self.task, max_steps, num_threads)
+        self._simulation = self._kind(places, self.robot, self.noise, self.task, max_steps, num_threads)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self._is_over, self._is_running = np.zeros(num_envs, dtype=bool), False
 

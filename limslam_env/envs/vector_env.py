@@ -23,7 +23,27 @@ from limslam_env.envs.batch_adapter import (
 from limslam_env.envs.batch_pictures import BatchPictures
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
+from limslam_env.messages import described
 from limslam_env.rendering.painter import RENDER_FPS
+
+
+def vector_env(*, device: str = "cpu", **arguments: Any) -> gym.vector.VectorEnv[Any, Any, Any]:
+    """A batch of environments on processors, ``"cpu"``, or on a GPU, ``"cuda"``; ``gym.make_vec`` calls this.
+
+    Raises
+    ------
+    ValueError
+        If the device is another.
+    RuntimeError
+        If there is no GPU that numba can use.
+    """
+    if device == "cpu":
+        return LimSlamVectorEnv(**arguments)
+    if device != "cuda":
+        raise ValueError(f"device must be 'cpu' or 'cuda', not {described(device)}")
+    from limslam_env.envs.device_env import LimSlamDeviceEnv
+
+    return LimSlamDeviceEnv(**arguments)
 
 
 class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[np.floating[Any]], NDArray[Any]]):
@@ -34,6 +54,7 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
     the single environment; with noise they have the same distributions. No step loops over all environments in Python, and
     from 1024 environments on several threads share the work. The results depend on the seed and the number of
     environments, but not on the number of threads.
+    `gym.make_vec(..., device="cuda")` makes a batch on a GPU (:class:`limslam_env.envs.device_env.LimSlamDeviceEnv`).
 
     ## Spaces
     `single_action_space` and `single_observation_space` are those of the single environment. Actions have the shape

@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_env.compilation import merged
+from limslam_env.compilation import floored, merged
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.kernels.batch_state import Robots, Scratch, Worlds
 from limslam_env.kernels.coverage import BODY_MARGIN, RAY_MARGIN
@@ -222,8 +222,8 @@ def trace(
     x, y, near_cell, cell = poses[robot, 0], poses[robot, 1], layout[world, 6], worlds.areas[world, 2]
     aim(robots.fan, x, y, poses[robot, 2], aims, rays)
     if near_cell >= 0:
-        column = min(max(math.floor((x - walls.low_x) / walls.side), 0), walls.columns - 1)
-        row = min(max(math.floor((y - walls.low_y) / walls.side), 0), walls.rows - 1)
+        column = min(max(floored((x - walls.low_x) / walls.side), 0), walls.columns - 1)
+        row = min(max(floored((y - walls.low_y) / walls.side), 0), walls.rows - 1)
         listed = near_cell + row * walls.columns + column
         cast_fan(listed, layout[world, 0], aims, walls.edges, worlds.near_starts, worlds.near_edges, rays)
     is_looked_for, found = robots.is_small and near_cell >= 0, _ALL

@@ -176,6 +176,47 @@ class Results(NamedTuple):
     truncated: BoolArray
 
 
+class Settings(NamedTuple):
+    """What the noise of episodes is drawn from, for all environments or each of them (k is 1 or n).
+
+    Attributes
+    ----------
+    lowest, spans
+        (k, 14): the least value of each column of :mod:`limslam_env.kernels.tables`, and how much larger it may be.
+    places
+        (14,): which of an environment's random numbers each column depends on.
+    """
+
+    lowest: FloatArray
+    spans: FloatArray
+    places: IntArray
+
+
+class Starts(NamedTuple):
+    """Where robots start in w worlds.
+
+    Attributes
+    ----------
+    given, num_given
+        (w, m, 3): known poses, m and rad; and how many of them there are (w,).
+    runs, counts, spaces
+        The free cells as :func:`limslam_env.kernels.random_numbers.draw_start` takes them: the runs (r, 2) of one world
+        after those of another, the number of cells (w,), and their grids (w, 4).
+    firsts
+        (w + 1,): a world's first run.
+    apart
+        Least distance of two robots, m.
+    """
+
+    given: FloatArray
+    num_given: IntArray
+    runs: IntArray
+    counts: IntArray
+    spaces: FloatArray
+    firsts: IntArray
+    apart: float
+
+
 class Scratch(NamedTuple):
     """Memory for one environment at a time.
 

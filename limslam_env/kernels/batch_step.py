@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 
-from limslam_env.compilation import inlined, lean_entry, merged, next_of, prefetch
+from limslam_env.compilation import floored, inlined, lean_entry, merged, next_of, prefetch
 from limslam_env.geometry import FloatArray, IntArray, se2
 from limslam_env.kernels.batch_rays import trace, widen
 from limslam_env.kernels.batch_readings import BEGIN, SKIP, STEP, hand_out, read_beams, read_encoders
@@ -74,7 +74,7 @@ def move(env: int, longest: float, radius: float, walls: Walls, episodes: Episod
     """Move the robots of one environment along their arcs, and separate them from what they touch."""
     poses, clearances, before, travel = episodes.poses, episodes.clearances, scratch.before, scratch.travel
     # A move of more than the radius could end beyond a wall; an arc in parts is the same arc.
-    parts = 1 if longest <= LONGEST_MOVE * radius else math.ceil(longest / (LONGEST_MOVE * radius))
+    parts = 1 if longest <= LONGEST_MOVE * radius else -floored(-longest / (LONGEST_MOVE * radius))
     for _ in range(parts):
         for robot in range(len(travel)):
             before[robot, 0], before[robot, 1] = poses[env, robot, 0], poses[env, robot, 1]

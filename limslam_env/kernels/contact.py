@@ -2,7 +2,7 @@
 
 import math
 
-from limslam_env.compilation import compiled, merged
+from limslam_env.compilation import compiled, floored, merged
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.kernels.wall_cells import Walls
 
@@ -32,11 +32,11 @@ def nearest_wall(
     """Distance (m) of the nearest wall and the unit vector from it; ``outlook`` (m) and 0 if no wall is that near."""
     edges, cell_starts, cell_edges, side = walls.edges, walls.cell_starts, walls.cell_edges, walls.side
     best, best_x, best_y, normal_x, normal_y = outlook * outlook, 0.0, 0.0, 0.0, 0.0
-    first = max(math.floor((x - outlook - walls.low_x) / side), 0)
-    last = min(math.floor((x + outlook - walls.low_x) / side), walls.columns - 1)
+    first = max(floored((x - outlook - walls.low_x) / side), 0)
+    last = min(floored((x + outlook - walls.low_x) / side), walls.columns - 1)
     for row in range(
-        max(math.floor((y - outlook - walls.low_y) / side), 0),
-        min(math.floor((y + outlook - walls.low_y) / side), walls.rows - 1) + 1,
+        max(floored((y - outlook - walls.low_y) / side), 0),
+        min(floored((y + outlook - walls.low_y) / side), walls.rows - 1) + 1,
     ):
         cell = walls.first_cell + row * walls.columns
         # Cells of a row lie side by side, and so do their walls.

@@ -96,21 +96,96 @@ def _rare_normal(bits: np.uint64) -> float:
             return math.copysign(_TAIL + beyond, share)
 
 
+@inlined
+def derived(home: np.uint64, episode: int, purpose: int) -> np.uint64:
+    """The key of random numbers for one purpose in an episode of an environment with a key."""
+    return mixed(mixed(home + np.uint64(episode) * GOLDEN) + np.uint64(purpose) * GOLDEN)
+
+
+@inlined
+def chosen(key: np.uint64, count: int) -> np.int64:
+    """Which of so many things a key chooses."""
+    return np.int64((key >> _S11) % np.uint64(count))
+
+
 @entry
 def derive_keys(homes: Words, episodes: IntArray, purpose: int) -> Words:
     """Keys (n,) of random numbers for one purpose in episodes (n,) of environments with keys ``homes`` (n,)."""
     keys = np.empty_like(homes)
     for row in range(len(homes)):
-        keys[row] = mixed(mixed(homes[row] + np.uint64(episodes[row]) * GOLDEN) + np.uint64(purpose) * GOLDEN)
+        keys[row] = derived(homes[row], episodes[row], purpose)
     return keys
 
 
+@merged
+def draw_row(key: np.uint64, lowest: FloatArray, spans: FloatArray, places: IntArray, numbers: FloatArray) -> None:
+    """Set ``numbers`` (k,) to numbers from U(``lowest``, ``lowest + spans``), all (k,).
+
+    ``places`` (k,) are those of the random numbers in the sequence of the key; equal ones give the same random number.
+    """
+    for column in range(len(numbers)):
+        share = unit(mixed(key + np.uint64(places[column] + 1) * GOLDEN))
+        numbers[column] = lowest[column] + spans[column] * share
+
+
 @lean_entry
-def fill_units(keys: Words, numbers: FloatArray) -> None:
-    """Set ``numbers`` (n, k) to numbers from U(0, 1), each row by its key (n,)."""
-    for row in range(len(keys)):
-        for place in range(numbers.shape[1]):
-            numbers[row, place] = unit(mixed(keys[row] + np.uint64(place + 1) * GOLDEN))
+def draw_rows(
+    keys: Words, rows: IntArray, lowest: FloatArray, spans: FloatArray, places: IntArray, numbers: FloatArray
+) -> None:
+    """:func:`draw_row` for each row of ``numbers`` (n, k), by its key (n,) and with its row (n,) of the bounds."""
+    for number in range(len(keys)):
+        draw_row(keys[number], lowest[rows[number]], spans[rows[number]], places, numbers[number])
+
+
+@merged
+def draw_start(
+    key: np.uint64,
+    num_given: int,
+    runs: IntArray,
+    count: int,
+    space: FloatArray,
+    apart: float,
+    poses: FloatArray,
+    tries: int,
+) -> bool:
+    """Put robots from the ``num_given``-th on at random free cells; returns whether there was enough space.
+
+    Parameters
+    ----------
+    key
+        Of random numbers.
+    runs, count
+        Free cells, row by row: (r, 2), number of the first of some cells side by side, and how many cells come before
+        it; and how many cells there are.
+    space
+        The grid of these cells: lower left corner x, y, cell side (m) and columns.
+    apart
+        Least distance of two robots, m.
+    poses
+        (m, 3), those that are given set already, m and rad.
+    tries
+        How many places are tried for all robots.
+    """
+    columns, state, placed = int(space[3]), key, num_given
+    for _ in range(tries):
+        if placed == len(poses) or count == 0:
+            break
+        place = int(unit(mixed(state + GOLDEN)) * count)
+        run, end = 0, len(runs)
+        while end - run > 1:
+            middle = (run + end) // 2
+            run, end = (middle, end) if runs[middle, 1] <= place else (run, middle)
+        cell = int(runs[run, 0]) + place - int(runs[run, 1])
+        heading = (2.0 * unit(mixed(state + GOLDEN + GOLDEN)) - 1.0) * math.pi
+        state = state + GOLDEN + GOLDEN
+        x, y = space[0] + (cell % columns + 0.5) * space[2], space[1] + (cell // columns + 0.5) * space[2]
+        is_free = True
+        for other in range(placed):
+            is_free &= math.hypot(poses[other, 0] - x, poses[other, 1] - y) > apart
+        if is_free:
+            poses[placed, 0], poses[placed, 1], poses[placed, 2] = x, y, heading
+            placed += 1
+    return placed == len(poses)
 
 
 @lean_entry
@@ -124,45 +199,8 @@ def draw_starts(
     poses: FloatArray,
     tries: int,
 ) -> bool:
-    """Put robots from the ``num_given``-th on at random free cells; returns whether there was enough space.
-
-    Parameters
-    ----------
-    keys
-        (n,), of random numbers.
-    runs, count
-        Free cells, row by row: (r, 2), number of the first of some cells side by side, and how many cells come before
-        it; and how many cells there are.
-    space
-        The grid of these cells: lower left corner x, y, cell side (m) and columns.
-    apart
-        Least distance of two robots, m.
-    poses
-        (n, m, 3), those that are given set already, m and rad.
-    tries
-        How many places are tried for all robots of one environment.
-    """
-    columns = int(space[3])
+    """:func:`draw_start` for environments with keys (n,) and poses (n, m, 3); returns whether all had enough space."""
     for env in range(len(keys)):
-        state, placed = keys[env], num_given
-        for _ in range(tries):
-            if placed == poses.shape[1] or count == 0:
-                break
-            place = int(unit(mixed(state + GOLDEN)) * count)
-            run, end = 0, len(runs)
-            while end - run > 1:
-                middle = (run + end) // 2
-                run, end = (middle, end) if runs[middle, 1] <= place else (run, middle)
-            cell = int(runs[run, 0]) + place - int(runs[run, 1])
-            heading = (2.0 * unit(mixed(state + GOLDEN + GOLDEN)) - 1.0) * math.pi
-            state = state + GOLDEN + GOLDEN
-            x, y = space[0] + (cell % columns + 0.5) * space[2], space[1] + (cell // columns + 0.5) * space[2]
-            is_free = True
-            for other in range(placed):
-                is_free &= math.hypot(poses[env, other, 0] - x, poses[env, other, 1] - y) > apart
-            if is_free:
-                poses[env, placed, 0], poses[env, placed, 1], poses[env, placed, 2] = x, y, heading
-                placed += 1
-        if placed < poses.shape[1]:
+        if not draw_start(keys[env], num_given, runs, count, space, apart, poses[env], tries):
             return False
     return True

@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from limslam_env.compilation import compiled, inlined, lean_entry, merged
+from limslam_env.compilation import compiled, floored, inlined, lean_entry, merged
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.kernels.tables import PERIOD
 from limslam_env.kernels.wall_cells import Walls, scene_walls
@@ -47,7 +47,7 @@ def crossings(place: float, direction: float, side: float) -> tuple[int, int, fl
     first, spacing
         How far along the ray its first crossing lies, and further ones from each other; infinite if there are none.
     """
-    cell = math.floor(place)
+    cell = floored(place)
     if direction == 0.0:
         return cell, -1, np.inf, np.inf
     first = ((cell + (direction > 0.0)) - place) * side / direction

@@ -2,8 +2,6 @@
 
 import math
 
-import numpy as np
-
 from limslam_env.compilation import merged
 from limslam_env.kernels.rays import NOTHING
 
@@ -48,6 +46,6 @@ def reported_travel(
     and what was ``unreported`` so far (m); in steps of ``resolution`` (m; 0 for none), and no more than ``limit`` (m).
     """
     counted = travel * factor + math.sqrt(variance * abs(travel)) * normal + unreported
-    reported = np.trunc(counted / resolution) * resolution if resolution > 0.0 else counted
+    reported = math.trunc(counted / resolution) * resolution if resolution > 0.0 else counted
     reported = min(max(reported, -limit), limit)
     return reported, counted - reported

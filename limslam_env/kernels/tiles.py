@@ -5,11 +5,9 @@ other in the same order. A set bit is a coverable cell that has not been seen. M
 cell, which a test of a few words shows.
 """
 
-import math
-
 import numpy as np
 
-from limslam_env.compilation import compiled, inlined, merged
+from limslam_env.compilation import compiled, floored, inlined, merged
 from limslam_env.kernels.coverage import is_touched
 from limslam_env.kernels.random_numbers import Words
 from limslam_env.kernels.rays import crossings
@@ -39,8 +37,8 @@ def is_any_left(
     high_y: float,
 ) -> bool:
     """Whether an unseen cell touches a rectangle, given in cells."""
-    column0, column1 = max(math.floor(low_x), 0), min(math.floor(high_x), tile_columns * TILE - 1)
-    row0, row1 = max(math.floor(low_y), 0), min(math.floor(high_y), tile_rows * TILE - 1)
+    column0, column1 = max(floored(low_x), 0), min(floored(high_x), tile_columns * TILE - 1)
+    row0, row1 = max(floored(low_y), 0), min(floored(high_y), tile_rows * TILE - 1)
     if column0 > column1 or row0 > row1:
         return False
     found = _NONE
@@ -199,8 +197,8 @@ def walk_disc(left: Words, env: int, tile_columns: int, tile_rows: int, x: float
     """:func:`take_disc` without the test whether there is anything to take."""
     columns, rows = tile_columns * TILE, tile_rows * TILE
     new = 0
-    for row in range(max(math.floor(y - radius), 0), min(math.floor(y + radius), rows - 1) + 1):
-        for column in range(max(math.floor(x - radius), 0), min(math.floor(x + radius), columns - 1) + 1):
+    for row in range(max(floored(y - radius), 0), min(floored(y + radius), rows - 1) + 1):
+        for column in range(max(floored(x - radius), 0), min(floored(x + radius), columns - 1) + 1):
             if is_touched(column, row, x, y, radius):
                 new += take(left, env, tile_columns, column, row)
     return new

@@ -74,18 +74,6 @@ def test_readings_that_saw_nothing_are_drawn_when_enough_of_them_follow_each_oth
     assert np.count_nonzero(drawn_with(np.vstack((before, nothing))).view.free) > 1.2 * np.count_nonzero(known > 0)
 
 
-def test_every_reading_of_a_confirmed_series_is_drawn_once() -> None:
-    before, nothing = readings_of_a_wall(1000, 0.1, at=0.5), np.tile(ROBOT.max_ranges, (6, 1))
-    grid, drawer = OccupancyGrid(GridConfig()), ReadingDrawer(ROBOT)
-    for row in before:
-        drawer.draw(OccupancyGrid(GridConfig()), 0, np.zeros(3), row, ALL)
-    for row in nothing:
-        drawer.draw(grid, 0, np.zeros(3), row, ALL)
-    view = grid.view
-    far = view.cells(ROBOT.beam_origins + 1.2 * ROBOT.beam_directions)
-    np.testing.assert_array_equal(view.values[far[:, 0], far[:, 1]], len(nothing))
-
-
 def test_readings_that_wait_are_forgotten_in_a_new_frame() -> None:
     grid, drawer = OccupancyGrid(GridConfig()), ReadingDrawer(ROBOT)
     for row in readings_of_a_wall(1000, 0.1, at=0.5):
@@ -120,13 +108,6 @@ def test_without_drop_outs_every_reading_is_kept() -> None:
     ranges = readings_of_a_wall(100, 0.0)
     measured = np.random.default_rng(1).random(ranges.shape) < 0.8
     np.testing.assert_array_equal(without_dropouts(ROBOT, ranges, measured), measured)
-
-
-def test_a_sensor_near_the_least_share_does_not_alternate_between_both_ways_of_drawing() -> None:
-    dropouts = noted(readings_of_a_wall(500, 0.015))
-    assert dropouts.enough == dropouts.enough_after(1) == 1
-    assert dropouts.enough_after(3) > 1
-    assert noted(readings_of_a_wall(500, 0.0)).enough_after(3) == 1
 
 
 def test_a_mapper_that_is_reset_draws_no_reading_of_the_estimate_before() -> None:

@@ -1,15 +1,11 @@
 """Mapper: SLAM, occupancy grid and odometry without a policy, for one robot and for several."""
 
-import json
-from dataclasses import replace
 from functools import reduce
 
 import numpy as np
 import pytest
 
-from limslam_agent import LimSlamTeam, LineSlam, Mapper, preset, save_map
-from limslam_agent.config import DEFAULT_PRESET
-from limslam_agent.config.presets import OdometryConfig
+from limslam_agent import LimSlamTeam, LineSlam, Mapper, preset
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
@@ -95,12 +91,6 @@ def test_odometry_is_the_composition_of_the_increments_whatever_the_slam_correct
     assert np.abs(mapper.odometry - mapper.slam.poses).max() > 1e-3
 
 
-def test_odometry_is_corrected_for_its_known_bias():
-    mapper = Mapper(ROBOT, replace(CONFIG, odometry=OdometryConfig(distance_scale=1.1, turn_bias=0.2)), START)
-    mapper.step({"odometry": np.array([0.1, 0.0, 0.0])})
-    np.testing.assert_allclose(mapper.odometry, [compose(START, np.array([0.11, 0.0, 0.02]))], atol=1e-12)
-
-
 def test_beliefs_odometry_and_grid_keep_their_moment(drive):
     start, steps = first_robot(drive)
     mapper = mapped(start, steps[:100])
@@ -114,21 +104,6 @@ def test_beliefs_odometry_and_grid_keep_their_moment(drive):
     assert not odometry.flags.writeable
     assert not grid.values.flags.writeable
     assert np.abs(mapper.belief.pose - belief.pose).max() > 0.1
-
-
-def test_deciding_leaves_the_map_as_it_is(drive):
-    starts, observations, _ = drive
-    team = LimSlamTeam(ROBOT, CONFIG)
-    team.reset(starts)
-    for each in observations[:60]:
-        team.observe(each)
-    before = team.snapshot()
-    for _ in range(3):
-        team.decide()
-    after = team.snapshot()
-    assert_same_grid(after.grid, before.grid)
-    np.testing.assert_array_equal(after.poses, before.poses)
-    np.testing.assert_array_equal(after.segments, before.segments)
 
 
 def test_reset_forgets_everything_and_can_change_the_number_of_robots(drive):
@@ -145,21 +120,6 @@ def test_reset_forgets_everything_and_can_change_the_number_of_robots(drive):
     for belief, other in zip(mapper.beliefs, expected.beliefs, strict=True):
         np.testing.assert_array_equal(belief.pose, other.pose)
         np.testing.assert_array_equal(belief.segments, other.segments)
-
-
-def test_it_starts_at_the_origin_with_the_default_preset_unless_told_otherwise():
-    mapper = Mapper(ROBOT)
-    assert mapper.config == preset(DEFAULT_PRESET)
-    np.testing.assert_array_equal(mapper.belief.pose, np.zeros(3))
-    np.testing.assert_array_equal(mapper.odometry, np.zeros((1, 3)))
-
-
-def test_a_start_pose_is_copied():
-    start = START.copy()
-    mapper = Mapper(ROBOT, CONFIG, start)
-    start[:] = 9.0
-    np.testing.assert_array_equal(mapper.belief.pose, START)
-    np.testing.assert_array_equal(mapper.odometry[0], START)
 
 
 @pytest.mark.parametrize(
@@ -216,39 +176,6 @@ def test_wheel_travel_in_ticks_or_millimetres_is_refused_with_both_numbers(trave
     with pytest.raises(ValueError, match=words):
         mapper.step({"wheels": np.array(travel), "ranges": np.ones(6)})
     np.testing.assert_array_equal(mapper.belief.pose, np.zeros(3))
-
-
-def test_the_longest_travel_of_a_step_can_be_raised():
-    mapper = Mapper(ROBOT, CONFIG)
-    assert mapper.longest_travel == pytest.approx(9.0)
-    mapper.longest_travel = 20.0
-    mapper.step({"wheels": np.array([15.0, 15.0])})
-    assert mapper.belief.pose[0] == pytest.approx(15.0)
-
-
-def test_a_snapshot_keeps_its_moment_and_is_saved_as_a_map(drive, tmp_path):
-    start, steps = first_robot(drive)
-    mapper = mapped(start, steps[:150])
-    snapshot, walls = mapper.snapshot(), mapper.slam.segments
-    np.testing.assert_array_equal(snapshot.pose, mapper.belief.pose)
-    np.testing.assert_array_equal(snapshot.covariance, mapper.belief.covariance)
-    for observations in steps[150:]:
-        mapper.step(*observations)
-    np.testing.assert_array_equal(snapshot.segments, walls)
-    save_map(tmp_path / "a" / "map", snapshot)
-    folder = tmp_path / "a" / "map"
-    assert {path.name for path in folder.iterdir()} == {"map.json", "map.pgm", "map.yaml", "map.png"}
-    np.testing.assert_array_equal(json.loads((folder / "map.json").read_text())["segments"], walls)
-
-
-def test_a_saved_map_shows_the_path_and_can_be_replaced(tmp_path):
-    snapshot = Mapper(ROBOT, CONFIG).snapshot()
-    save_map(tmp_path, snapshot)
-    short = (tmp_path / "map.png").read_bytes()
-    save_map(tmp_path, snapshot, np.array([[0.0, 0.0, 0.0], [1.0, 0.5, 0.1], [2.0, 0.0, 0.2]]), "a walk")
-    assert (tmp_path / "map.png").read_bytes() != short
-    with pytest.raises(ValueError, match="2 paths do not go with 1 robots"):
-        save_map(tmp_path, snapshot, [np.zeros((2, 2)), np.zeros((2, 2))])
 
 
 def test_a_sensor_that_is_found_in_the_third_minute_is_known_from_the_start():

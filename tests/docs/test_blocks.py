@@ -35,6 +35,7 @@ DIAGRAMS = {
 }
 # Python blocks that are compiled, but not run, by the words that they begin with.
 NOT_RUN = {
+    "import torch\nimport gymnasium": "needs a GPU",
     "from rl_sb3 import wrapped": "needs a model that was saved; test_rl_examples runs the same comparison",
     "import minari\n": "needs a recorded dataset; tests/benchmarks/dataset reads one",
     "from pathlib import Path\nfrom benchmarks.suite.store": "needs the results of a suite, which takes minutes",

@@ -6,11 +6,9 @@ from typing import Any
 
 from limslam_agent.kernels.covariance import move_pose
 from limslam_agent.kernels.extents import clear_along_beams
-from limslam_agent.slam.batch import hough
 from limslam_agent.slam.batch.compilation import algebra
 from limslam_agent.slam.consistent import association, clone_filter, pending_readings, separate_bias
 from limslam_agent.slam.core import contact, motion
-from limslam_agent.slam.core.hough import line_parts
 
 
 @algebra
@@ -19,7 +17,6 @@ def note_nothing(*_: Any) -> None:
 
 
 _INSTEAD = {
-    line_parts: hough.extract_lines,
     separate_bias.note_update: note_nothing,
     separate_bias.note_readings: note_nothing,
 }

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from limslam_agent.kernels.extents import add_wall, count_hits
-from limslam_agent.kernels.lines import uncontested
+from limslam_agent.kernels.lines import extract_lines, uncontested
 from limslam_agent.kernels.tables import (
     ANGLE_STD,
     EXTENT,
@@ -67,7 +67,6 @@ from limslam_agent.slam.consistent.merging import (
 )
 from limslam_agent.slam.consistent.pending_readings import AHEAD, CLONE, DRIVEN_THEN, FRESH, SIDES, WAITING, readings_of
 from limslam_agent.slam.consistent.step_settings import StepSettings
-from limslam_agent.slam.core.hough import line_parts
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 if TYPE_CHECKING:
@@ -124,7 +123,7 @@ def process(
     points = end_points(ekf, places, readings, math.nan)
     # Beams ahead meet a wall at points far apart, with nothing in between.
     max_gap = GAP_AHEAD if row % _NUM_SIDES == AHEAD else settings.segment_gap
-    owner, lines, ends = line_parts(
+    owner, lines, ends = extract_lines(
         points, max_gap, settings.min_votes, settings.r_step, settings.theta_step, settings.near_line,
         settings.segment_length, settings.only_best,
     )  # fmt: skip

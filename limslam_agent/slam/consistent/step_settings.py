@@ -67,10 +67,10 @@ def step_settings(config: ConsistentConfig, sensor: RangeSensor, usual_std: floa
         new_length=creation.min_length,
         new_readings=creation.readings_per_std,
         min_votes=hough.min_votes,
-        theta_step=hough.theta_step,
-        segment_length=hough.min_length,
+        theta_step=float(hough.theta_step),
+        segment_length=float(hough.min_length),
         only_best=hough.only_best,
         r_step=bin_size(hough, usual_std),
         near_line=max_distance(hough, usual_std),
-        segment_gap=hough.max_gap,
+        segment_gap=float(hough.max_gap),
     )

@@ -10,13 +10,11 @@ was u away then, between 0 and m, and what exceeds u is slip. The mean square of
 and may have touched it for some time.
 
 Contact with an edge that no beam sees, as behind the robot, remains unnoticed. Beams whose minimum exceeds three
-quarters of the body's radius say nothing about contact.
+quarters of the body's radius say nothing about contact. The row "bumping" of the scoreboard feels the numbers below.
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -173,60 +171,31 @@ class Contacts:
         return replace(motion, covariance=motion.covariance + slip_covariance(variance, angle))
 
 
-class LooseMotion(NamedTuple):
-    """A motion of a finished drive that is less certain than the noise of the wheels says.
+def slip_covariances(
+    robot: RobotSpec, std: float, wheels: FloatArray, ranges: FloatArray, measured: BoolArray
+) -> FloatArray:
+    """Covariances (n, t, 3, 3) of the slip by contact in the motions of a drive of n robots, m^2.
 
-    Attributes
-    ----------
-    robot, motion
-        Number of the robot, and index of the motion.
-    root
-        Root (3, 3) of the inverse covariance of the motion: it makes the errors of the left and the right wheel's
-        travel and of the motion aside, m, independent with a variance of 1.
-    """
-
-    robot: int
-    motion: int
-    root: FloatArray
-
-    @classmethod
-    def of(cls, robot: int, motion: int, covariance: FloatArray) -> "LooseMotion":
-        """The motion with a covariance (3, 3) of left and right wheel's travel and of the motion aside, m^2."""
-        return cls(robot, motion, np.linalg.inv(np.linalg.cholesky(covariance)))
-
-
-def slips_of(
-    robot: RobotSpec, std: float, wheels: FloatArray, stds: FloatArray, ranges: FloatArray, measured: BoolArray
-) -> tuple[LooseMotion, ...]:
-    """The motions of a drive of n robots in which their wheels may have slipped by contact.
+    They are of left and right wheel's travel and of the motion aside.
 
     Parameters
     ----------
     robot, std
         Body and beams of each robot, and standard deviation of a range, m.
-    wheels, stds
-        Wheel travel (n, t, 2), m, and standard deviations of the motions (n, t, 3) without slip: of left and right
-        wheel and of the motion aside, m.
+    wheels
+        Wheel travel (n, t, 2), m.
     ranges, measured
         Readings (t + 1, n, n_beams), m, the first ones from before the first motion, and which of them are new.
     """
     by_increment = np.array([[1.0, 0.0, -0.5 * robot.axle], [1.0, 0.0, 0.5 * robot.axle], [0.0, 1.0, 0.0]])
-    found: dict[tuple[int, int], FloatArray] = {}
+    found = np.zeros((*wheels.shape[:2], 3, 3))
     for number in np.flatnonzero((measured & (ranges <= robot.too_near)).any(axis=(0, 2))).tolist():
-        for motion, covariance in _slips(robot, std, wheels[number], ranges[:, number], measured[:, number]):
-            own = found.setdefault((number, motion), np.diag(stds[number, motion] ** 2))
-            own += by_increment @ covariance @ by_increment.T
-    return tuple(LooseMotion.of(*place, each) for place, each in found.items())
-
-
-def _slips(
-    robot: RobotSpec, std: float, wheels: FloatArray, ranges: FloatArray, measured: BoolArray
-) -> Iterator[tuple[int, FloatArray]]:
-    """The slips of one robot: index of the motion, and covariance (3, 3). A motion may have more than one."""
-    contacts = Contacts(robot, std)
-    contacts.slip(0.0, ranges[0], measured[0])
-    for motion, ahead in enumerate(wheels.mean(axis=1).tolist()):
-        variance, angle, is_earlier = contacts.slip(ahead, ranges[motion + 1], measured[motion + 1])
-        count = min(JUMP_STEPS, motion + 1) if is_earlier else 1
-        for back in range(count if variance else 0):
-            yield motion - back, slip_covariance(variance / count, angle)
+        contacts = Contacts(robot, std)
+        contacts.slip(0.0, ranges[0, number], measured[0, number])
+        for motion, ahead in enumerate(wheels[number].mean(axis=1).tolist()):
+            variance, angle, is_earlier = contacts.slip(ahead, ranges[motion + 1, number], measured[motion + 1, number])
+            if variance:
+                count = min(JUMP_STEPS, motion + 1) if is_earlier else 1
+                covariance = by_increment @ slip_covariance(variance / count, angle) @ by_increment.T
+                found[number, motion + 1 - count : motion + 1] += covariance
+    return found

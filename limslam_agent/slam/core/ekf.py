@@ -148,16 +148,6 @@ class LineEKF(ExtendedKalmanFilter):
         self._subtract_square(W)
         self._restore_angles()
 
-    def predict_update(self, *_: Any, **__: Any) -> None:
-        """Not available, because filterpy's version does not wrap angles.
-
-        Raises
-        ------
-        NotImplementedError
-            Always.
-        """
-        raise NotImplementedError("call predict, then update")
-
     def columns_of(self, index: int, robot: int = 0) -> IntArray:
         """Indices (5,) in the state of all that a robot's observation of one line depends on."""
         first, pose = self._first + 2 * index, POSE * robot

@@ -1,12 +1,11 @@
 """A line through points by total least squares, with its covariance."""
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
 
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.line import normalise
+from limslam_env.geometry.line import direction
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,31 +33,19 @@ class LineFit:
 
 
 def fit_line(points: FloatArray, std: float) -> LineFit:
-    """Fit a line to points (n, 2), n >= 2, each off it by noise of ``std`` (m).
+    """Fit a line to points (n, 2), n >= 2, m, each off it by noise of ``std`` (m).
 
     The direction is the principal axis of the points. Along that axis, s being the distance
     from the centroid, the offset has variance ``std^2 / n`` and the angle
     ``std^2 / sum(s^2)``, and the two are independent; (r, theta) follow to first order.
     """
-    centroid = points.mean(axis=0)
-    centred = points - centroid
-    xx, yy = float(centred[:, 0] @ centred[:, 0]), float(centred[:, 1] @ centred[:, 1])
-    xy = float(centred[:, 0] @ centred[:, 1])
-    # Angle of the principal axis of a 2 x 2 scatter matrix, in closed form.
-    axis = 0.5 * math.atan2(2.0 * xy, xx - yy)
-    tangent = np.array([math.cos(axis), math.sin(axis)])
-    theta = axis + 0.5 * math.pi
-    r = centroid[0] * math.cos(theta) + centroid[1] * math.sin(theta)
-    along = centred @ tangent
-    variance_offset = std**2 / len(points)
-    variance_angle = std**2 / max(float(along @ along), 1e-9)
-    # Turning the line about the centroid moves the foot of the origin's perpendicular. Here the
-    # tangent is minus the direction of increasing theta.
-    lever = -float(centroid @ tangent)
-    line = normalise(np.array([r, theta]))
-    if r < 0.0:
-        lever = -lever
-    by_parts = np.array([[1.0, lever], [0.0, 1.0]])
-    covariance = (by_parts * np.array([variance_offset, variance_angle])) @ by_parts.T
-    ends = centroid + np.outer([along.min(), along.max()], tangent)
-    return LineFit(line, covariance, ends)
+    from limslam_agent.kernels.lines import fit_points
+
+    line, ends = np.empty(2), np.empty((2, 2))
+    line[:] = fit_points(points, np.arange(len(points)), ends)
+    along = points @ direction(line)
+    # Turning the line about the centroid moves the foot of the origin's perpendicular.
+    lever = float(along.mean())
+    of_angle = std**2 / max(float(((along - lever) ** 2).sum()), 1e-9)
+    crossed = lever * of_angle
+    return LineFit(line, np.array([[std**2 / len(points) + lever * crossed, crossed], [crossed, of_angle]]), ends)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.chunk_graph import Loop
-from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory
+from limslam_agent.slam.graph.key_poses import ANOTHER_VISIT, KeyPoses, Trajectory
 from limslam_agent.slam.graph.local_maps import LocalMap, chunk_middles, cut_chunks
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
@@ -22,7 +22,6 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 kernel = entry_of(__name__)
 
 NO_SUPPORT = "no other loop nearby agrees"
-NOT_ADDED = "the map does not agree better with itself with it"
 OUTVOTED = "its weight in the graph of chunks is too low"
 KEPT = "kept"
 
@@ -30,18 +29,9 @@ KEPT = "kept"
 # and end so far from it, m driven.
 _AGREE_DISTANCE, _AGREE_TURN = 0.6, math.radians(9.0)
 _SUPPORT_FROM, _SUPPORT_TO = 2.2, 7.8
-_MIN_TRAVEL, _MAX_DISTANCE = 13.5, 13.0  # m: visits are compared from this distance driven on, up to this distance
-DOUBTFUL_SHARE = 0.12
-"""A stretch is doubtful if other visits contradict a larger share of its judged points, and much more than is usual."""
-
-_MUCH_MORE = 8.0
-"""A stretch is wrong rather than cluttered if it is contradicted this many times as often as the rest of the log."""
-
-_LEAST_USUAL = 0.01  # the share of contradicted points that is expected at least
-_LEAST_JUDGED = 100  # fewer points are not judged
+_MAX_DISTANCE = 13.0  # m: visits are compared up to this distance
+_LEAST_JUDGED = 100  # points: on a stretch where other visits have seen fewer, nothing is concluded
 _STRETCH = 2  # chunks before and after a chunk
-_USUAL = 0.75  # quantile of the shares of all stretches
-_MOSTLY = 0.5  # a stretch of which a larger share is contradicted is wrong, whatever is usual
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,46 +47,24 @@ class LoopVerdict:
         return self.reason == KEPT
 
 
-def agreements(loops: Sequence[Loop], poses: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Errors with which each loop (row) predicts each other loop (column).
+def supported(loops: Sequence[Loop], poses: FloatArray, travel: FloatArray) -> BoolArray:
+    """Which loops (k,) are supported by another nearby loop that agrees and belongs to another chunk.
 
-    Returns distances (k, k), m, and angles (k, k), rad.
-
-    The relative poses between the ends of the loops are computed from ``poses`` (c, 3).
+    ``poses`` (c, 3) and ``travel`` (c,) are the poses of the chunks and the distance driven up to each chunk, m.
     """
-    first, second = np.array([loop.first for loop in loops]), np.array([loop.second for loop in loops])
+    if not loops:
+        return np.zeros(0, dtype=np.bool_)
+    first, second = np.array([(loop.first, loop.second) for loop in loops]).T
     relative = np.array([loop.relative for loop in loops])
+    # Each loop (row) predicts each other one (column).
     before = se2.between(poses[first][None], poses[first][:, None])
     after = se2.between(poses[second][:, None], poses[second][None])
     predicted = se2.compose(se2.compose(before, relative[:, None]), after)
     apart = se2.between(predicted, np.broadcast_to(relative[None], predicted.shape))
-    return np.hypot(apart[..., 0], apart[..., 1]), np.abs(apart[..., 2])
-
-
-def supported(loops: Sequence[Loop], poses: FloatArray, travel: FloatArray) -> BoolArray:
-    """Which loops (k,) are supported by another nearby loop that agrees and belongs to another chunk.
-
-    ``travel`` (c,) is the distance driven up to each chunk, m.
-    """
-    if not loops:
-        return np.zeros(0, dtype=np.bool_)
-    distance, angle = agreements(loops, poses)
-    first = travel[[loop.first for loop in loops]]
-    second = travel[[loop.second for loop in loops]]
-    gap = np.abs(second[:, None] - second[None])
-    near = (gap >= _SUPPORT_FROM) & (gap <= _SUPPORT_TO)
-    near &= np.abs(first[:, None] - first[None]) <= _SUPPORT_TO
-    agree = (distance < _AGREE_DISTANCE) & (angle < _AGREE_TURN)
+    agree = (np.hypot(apart[..., 0], apart[..., 1]) < _AGREE_DISTANCE) & (np.abs(apart[..., 2]) < _AGREE_TURN)
+    gaps = [np.abs(travel[ends][:, None] - travel[ends][None]) for ends in (first, second)]
+    near = (gaps[0] <= _SUPPORT_TO) & (gaps[1] >= _SUPPORT_FROM) & (gaps[1] <= _SUPPORT_TO)
     return np.asarray((near & agree).any(axis=0))
-
-
-def distances_after_alignment(poses: FloatArray, others: FloatArray) -> FloatArray:
-    """Distances (m,) between the positions of two paths (m, 3), after the rigid motion that fits them best."""
-    places, targets = poses[:, :2] - poses[:, :2].mean(axis=0), others[:, :2] - others[:, :2].mean(axis=0)
-    products = places.T @ targets
-    angle = np.arctan2(products[0, 1] - products[1, 0], products[0, 0] + products[1, 1])
-    moved = se2.transform_points(np.array([0.0, 0.0, angle]), places)
-    return np.asarray(np.hypot(*(moved - targets).T))
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +107,7 @@ class MapScore:
 
         At a confirmed point more other visits have seen a wall than free space, at a contradicted point fewer.
         """
-        far = np.array([_MIN_TRAVEL, _MAX_DISTANCE])
+        far = np.array([ANOTHER_VISIT, _MAX_DISTANCE])
         hits, frees = _votes(
             self.grids, self.low, self.cell, self.points, self.starts, np.ascontiguousarray(poses), self.travel, far
         )
@@ -161,26 +129,17 @@ class VisitCounts:
         total = max(1, int(self.points.sum()))
         return float(self.confirmed.sum() / total), float(self.contradicted.sum() / total)
 
-    def doubtful(self, least: float, seam: int = 0) -> IntArray:
-        """Middles of the chunks around which points are contradicted much more often than in the rest of the log.
+    def doubtful(self, seam: int = 0) -> IntArray:
+        """Middles of the chunks around which points are contradicted more often than confirmed.
 
-        There, a larger share than ``least`` of the points that other visits have seen is contradicted. In a cluttered
-        building, points are contradicted everywhere. Where a corridor was laid onto a similar corridor, visits
-        contradict each other there only. Where points are contradicted more often than confirmed, the stretch lies at a
-        wrong place: clutter does not explain that, and in a short log such a stretch makes many contradictions look
-        usual. A second log begins at the key pose ``seam``: its chunks are not around those of the first log.
+        Clutter does not explain that: the stretch lies at a wrong place. A second log begins at the key pose ``seam``:
+        its chunks are not around those of the first log.
         """
         log = self.middles >= seam
         around = (np.abs(np.subtract.outer(places := np.arange(len(log)), places)) <= _STRETCH) & (log[:, None] == log)
         contradicted = around @ self.contradicted
-        judged = contradicted + around @ self.confirmed
-        share = np.where(judged >= _LEAST_JUDGED, contradicted / np.maximum(judged, 1), 0.0)
-        return self.middles[share > min(_MOSTLY, _largest_usual(float(np.quantile(share, _USUAL)), least))]
-
-
-def _largest_usual(usual: float, least: float) -> float:
-    """The largest share of contradicted points that clutter explains in a log with this usual share."""
-    return max(least, _MUCH_MORE * max(usual, _LEAST_USUAL))
+        confirmed = around @ self.confirmed
+        return self.middles[(contradicted > confirmed) & (contradicted + confirmed >= _LEAST_JUDGED)]
 
 
 def visit_counts(keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, max_range: float) -> VisitCounts:

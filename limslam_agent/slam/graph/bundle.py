@@ -4,8 +4,6 @@ Points are associated anew at each iteration, and the radius within which points
 Steps are added to the poses directly: the chunk graph has given initial poses that are accurate enough.
 """
 
-import numpy as np
-
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.chunk_graph import LOOP_KERNEL
 from limslam_agent.slam.graph.key_poses import ERRORS, KeyPoses, Trajectory
@@ -17,9 +15,6 @@ from limslam_env.geometry import FloatArray, IntArray, se2
 
 _ITERATIONS = 6
 _RADIUS, _LAST_RADIUS = 0.4, 0.2  # m, within which other visits are linked in the first and in the last iteration
-_CROSS_INFLATION = 2.0  # factor of the standard deviations of links between visits
-_MAX_TURN = 0.3  # rad: a step that turns a pose by more is scaled down
-_DAMPING = 1e-6  # share of the diagonal that is added to it
 
 Relations = tuple[IntArray, FloatArray, FloatArray]
 """Loops between key poses: their ends (f, 2), relative poses (f, 3) and information (f, 3, 3)."""
@@ -55,16 +50,13 @@ def _iterate(
     lines = find_lines(cloud, config.lines, config.lines.window, config.lines.tolerance)
     equations = local_equations(keys, trajectory, cloud, config, LINK_INFLATION * std, len(lines.angles))
     across = links_across(cloud, radius)
-    cross_std = std * _CROSS_INFLATION * max(1.0, radius / _LAST_RADIUS)
+    cross_std = std * LINK_INFLATION * max(1.0, radius / _LAST_RADIUS)
     add_links(equations, trajectory.poses, cloud.geometry, across, cross_std, LINK_KERNEL)
     add_lines(equations, trajectory.poses, cloud, lines, line_std(range_std))
     ends, relative, information = relations
     add_relations(equations, trajectory.poses, ends, (relative, information), LOOP_KERNEL)
-    step = equations.solve(_DAMPING)
+    step = equations.solve()
     count = len(keys)
-    by_pose = step[: 3 * count].reshape(-1, 3)
-    largest = float(np.abs(by_pose[:, 2]).max())
-    share = min(1.0, _MAX_TURN / max(largest, 1e-9))
-    poses = trajectory.poses + share * by_pose
+    poses = trajectory.poses + step[: 3 * count].reshape(-1, 3)
     poses[:, 2] = se2.wrap_angle(poses[:, 2])
-    return Trajectory(poses, trajectory.bias + share * step[3 * count : 3 * count + ERRORS])
+    return Trajectory(poses, trajectory.bias + step[3 * count : 3 * count + ERRORS])

@@ -18,22 +18,22 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 # A kernel calls only kernels of its own file.
 kernel = entry_of(__name__)
 
-_DEGREE = math.pi / 180.0
-
-KEY_DISTANCE, KEY_TURN = 0.25, 12.0 * _DEGREE
+KEY_DISTANCE, KEY_TURN = 0.25, math.radians(12.0)
 """A new key pose begins after this distance driven, m, or this turn, rad."""
 
-_SCAN_DISTANCE, _SCAN_TURN = 0.015, 1.0 * _DEGREE  # m, rad: since the last scan that gave points
+_SCAN_DISTANCE, _SCAN_TURN = 0.015, math.radians(1.0)  # m, rad: since the last scan that gave points
 # Standard deviations of the motion by odometry along, across and of the heading: m, m, rad per square root of a metre
-# driven, and of a radian turned; and the least ones between two key poses, m and rad.
-_PER_METRE = 0.05, 0.05, 2.0 * _DEGREE
-_PER_RADIAN = 0.03, 0.03, 6.0 * _DEGREE
-_LEAST_POSITION_STD, _LEAST_TURN_STD = 1e-3, 0.05 * _DEGREE
+# driven, and of a radian turned; and the least variances between two key poses, m^2 and rad^2.
+_PER_METRE = 0.05, 0.05, math.radians(2.0)
+_PER_RADIAN = 0.03, 0.03, math.radians(6.0)
+_LEAST_VARIANCES = np.array([1e-3, 1e-3, math.radians(0.05)]) ** 2
 _DECIMALS = 7  # of a motion, m and rad
 _DELAY_STEP = 0.05  # s, of the derivatives by the delay
 _LEAST_NEW_TIMES = 0.9
 ERRORS = 5
 """Number of constant errors of odometry that are estimated."""
+ANOTHER_VISIT = 13.5
+"""After this distance driven, m, what is seen again is another visit of its place."""
 APART = 1000.0
 """Distance driven, m, that is taken to lie between two logs that are solved as one."""
 
@@ -66,23 +66,6 @@ class LogData:
     angles: FloatArray
     max_range: float
     range_std: float = 0.0
-
-    def __post_init__(self) -> None:
-        count, beams = self.ranges.shape
-        shapes = {
-            "time": (self.time, (count,)),
-            "odometry": (self.odometry, (count, 3)),
-            "hit": (self.hit, (count, beams)),
-            "origins": (self.origins, (beams, 2)),
-            "angles": (self.angles, (beams,)),
-        }
-        for name, (array, shape) in shapes.items():
-            if array.shape != shape:
-                raise ValueError(f"{name} has shape {array.shape}, not {shape}")
-            if not np.isfinite(array).all():
-                raise ValueError(f"{name} holds something that is not finite")
-        if not count:
-            raise ValueError("the log holds no events")
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,7 +162,7 @@ def choose_keys(data: LogData, config: PointConfig) -> KeyPoses:
         offset_forward=forward - forward[first_of],
         step=_motions(data.odometry[first[:-1]], data.odometry[first[1:]]),
         step_forward=np.diff(forward[first]),
-        step_variances=_step_variances(first, length, turn),
+        step_variances=np.diff(np.cumsum(motion_variances(length, turn), axis=0)[first], axis=0) + _LEAST_VARIANCES,
         offset_rate=offset_rate,
         step_rate=step_rate,
         travel=travel,
@@ -206,12 +189,6 @@ def _motions(first: FloatArray, second: FloatArray) -> FloatArray:
     """
     # Adding zero makes a negative zero a positive one.
     return np.asarray(np.round(se2.between(first, second), _DECIMALS) + 0.0)
-
-
-def _step_variances(first: IntArray, length: FloatArray, turn: FloatArray) -> FloatArray:
-    least = np.array([_LEAST_POSITION_STD**2] * 2 + [_LEAST_TURN_STD**2])
-    each = motion_variances(length, turn)
-    return np.asarray(np.diff(np.cumsum(each, axis=0)[first], axis=0) + least)
 
 
 def motion_variances(length: FloatArray, turn: FloatArray) -> FloatArray:

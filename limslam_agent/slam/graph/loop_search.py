@@ -6,196 +6,144 @@ which earlier chunks can be near, and how wide the window of a match must be. Ea
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 
 from limslam_agent.slam.graph.chunk_graph import REFINING, Hops, Loop, joint_covariance, solve
+from limslam_agent.slam.graph.key_poses import ANOTHER_VISIT
 from limslam_agent.slam.graph.least_squares import relation_covariances, relation_factor
 from limslam_agent.slam.graph.local_maps import LocalMap
 from limslam_agent.slam.graph.matching import Match, SearchGrid, Window, match, match_covariance, search_grid
+from limslam_agent.slam.graph.posterior import aligned_covariance
 from limslam_env.geometry import FloatArray, IntArray, se2
 
-_MIN_TRAVEL = 10.0  # m driven between the chunks of a loop
 _GATE = 2.5  # m: chunks within this distance show the same place, however well their poses are known
 _LEAST_WINDOW, _LEAST_TURN = 0.6, math.radians(8.0)  # the part that does not depend on the uncertainty, m and rad
 TURN_STEP = math.radians(3.0)
 """Step of the turns of a match, rad."""
-LEAST_SCORE = 0.60
-"""Least score of a match."""
-_BACKWARD_SCORE = 0.50  # of the match in the opposite direction
+# How far from its believed pose a chunk is searched for: standard deviations that are added to the gate and to the
+# window; the largest distance between two chunks, m; and the largest window, m and rad.
+_SIGMAS, _MOST_DISTANCE, _MOST_SHIFT, _MOST_TURN = 2.5, 12.0, 4.0, math.radians(35.0)
+_LEAST_SCORE, _BACKWARD_SCORE = 0.50, 0.40  # of a match, and of the match in the opposite direction
 _BEST = 3  # loops from one chunk
-_BACKWARD_SHIFT, _BACKWARD_TURN = 0.3, np.radians(4.0)
+_BACKWARD_WINDOW = Window(0.3, math.radians(4.0), TURN_STEP)
 
 
-@dataclass(frozen=True)
-class Reach:
-    """How far from its believed pose a chunk is searched for.
+class ChunkGraph:
+    """The chunks so far in the order of driving, their poses, and the loops that were found between them.
 
-    Attributes
+    Parameters
     ----------
-    sigmas
-        Standard deviations that are added to the gate and to the window of a match.
-    distance
-        Largest distance between two chunks, m.
-    shift, turn
-        Largest window of a match, m and rad.
-    """
-
-    sigmas: float
-    distance: float
-    shift: float
-    turn: float
-
-
-NEAR = Reach(2.5, 12.0, 4.0, math.radians(35.0))
-"""For most logs."""
-FAR = Reach(4.0, 18.0, 10.0, math.radians(100.0))
-"""For logs in which places were not recognised. In so wide windows, wrong matches are found as well."""
-
-
-@dataclass(frozen=True, eq=False)
-class Chunks:
-    """The chunks of a log, for one trajectory.
+    chunk, pose
+        The first chunk and its pose (3,), which is fixed.
 
     Attributes
     ----------
     maps
-        The c chunks in the order of driving.
-    middles, poses, travel
-        Middle key poses (c,); their poses (c, 3) in the trajectory; distance driven (c,), m.
+        The c chunks.
+    poses
+        Their poses (c, 3).
+    covariance
+        Joint covariance (3 c, 3 c) of their poses, relative to the first chunk.
     hops
-        Motions between successive chunks.
-    reach
-        How far chunks are searched for.
+        Motions from each chunk to the next.
+    loops
+        All loops that the search has accepted, both right and wrong.
     """
 
-    maps: list[LocalMap]
-    middles: IntArray
-    poses: FloatArray
-    travel: FloatArray
-    hops: Hops
-    reach: Reach = NEAR
-    _grids: dict[int, SearchGrid] = field(default_factory=dict, repr=False)
+    def __init__(self, chunk: LocalMap, pose: FloatArray) -> None:
+        self.maps, self.poses, self.covariance = [chunk], pose[None], np.zeros((3, 3))
+        self.hops, self.loops = Hops(np.zeros((0, 3)), np.zeros((0, 3, 3))), list[Loop]()
+        self._grids = dict[int, SearchGrid]()
 
-    def __len__(self) -> int:
-        """The number of chunks."""
-        return len(self.maps)
+    @property
+    def position_std(self) -> float:
+        """Standard deviation of the last chunk's position in the map, m: after the alignment of all chunks."""
+        columns = (3 * np.arange(len(self.poses))[:, None] + np.arange(2)).ravel()
+        left = aligned_covariance(self.covariance[np.ix_(columns, columns)], self.poses[:, :2])
+        return float(np.sqrt(max(np.trace(left[-2:, -2:]), 0.0)))
 
-    def grid(self, number: int) -> SearchGrid:
-        """The search grid of a chunk."""
-        if number not in self._grids:
-            self._grids[number] = search_grid(self.maps[number], self.reach.shift)
-        return self._grids[number]
+    def add(self, chunk: LocalMap, motions: FloatArray, covariance: FloatArray) -> None:
+        """Add a chunk, search for its loops, and solve the graph if it has changed.
 
-    def match(self, first: int, second: int, guess: FloatArray, shift: float, turn: float, least: float) -> Match:
-        """Match the points of the second chunk with the grid of the first chunk, in a window about a guess (3,)."""
-        window = Window(shift, turn, TURN_STEP)
-        return match(self.grid(first), self.maps[second].points, guess, window, least)
+        Parameters
+        ----------
+        chunk
+            The next chunk.
+        motions
+            Motions (h, 3) of the last hops, as they are known now. The last motion leads to the new chunk.
+        covariance
+            Covariance (3, 3) of the last motion.
+        """
+        before = self.hops.motions[: len(self.maps) - len(motions)]
+        self.hops = Hops(np.vstack((before, motions)), np.concatenate((self.hops.covariances, covariance[None])))
+        self.maps.append(chunk)
+        by_pose, by_motion = se2.compose_jacobians(self.poses[-1], motions[-1])
+        across = by_pose @ self.covariance[-3:]
+        own = across[:, -3:] @ by_pose.T + by_motion @ covariance @ by_motion.T
+        self.covariance = np.block([[self.covariance, across.T], [across, own]])
+        self.poses = np.vstack((self.poses, se2.compose(self.poses[-1], motions[-1])))
+        self.close(self._loops_of_newest())
+        if len(motions) > 1:
+            self._solve()
 
-    def matches_backward(self, first: int, second: int, pose: FloatArray) -> bool:
-        """Whether the chunks also match in the opposite direction, near the relative pose that was found."""
-        found = self.match(second, first, se2.inverse(pose), _BACKWARD_SHIFT, _BACKWARD_TURN, _BACKWARD_SCORE)
-        return found.score >= _BACKWARD_SCORE
+    def close(self, found: Sequence[Loop]) -> None:
+        """Add loops."""
+        if found:
+            self.loops += found
+            self._solve()
 
-    def loop(self, first: int, second: int, found: Match) -> Loop:
-        """A loop with the covariance of its match."""
-        backward = self.grid(second), self.maps[first].points
-        mean, covariance = match_covariance(self.grid(first), self.maps[second].points, found.pose, TURN_STEP, backward)
+    def _loops_of_newest(self) -> list[Loop]:
+        """Loops from the newest chunk to some earlier chunks, the best matches first."""
+        candidates: list[tuple[int, Match]] = []
+        newest, travel = len(self.maps) - 1, np.array([each.travel for each in self.maps])
+        old = np.nonzero(travel[newest] - travel[: newest - 1] >= ANOTHER_VISIT)[0]
+        if not len(old):
+            return []
+        guesses, position_std, turn_std = self._seen_from(old)
+        distance = np.hypot(guesses[:, 0], guesses[:, 1])
+        for row in np.nonzero(distance <= np.minimum(_MOST_DISTANCE, _GATE + _SIGMAS * position_std))[0]:
+            shift = min(_MOST_SHIFT, _LEAST_WINDOW + _SIGMAS * position_std[row])
+            turn = min(_MOST_TURN, _LEAST_TURN + _SIGMAS * turn_std[row])
+            window = Window(shift, turn, TURN_STEP)
+            found = match(self._grid(int(old[row])), self.maps[newest].points, guesses[row], window, _LEAST_SCORE)
+            if found.score > _LEAST_SCORE:
+                candidates.append((int(old[row]), found))
+        candidates.sort(key=lambda each: -each[1].score)
+        loops = [self._loop(first, newest, found) for first, found in candidates[:_BEST]]
+        return [loop for loop in loops if loop is not None]
+
+    def _loop(self, first: int, second: int, found: Match) -> Loop | None:
+        """A loop with the covariance of its match; None if the chunks do not match in the opposite direction."""
+        back, others = self._grid(second), self.maps[first].points
+        again = match(back, others, se2.inverse(found.pose), _BACKWARD_WINDOW, _BACKWARD_SCORE)
+        if again.score < _BACKWARD_SCORE:
+            return None
+        grid, points = self._grid(first), self.maps[second].points
+        mean, covariance = match_covariance(grid, points, found.pose, TURN_STEP, (back, others))
         return Loop(first, second, mean, np.asarray(np.linalg.inv(covariance)), found.score)
 
-
-def search_loops(chunks: Chunks) -> list[Loop]:
-    """All loops that the search accepts, both right and wrong."""
-    belief = Belief(chunks)
-    for _ in range(len(chunks) - 1):
-        belief.advance()
-        belief.close(loops_of_newest(chunks, belief))
-    return belief.loops
-
-
-def loops_of_newest(chunks: Chunks, belief: "Belief") -> list[Loop]:
-    """Loops from the newest chunk of the belief to some earlier chunks, the best matches first."""
-    newest = belief.count - 1
-    candidates: list[tuple[int, Match]] = []
-    old = np.nonzero(chunks.travel[newest] - chunks.travel[: newest - 1] >= _MIN_TRAVEL)[0]
-    if not len(old):
-        return []
-    guesses, position_std, turn_std = belief.seen_from(old)
-    distance = np.hypot(guesses[:, 0], guesses[:, 1])
-    reach = chunks.reach
-    for row in np.nonzero(distance <= np.minimum(reach.distance, _GATE + reach.sigmas * position_std))[0]:
-        shift = min(reach.shift, _LEAST_WINDOW + reach.sigmas * position_std[row])
-        turn = min(reach.turn, _LEAST_TURN + reach.sigmas * turn_std[row])
-        found = chunks.match(int(old[row]), newest, guesses[row], shift, turn, LEAST_SCORE)
-        if found.score > LEAST_SCORE:
-            candidates.append((int(old[row]), found))
-    candidates.sort(key=lambda each: -each[1].score)
-    return [
-        chunks.loop(first, newest, found)
-        for first, found in candidates[:_BEST]
-        if chunks.matches_backward(first, newest, found.pose)
-    ]
-
-
-class Belief:
-    """The poses of the chunks so far and their joint covariance."""
-
-    def __init__(self, chunks: Chunks) -> None:
-        self._chunks = chunks
-        self._poses = np.zeros((len(chunks), 3))
-        self._poses[0] = chunks.poses[0]
-        self._covariance = np.zeros((3 * len(chunks), 3 * len(chunks)))
-        self.count = 1
-        self.loops: list[Loop] = []
-
-    @property
-    def covariance(self) -> FloatArray:
-        """The joint covariance (3 k, 3 k) of the chunks so far, relative to the first chunk."""
-        size = 3 * self.count
-        return self._covariance[:size, :size]
-
-    @property
-    def poses(self) -> FloatArray:
-        """Poses (k, 3) of the chunks so far."""
-        return self._poses[: self.count]
-
-    def advance(self) -> None:
-        """Add the next chunk by the motion of the hop."""
-        last, hops = self.count - 1, self._chunks.hops
-        motion = hops.motions[last]
-        self._poses[last + 1] = se2.compose(self._poses[last], motion)
-        by_pose, by_motion = se2.compose_jacobians(self._poses[last], motion)
-        end = 3 * self.count
-        moved = by_pose @ self._covariance[end - 3 : end, :end]
-        self._covariance[end : end + 3, :end], self._covariance[:end, end : end + 3] = moved, moved.T
-        noise = by_motion @ hops.covariances[last] @ by_motion.T
-        self._covariance[end : end + 3, end : end + 3] = moved[:, -3:] @ by_pose.T + noise
-        self.count += 1
-
-    def seen_from(self, old: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    def _seen_from(self, old: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """The newest chunk's pose in the frames of old chunks (k, 3), and its standard deviations (k,), m and rad."""
-        newest = np.full(len(old), self.count - 1)
+        newest = np.full(len(old), len(self.poses) - 1)
         _, jacobian = relation_factor(self.poses, newest, old, np.zeros((len(old), 3)))
         covariance = relation_covariances(jacobian, self.covariance, newest, old)
         position = np.sqrt(np.maximum(np.maximum(covariance[:, 0, 0], covariance[:, 1, 1]), 0.0))
         return se2.between(self.poses[old], self.poses[-1]), position, np.sqrt(np.maximum(covariance[:, 2, 2], 0.0))
 
-    def extend(self, chunks: Chunks) -> None:
-        """Go on with more chunks, of which the first are the chunks so far. Their hops may have changed."""
-        more = len(chunks) - len(self._poses)
-        self._chunks, self._poses = chunks, np.pad(self._poses, ((0, more), (0, 0)))
-        self._covariance = np.pad(self._covariance, (0, 3 * more))
-        self._solve()
-
-    def close(self, found: Sequence[Loop]) -> None:
-        """Add loops of the newest chunk."""
-        if found:
-            self.loops += found
-            self._solve()
+    def _grid(self, number: int) -> SearchGrid:
+        if number not in self._grids:
+            self._grids[number] = search_grid(self.maps[number], _MOST_SHIFT)
+        return self._grids[number]
 
     def _solve(self) -> None:
-        """Solve the graph of the chunks so far."""
-        hops = self._chunks.hops
-        self._poses[: self.count] = solve(self.poses, hops, self.loops, REFINING).poses
-        self.covariance[:] = joint_covariance(self.poses, hops, self.loops)
+        self.poses = solve(self.poses, self.hops, self.loops, REFINING).poses
+        self.covariance = joint_covariance(self.poses, self.hops, self.loops)
+
+
+def search_loops(maps: Sequence[LocalMap], start: FloatArray, hops: Hops) -> list[Loop]:
+    """All loops that the search accepts between chunks (c,), of which the first one has the pose ``start`` (3,)."""
+    graph = ChunkGraph(maps[0], start)
+    for chunk, motion, covariance in zip(maps[1:], hops.motions, hops.covariances, strict=True):
+        graph.add(chunk, motion[None], covariance)
+    return graph.loops

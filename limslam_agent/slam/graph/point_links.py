@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory, points_in_keys, to_world
+from limslam_agent.slam.graph.key_poses import ANOTHER_VISIT, KeyPoses, Trajectory, points_in_keys, to_world
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
@@ -25,7 +25,6 @@ _RADIUS = 0.35  # m, within which points are linked
 _BANDS = 0.4, 1.2, 3.0, 10.0  # borders of the bands of distance driven, m; the nearest point of each band is linked
 # Least cosine between the normals, and largest distance from the line as a share of the radius.
 _MIN_COSINE, _MAX_OFFSET = 0.85, 0.7
-_CROSS_TRAVEL, _CROSS_MIN_COSINE = 8.0, 0.8  # between visits: least distance driven, m, and least cosine
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,7 +91,7 @@ def links_along(cloud: PointCloud) -> IntArray:
 def links_across(cloud: PointCloud, radius: float) -> IntArray:
     """Links (l, 2) to the nearest point of another visit, and to the nearest point of a third visit."""
     index = _index(cloud.places, cloud.travel, radius)
-    limits = np.array([radius, _CROSS_MIN_COSINE, _CROSS_TRAVEL])
+    limits = np.array([radius, _MIN_COSINE, ANOTHER_VISIT])
     return _across(cloud.places, cloud.normals, cloud.good, cloud.travel, *index, limits)
 
 

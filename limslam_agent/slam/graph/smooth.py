@@ -4,13 +4,13 @@ The log is solved in a frame in which it begins at the origin, and the result is
 result therefore does not depend on the start pose.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.agreement import KEPT, NO_SUPPORT, NOT_ADDED, OUTVOTED, LoopVerdict, supported
+from limslam_agent.slam.graph.agreement import KEPT, NO_SUPPORT, OUTVOTED, LoopVerdict, supported
 from limslam_agent.slam.graph.bundle import Relations, bundle
 from limslam_agent.slam.graph.chunk_graph import (
     KEPT_WEIGHT,
@@ -34,7 +34,7 @@ from limslam_agent.slam.graph.key_poses import (
 )
 from limslam_agent.slam.graph.local_maps import chunk_middles, cut_chunks
 from limslam_agent.slam.graph.local_smoothing import local_covariances, smooth_locally
-from limslam_agent.slam.graph.loop_search import NEAR, Chunks, Reach, search_loops
+from limslam_agent.slam.graph.loop_search import search_loops
 from limslam_env.geometry import FloatArray, IntArray, se2
 
 # How often the delay of the ranges is estimated and corrected before the search. A correction of less, s, is the last.
@@ -79,10 +79,6 @@ class GraphResult:
         """The loops that are part of the result, as relations between key poses."""
         return relations_of([verdict.loop for verdict in self.verdicts if verdict.kept], self.chunk_keys)
 
-    def moved(self, motion: FloatArray) -> "GraphResult":
-        """The result after a motion (3,) of its frame."""
-        return replace(self, trajectory=self.trajectory.moved(motion))
-
 
 Report = Callable[[str], None]
 """Called with the stage that begins, in words."""
@@ -94,13 +90,16 @@ def saying(where: str, report: Report) -> Report:
 
 
 def smooth_log(
-    data: LogData,
-    start: FloatArray,
-    config: GraphConfig | None = None,
-    report: Report = lambda _: None,
-    reach: Reach = NEAR,
+    data: LogData, start: FloatArray, config: GraphConfig | None = None, report: Report = lambda _: None
 ) -> GraphResult:
-    """Smooth a log after its end.
+    """Smooth a log after its end, by the first of its :func:`rounds`."""
+    return next(rounds(data, start, config or GraphConfig(), report))
+
+
+def rounds(data: LogData, start: FloatArray, config: GraphConfig, report: Report) -> Iterator[GraphResult]:
+    """Smooth a log after its end, and again without an end: each path gives better local maps for the next search.
+
+    A log without loops has one round.
 
     Parameters
     ----------
@@ -112,19 +111,22 @@ def smooth_log(
         The settings; the defaults serve all logs.
     report
         Called at the start of each stage.
-    reach
-        How far places are searched for.
     """
-    config = config or GraphConfig()
     report("local smoothing")
     data, keys, local, known = _synchronised(data, config)
-    if not len(keys.point_key):
-        found = unlooped("odometry", keys, local)
-    elif len(chunk_middles(keys, config.maps, config.maps.hop)) < 2:
-        found = unlooped("local", keys, local)
-    else:
-        found = smooth_with_loops(LogProblem(keys, local, data, config, reach), local, report)
-    return replace(found.moved(np.asarray(start, dtype=float)), errors=joined_bias(known, found.errors))
+    problem, trajectory = LogProblem(keys, local, data, config), local
+    has_loops = len(keys.point_key) > 0 and len(chunk_middles(keys, config.maps, config.maps.hop)) > 1
+    while True:
+        if has_loops:
+            found = smooth_with_loops(problem, trajectory, report)
+        else:
+            kind, none = "local" if len(keys.point_key) else "odometry", np.zeros(1, dtype=np.int64)
+            found = GraphResult(kind, keys, local, local.bias, [], none, np.zeros(0))
+        trajectory = found.trajectory
+        placed = trajectory.moved(np.asarray(start, dtype=float))
+        yield replace(found, trajectory=placed, errors=joined_bias(known, found.errors))
+        if not has_loops:
+            return
 
 
 def _synchronised(data: LogData, config: GraphConfig) -> tuple[LogData, KeyPoses, Trajectory, FloatArray]:
@@ -147,49 +149,40 @@ def _synchronised(data: LogData, config: GraphConfig) -> tuple[LogData, KeyPoses
 
 @dataclass(frozen=True, eq=False)
 class LogProblem:
-    """One log or two: key poses, trajectory without loops, recording, settings, and the reach of the search."""
+    """One log or two: key poses, trajectory without loops, recording, and settings."""
 
     keys: KeyPoses
     local: Trajectory
     data: LogData
     config: GraphConfig
-    reach: Reach = NEAR
 
-    def chunks(self, trajectory: Trajectory) -> Chunks:
-        """Chunks that are cut from a trajectory."""
-        keys, config, data = self.keys, self.config, self.data
-        middles = chunk_middles(keys, config.maps, config.maps.hop)
-        poses, maps = trajectory.poses[middles], cut_chunks(keys, trajectory, config.maps, middles, data.max_range)
-        covariances = inflated(local_covariances(keys, self.local, middles, config, data.range_std))
-        hops = Hops(se2.between(poses[:-1], poses[1:]), covariances)
-        return Chunks(maps, middles, poses, keys.key_travel[middles], hops, self.reach)
-
-    def hop_errors(self, trajectory: Trajectory, chunks: Chunks) -> FloatArray:
-        """How far the motions between chunks are from the local smoothing, as chi-squares (c - 1,)."""
-        middles, local = chunks.middles, self.local.poses[chunks.middles]
-        return hop_chi_squares(
-            trajectory.poses[middles], Hops(se2.between(local[:-1], local[1:]), chunks.hops.covariances)
-        )
+    def hops(self, middles: IntArray) -> Hops:
+        """The motions between chunks with the middles (c,) along the trajectory without loops."""
+        poses = self.local.poses[middles]
+        covariances = local_covariances(self.keys, self.local, middles, self.config, self.data.range_std)
+        return Hops(se2.between(poses[:-1], poses[1:]), inflated(covariances))
 
 
 def smooth_with_loops(problem: LogProblem, trajectory: Trajectory, report: Report) -> GraphResult:
     """Find the loops between chunks that are cut from a trajectory, and solve for all key poses."""
     keys, data, config = problem.keys, problem.data, problem.config
     report("search for loops")
-    chunks = problem.chunks(trajectory)
-    found = search_loops(chunks)
-    good = supported(found, chunks.poses, chunks.travel)
+    middles = chunk_middles(keys, config.maps, config.maps.hop)
+    local, poses = problem.hops(middles), trajectory.poses[middles]
+    hops = Hops(se2.between(poses[:-1], poses[1:]), local.covariances)
+    found = search_loops(cut_chunks(keys, trajectory, config.maps, middles, data.max_range), poses[0], hops)
+    good = supported(found, poses, keys.key_travel[middles])
     loops = [loop for loop, agreed in zip(found, good, strict=True) if agreed]
     report(f"all poses, {len(loops)} loops")
-    solution = solve_annealed(chunks.poses[0], chunks.hops, loops)
+    solution = solve_annealed(poses[0], hops, loops)
     strong = solution.weights > KEPT_WEIGHT
-    kept = relations_of([loop for loop, each in zip(loops, strong, strict=True) if each], chunks.middles)
-    moved = carry_over(keys, trajectory, chunks.middles, solution.poses)
+    kept = relations_of([loop for loop, each in zip(loops, strong, strict=True) if each], middles)
+    moved = carry_over(keys, trajectory, middles, solution.poses)
     smoothed = bundle(keys, moved, kept, config, data.range_std)
     verdicts = [LoopVerdict(loop, KEPT if each else OUTVOTED) for loop, each in zip(loops, strong, strict=True)]
     verdicts += [LoopVerdict(loop, NO_SUPPORT) for loop, agreed in zip(found, good, strict=True) if not agreed]
-    errors = problem.hop_errors(smoothed, chunks)
-    return GraphResult("loops", keys, smoothed, smoothed.bias, verdicts, chunks.middles, errors)
+    errors = hop_chi_squares(smoothed.poses[middles], local)
+    return GraphResult("loops", keys, smoothed, smoothed.bias, verdicts, middles, errors)
 
 
 def relations_of(loops: Sequence[Loop], middles: IntArray) -> Relations:
@@ -197,22 +190,3 @@ def relations_of(loops: Sequence[Loop], middles: IntArray) -> Relations:
     ends = np.array([(loop.first, loop.second) for loop in loops], dtype=np.int64).reshape(-1, 2)
     relative = np.array([loop.relative for loop in loops]).reshape(-1, 3)
     return middles[ends], relative, np.array([loop.information for loop in loops]).reshape(-1, 3, 3)
-
-
-def without_loops(found: GraphResult, config: GraphConfig, range_std: float) -> tuple[GraphResult, GraphResult]:
-    """The results by odometry alone, and by odometry and the walls along the way, with all loops rejected."""
-    keys = found.keys
-    verdicts = [replace(each, reason=NOT_ADDED if each.kept else each.reason) for each in found.verdicts]
-    odometry = odometry_trajectory(keys, found.trajectory.poses[0])
-    local = smooth_locally(keys, odometry, config, range_std)
-    known = found.errors - found.trajectory.bias
-    first, second = (
-        replace(unlooped(kind, keys, path), errors=known + path.bias, verdicts=verdicts, chunk_keys=found.chunk_keys)
-        for kind, path in (("odometry", odometry), ("local", local))
-    )
-    return first, second
-
-
-def unlooped(kind: str, keys: KeyPoses, trajectory: Trajectory) -> GraphResult:
-    """The result of a log without loops."""
-    return GraphResult(kind, keys, trajectory, trajectory.bias, [], np.zeros(1, dtype=np.int64), np.zeros(0))

@@ -1,7 +1,6 @@
-"""Straight walls, found by a Hough transform of points with normals in windows of distance driven.
+"""Straight walls, found by the Hough transform in windows of distance driven.
 
-Each point votes for the lines through it whose normal is close to the normal of the point. The strongest line is
-refined by total least squares, its points are removed, and the next line is searched. In the least-squares problem a
+The points of a line are removed, and lines are searched again until there are no more. In the least-squares problem a
 line has two unknowns: a rotation about its centre and an offset.
 """
 
@@ -11,17 +10,20 @@ from dataclasses import dataclass
 import numpy as np
 
 from limslam_agent.config.graph import WallLineConfig
+from limslam_agent.kernels.lines import extract_lines
 from limslam_agent.slam.graph.key_poses import ERRORS
 from limslam_agent.slam.graph.point_links import PointCloud
 from limslam_agent.slam.least_squares.normal_equations import NormalEquations
 from limslam_env.compilation import entry_of
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray, no_rows
+from limslam_env.geometry.line import direction, normal
 
 # A kernel calls only kernels of its own file.
 kernel = entry_of(__name__)
 
 _OFFSET_BIN = 0.08  # m, of the Hough space
-_MAX_ANGLE = math.radians(20.0)  # between the normals of a point and its line
+_LEAST_COSINE = math.cos(math.radians(20.0))  # between the normals of a point and its line
+_NO_POINTS = np.zeros(0, dtype=np.int64)
 _INFLATION = 2.0  # of the standard deviation of a point about its line
 
 
@@ -61,11 +63,59 @@ def lines_in(
     tolerance: float,
 ) -> WallLines:
     """Lines among the points of each span (w, 2), which is given by its first point and its last point (excluded)."""
-    limits = np.array([tolerance, config.min_length, config.max_gap, np.cos(_MAX_ANGLE)])
-    bins = round(2.0 * np.pi / config.angle_bin)
-    counts = np.array([config.min_points, config.max_lines, config.max_tries, config.spread, bins])
-    found = _lines(places, normals, good, spans, _OFFSET_BIN, counts, limits)
+    angles, centres, points, owners, count = [np.zeros(0)], [no_rows(2)], [_NO_POINTS], [_NO_POINTS], 0
+    for begin, end in spans.tolist():
+        label, turns = _window(places[begin:end], normals[begin:end], good[begin:end], config, tolerance)
+        members = np.flatnonzero(label >= 0)
+        members = members[np.argsort(label[members], kind="stable")]
+        firsts = np.flatnonzero(np.diff(label[members], prepend=-1))
+        sizes = np.diff(firsts, append=len(members))[:, None]
+        angles.append(turns)
+        centres.append(np.add.reduceat(places[begin + members], firsts) / sizes if len(turns) else no_rows(2))
+        points.append(begin + members)
+        owners.append(count + label[members])
+        count += len(turns)
+    found = np.concatenate(angles), np.concatenate(centres), np.concatenate(points), np.concatenate(owners)
     return WallLines(*found)
+
+
+def _window(
+    places: FloatArray, normals: FloatArray, good: BoolArray, config: WallLineConfig, tolerance: float
+) -> tuple[IntArray, FloatArray]:
+    """The line of each point (p,) of a window, -1 for none, and the directions (l,) of the lines' normals, rad.
+
+    Only points whose own normal is reliable vote. A line has those of them whose normals are close to its own, and the
+    points without a reliable normal between its ends.
+    """
+    label, found, reach, count = np.full(len(places), -1), [no_rows(2)], [no_rows(2)], 0
+    while True:
+        voters = np.flatnonzero(good & (label < 0))
+        owner, lines, ends = extract_lines(
+            places[voters], config.max_gap, config.min_points, _OFFSET_BIN, config.angle_bin, tolerance,
+            config.min_length, only_best=False,
+        )  # fmt: skip
+        voters, owner = voters[owner >= 0], owner[owner >= 0]
+        cosines = np.sum(normals[voters] * normal(lines)[owner], axis=1)
+        sides = np.sign(np.bincount(owner, cosines, len(lines)))
+        fits = cosines * sides[owner] > _LEAST_COSINE
+        enough = np.bincount(owner[fits], minlength=len(lines)) >= config.min_points
+        fits &= enough[owner]
+        if not enough.any():
+            break
+        label[voters[fits]] = count + (np.cumsum(enough) - 1)[owner[fits]]
+        # Lines whose normal points away from the side that they are seen from are turned round.
+        lines[:, 0], lines[:, 1] = sides * lines[:, 0], lines[:, 1] + np.where(sides < 0.0, np.pi, 0.0)
+        along = np.einsum("led,ld->le", ends, direction(lines))
+        found.append(lines[enough])
+        reach.append(np.sort(along[enough], axis=1))
+        count += int(enough.sum())
+    every, (low, high) = np.concatenate(found), np.concatenate(reach).T
+    rest = np.flatnonzero(~good)
+    off, along = places[rest] @ normal(every).T - every[:, 0], places[rest] @ direction(every).T
+    is_on = (np.abs(off) < tolerance) & (low < along) & (along < high)
+    if count:
+        label[rest] = np.where(is_on.any(axis=1), is_on.argmax(axis=1), -1)
+    return label, every[:, 1]
 
 
 def add_lines(equations: NormalEquations, poses: FloatArray, cloud: PointCloud, lines: WallLines, std: float) -> None:
@@ -77,7 +127,7 @@ def add_lines(equations: NormalEquations, poses: FloatArray, cloud: PointCloud, 
         return
     places = cloud.places[lines.points]
     pairs, hessian, gradient = _line_blocks(
-        poses, cloud.key[lines.points], places, lines.lines, lines.angles, lines.centres, std, _INFLATION
+        poses, cloud.key[lines.points], places, lines.lines, lines.angles, lines.centres, std
     )
     first = 3 * len(poses) + ERRORS
     columns = np.hstack((3 * pairs[:, :1] + np.arange(3), first + 2 * pairs[:, 1:] + np.arange(2)))
@@ -106,7 +156,6 @@ def _line_blocks(
     angles: FloatArray,
     centres: FloatArray,
     std: float,
-    inflation: float,
 ) -> tuple[IntArray, FloatArray, FloatArray]:
     """Sums over points sorted by line and key pose: pairs (k, 2) of key pose and line, (k, 5, 5), (k, 5)."""
     count = 1
@@ -121,245 +170,9 @@ def _line_blocks(
             last += 1
             pairs[last, 0], pairs[last, 1] = a, b
         error = line_error(poses[a], places[row], angles[b], centres[b], by)
-        weight = 1.0 / ((1.0 + (error / (2.0 * std)) ** 2) * std * inflation) ** 2
+        weight = 1.0 / ((1.0 + (error / (2.0 * std)) ** 2) * std * _INFLATION) ** 2
         for u in range(5):
             gradient[last, u] += weight * by[u] * error
             for v in range(5):
                 hessian[last, u, v] += weight * by[u] * by[v]
     return pairs, hessian, gradient
-
-
-@kernel
-def _vote(
-    votes: FloatArray, places: FloatArray, turn: float, spread: int, grid: tuple[int, int, float, float], sign: float
-) -> None:
-    """Add or remove the votes of one point with a normal at ``turn`` rad."""
-    bins, width, side, low = grid
-    step = 2.0 * np.pi / bins
-    middle = int(np.round(turn / step))
-    for off in range(-spread, spread + 1):
-        angle = (middle + off) * step
-        offset = places[0] * np.cos(angle) + places[1] * np.sin(angle)
-        column = int(np.floor((offset - low) / side))
-        weight = sign * np.exp(-0.125 * off * off)
-        row = (middle + off) % bins
-        votes[row * width + column] += weight
-        votes[row * width + column + 1] += 0.7 * weight
-        votes[row * width + column - 1] += 0.7 * weight
-
-
-@kernel
-def _touched(places: FloatArray, turns: FloatArray, spread: int, grid: tuple[int, int, float, float]) -> IntArray:
-    """The bins that the points vote for, each bin once."""
-    bins, width, side, low = grid
-    step = 2.0 * np.pi / bins
-    out = np.empty(len(places) * (2 * spread + 1), np.int64)
-    count = 0
-    for k in range(len(places)):
-        middle = int(np.round(turns[k] / step))
-        for off in range(-spread, spread + 1):
-            angle = (middle + off) * step
-            offset = places[k, 0] * np.cos(angle) + places[k, 1] * np.sin(angle)
-            out[count] = ((middle + off) % bins) * width + int(np.floor((offset - low) / side))
-            count += 1
-    return np.unique(out)
-
-
-@kernel
-def _longest_run(along: FloatArray, member: BoolArray, gap: float) -> tuple[int, float, float]:
-    """Number of points, begin and end of the run with the most points along a line; larger gaps end a run."""
-    spots = np.sort(along[member])
-    best, low, high = 0, 0.0, 0.0
-    begin = 0
-    for k in range(1, len(spots) + 1):
-        if k == len(spots) or spots[k] - spots[k - 1] > gap:
-            if k - begin > best:
-                best, low, high = k - begin, spots[begin], spots[k - 1]
-            begin = k
-    return best, low, high
-
-
-@kernel
-def fit_line(places: FloatArray, member: BoolArray, nx: float, ny: float) -> tuple[float, float, float, float]:
-    """Total least squares of member points: centre and unit normal, oriented towards the side of (nx, ny)."""
-    n = mx = my = sxx = syy = sxy = 0.0
-    for k in range(len(places)):
-        if member[k]:
-            n += 1.0
-            mx, my = mx + places[k, 0], my + places[k, 1]
-    mx, my = mx / n, my / n
-    for k in range(len(places)):
-        if member[k]:
-            dx, dy = places[k, 0] - mx, places[k, 1] - my
-            sxx, syy, sxy = sxx + dx * dx, syy + dy * dy, sxy + dx * dy
-    angle = 0.5 * np.arctan2(2.0 * sxy, sxx - syy)
-    ux, uy = -np.sin(angle), np.cos(angle)
-    if ux * nx + uy * ny < 0.0:
-        ux, uy = -ux, -uy
-    return mx, my, ux, uy
-
-
-@kernel
-def _refine(
-    places: FloatArray,
-    normals: FloatArray,
-    good: BoolArray,
-    free: BoolArray,
-    line: FloatArray,
-    min_points: int,
-    limits: FloatArray,
-) -> tuple[bool, float, float]:
-    """Fit a line three times to its longest run; return whether the line is valid, and its ends.
-
-    The line is given by normal x, y and centre x, y.
-    """
-    member, along = np.empty(len(places), np.bool_), np.empty(len(places))
-    low = high = 0.0
-    for _turn in range(3):
-        nx, ny, cx, cy = line
-        for k in range(len(places)):
-            dx, dy = places[k, 0] - cx, places[k, 1] - cy
-            along[k] = nx * dy - ny * dx
-            cosine = nx * normals[k, 0] + ny * normals[k, 1]
-            member[k] = free[k] and good[k] and abs(nx * dx + ny * dy) < limits[0] and cosine > limits[3]
-        best, low, high = _longest_run(along, member, limits[2])
-        if best < min_points or high - low < limits[1]:
-            return False, low, high
-        for k in range(len(places)):
-            member[k] = member[k] and low <= along[k] <= high
-        old_x, old_y = line[2], line[3]
-        line[2], line[3], line[0], line[1] = fit_line(places, member, nx, ny)
-        shift = line[0] * (line[3] - old_y) - line[1] * (line[2] - old_x)
-        low, high = low - shift, high - shift
-    return True, low, high
-
-
-@kernel
-def _take(
-    places: FloatArray,
-    normals: FloatArray,
-    good: BoolArray,
-    free: BoolArray,
-    line: FloatArray,
-    ends: tuple[float, float],
-    limits: FloatArray,
-) -> None:
-    """Assign the free points between the ends of a line to the line, including points without a reliable normal."""
-    for k in range(len(places)):
-        dx, dy = places[k, 0] - line[2], places[k, 1] - line[3]
-        along = line[0] * dy - line[1] * dx
-        cosine = line[0] * normals[k, 0] + line[1] * normals[k, 1]
-        near = abs(line[0] * dx + line[1] * dy) < limits[0] and ends[0] - 0.1 < along < ends[1] + 0.1
-        if near and (cosine > limits[3] or not good[k]):
-            free[k] = False
-
-
-@kernel
-def _assign(
-    places: FloatArray,
-    turns: FloatArray,
-    good: BoolArray,
-    free: BoolArray,
-    label: IntArray,
-    line: int,
-    votes: FloatArray,
-    spread: int,
-    grid: tuple[int, int, float, float],
-) -> tuple[int, int]:
-    """Label the points that a line took, and remove their votes; return the numbers of labels and of removed votes."""
-    labelled, removed = 0, 0
-    for k in range(len(places)):
-        if free[k] or label[k] >= 0:
-            continue
-        label[k] = line
-        labelled += 1
-        if good[k]:
-            _vote(votes, places[k], turns[k], spread, grid, -1.0)
-            removed += 1
-    return labelled, removed
-
-
-@kernel
-def _window(
-    places: FloatArray,
-    normals: FloatArray,
-    good: BoolArray,
-    side: float,
-    counts: IntArray,
-    limits: FloatArray,
-    label: IntArray,
-    found: FloatArray,
-) -> int:
-    """Find lines in one window: write the line of each point to ``label``, angle and centre to ``found``."""
-    label[:] = -1
-    if good.sum() < counts[0]:
-        return 0
-    mx, my = places[:, 0].mean(), places[:, 1].mean()
-    local = np.empty_like(places)
-    local[:, 0], local[:, 1] = places[:, 0] - mx, places[:, 1] - my
-    turns = np.arctan2(normals[:, 1], normals[:, 0])
-    reach = np.sqrt((local**2).sum(axis=1).max()) + 3.0 * side
-    width = int(2.0 * reach / side) + 4
-    votes = np.zeros(counts[4] * width)
-    grid = (counts[4], width, side, -reach)
-    chosen = np.nonzero(good)[0]
-    touched = _touched(local[chosen], turns[chosen], counts[3], grid)
-    for each in chosen:
-        _vote(votes, local[each], turns[each], counts[3], grid, 1.0)
-    free = np.ones(len(local), np.bool_)
-    line, lines = np.empty(4), 0
-    for _try in range(counts[2]):
-        best = int(touched[np.argmax(votes[touched])])
-        if lines == counts[1] or votes[best] < 0.6 * counts[0]:
-            break
-        angle = (best // width) * 2.0 * np.pi / counts[4]
-        offset = (best % width + 0.5) * side - reach
-        line[0], line[1] = np.cos(angle), np.sin(angle)
-        line[2], line[3] = offset * line[0], offset * line[1]
-        stands, low, high = _refine(local, normals, good, free, line, counts[0], limits)
-        taken = labelled = 0
-        if stands:
-            _take(local, normals, good, free, line, (low, high), limits)
-            labelled, taken = _assign(local, turns, good, free, label, lines, votes, counts[3], grid)
-        # The last fit of a line may turn it away from all of its points.
-        if labelled:
-            found[lines, 0] = np.arctan2(line[1], line[0])
-            found[lines, 1], found[lines, 2] = line[2] + mx, line[3] + my
-            lines += 1
-        if not taken:
-            votes[best] = 0.0
-    return lines
-
-
-@kernel
-def _lines(
-    places: FloatArray,
-    normals: FloatArray,
-    good: BoolArray,
-    spans: IntArray,
-    side: float,
-    counts: IntArray,
-    limits: FloatArray,
-) -> tuple[FloatArray, FloatArray, IntArray, IntArray]:
-    total = 0
-    for w in range(len(spans)):
-        total += spans[w, 1] - spans[w, 0]
-    points, owner, members = np.empty(total, np.int64), np.empty(total, np.int64), 0
-    angles, centres, count = np.empty(len(spans) * counts[1]), np.empty((len(spans) * counts[1], 2)), 0
-    label, found = np.empty(total, np.int64), np.empty((counts[1], 3))
-    for w in range(len(spans)):
-        begin, end = spans[w]
-        if end - begin < 2 * counts[0]:
-            continue
-        lines = _window(
-            places[begin:end], normals[begin:end], good[begin:end], side, counts, limits, label[: end - begin], found
-        )
-        for each in range(lines):
-            angles[count + each] = found[each, 0]
-            centres[count + each, 0], centres[count + each, 1] = found[each, 1], found[each, 2]
-            for k in range(end - begin):
-                if label[k] == each:
-                    points[members], owner[members] = begin + k, count + each
-                    members += 1
-        count += lines
-    return angles[:count].copy(), centres[:count].copy(), points[:members].copy(), owner[:members].copy()

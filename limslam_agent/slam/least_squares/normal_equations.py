@@ -4,7 +4,7 @@ from dataclasses import dataclass, field
 from typing import Literal, NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_matrix, csc_matrix, diags_array
+from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import SuperLU, splu
 
 from limslam_agent.slam.least_squares.selected_inverse import selected_inverse
@@ -79,24 +79,19 @@ class NormalEquations:
             self._columns.append(np.tile(places, (1, width)).ravel())
         np.add.at(self.gradient, columns.ravel(), gradient.ravel())
 
-    def factorise(self, damping: float = 0.0) -> SuperLU:
+    def factorise(self) -> SuperLU:
         """Factorise the matrix of the unknowns that are not fixed.
-
-        ``damping`` times the diagonal is added to the matrix.
 
         Raises
         ------
         DegenerateError
             If the matrix is singular.
         """
-        matrix = self._matrix()
-        if damping:
-            matrix = csc_matrix(matrix + diags_array(damping * matrix.diagonal()))
-        return _factors(matrix, "MMD_AT_PLUS_A" if self.order is None else "NATURAL")
+        return _factors(self._matrix(), "MMD_AT_PLUS_A" if self.order is None else "NATURAL")
 
-    def solve(self, damping: float = 0.0) -> FloatArray:
+    def solve(self) -> FloatArray:
         """The Gauss-Newton step (size,)."""
-        return -self.solved(self.factorise(damping), self.gradient)
+        return -self.solved(self.factorise(), self.gradient)
 
     def solved(self, factors: SuperLU, right: FloatArray) -> FloatArray:
         """The inverse of the matrix times ``right`` (size, ...). The rows of fixed unknowns are zero."""

@@ -1,4 +1,4 @@
-"""Compiled parts of data association: line fits, line ends, best lines, and crossings of walls.
+"""Compiled parts of data association: the best lines of readings, and crossings of walls.
 
 Lines are (d, alpha) about one anchor each, as in :mod:`limslam_agent.slam.line_graph.factors`. A place along a
 line is its distance from the anchor, m.
@@ -9,16 +9,12 @@ import math
 import numpy as np
 
 from limslam_agent.kernels.measurement import read_share
-from limslam_agent.kernels.tables import BIN
+from limslam_agent.kernels.tables import BIN, GRAZING
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_agent.slam.line_graph.compilation import compiled, entry
-from limslam_agent.slam.line_graph.factors import GRAZING
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry import FloatArray, IntArray
 
-_TRIED_ANGLES = 90
-_FITTED = 40  # largest number of a line's readings that are used to fit it
 _FAR = 1e9
-_OUTLIER = 25.0  # largest squared residual of a reading, divided by the variance; larger residuals are clipped
 
 
 @compiled
@@ -27,45 +23,6 @@ def ray(pose: FloatArray, beam: FloatArray) -> tuple[float, float, float, float]
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     x, y = pose[0] + cos * beam[0] - sin * beam[1], pose[1] + sin * beam[0] + cos * beam[1]
     return x, y, math.cos(pose[2] + beam[2]), math.sin(pose[2] + beam[2])
-
-
-@entry
-def fit_lines(points: FloatArray, firsts: IntArray, std: float, lines: FloatArray, anchors: FloatArray) -> None:
-    """Fit lines (m, 2) and anchors (m, 2) to points (k, 4) in groups; group i begins at ``firsts[i]``.
-
-    Of many angles, the angle that explains most readings is chosen. Where points lie close together, total least
-    squares would fit the noise along the beams instead of the line.
-    """
-    for group in range(len(lines)):
-        first, end = firsts[group], firsts[group + 1]
-        if first == end:
-            continue
-        stride = 1 + (end - first - 1) // _FITTED
-        anchors[group, 0], anchors[group, 1] = points[first:end, 0].mean(), points[first:end, 1].mean()
-        best = np.inf
-        for number in range(_TRIED_ANGLES):
-            angle = number * math.pi / _TRIED_ANGLES
-            cost, offset = _fit_at(points[first:end:stride], anchors[group], angle, std)
-            if cost < best:
-                best, lines[group, 0], lines[group, 1] = cost, offset, angle
-
-
-@compiled
-def _fit_at(points: FloatArray, anchor: FloatArray, angle: float, std: float) -> tuple[float, float]:
-    """Cost and offset of the best line with a given angle."""
-    nx, ny = math.cos(angle), math.sin(angle)
-    total, weights = 0.0, 0.0
-    for k in range(len(points)):
-        # The distance from the line is the residual along the beam times the cosine.
-        weight = 1.0 / max(abs(nx * points[k, 2] + ny * points[k, 3]), GRAZING) ** 2
-        total += weight * ((points[k, 0] - anchor[0]) * nx + (points[k, 1] - anchor[1]) * ny)
-        weights += weight
-    offset, cost = total / weights, 0.0
-    for k in range(len(points)):
-        cosine = max(abs(nx * points[k, 2] + ny * points[k, 3]), GRAZING)
-        away = (points[k, 0] - anchor[0]) * nx + (points[k, 1] - anchor[1]) * ny - offset
-        cost += min((away / (cosine * std)) ** 2, _OUTLIER)
-    return cost, offset
 
 
 @entry
@@ -122,45 +79,6 @@ def _normals(lines: FloatArray, anchors: FloatArray) -> FloatArray:
         x, y = anchors[line, 0], anchors[line, 1]
         result[line, 0], result[line, 1] = nx, ny
         result[line, 2], result[line, 3] = lines[line, 0] + nx * x + ny * y, nx * y - ny * x
-    return result
-
-
-@entry
-def one_sided_runs(misfits: FloatArray, firsts: IntArray, gate: float, longest: int, found: BoolArray) -> None:
-    """Find the readings whose residuals have too large a sum for independent errors.
-
-    Parameters
-    ----------
-    misfits, firsts
-        Residuals (k,) in standard deviations, in runs; run i begins at ``firsts[i]``, and the last number is k.
-    gate, longest
-        Parts of a run with 2 to ``longest`` readings are found whose sum, divided by the root of their number, exceeds
-        the gate, the largest first.
-    found
-        Output array (k,), false at first.
-    """
-    for run in range(len(firsts) - 1):
-        begin, end = firsts[run], firsts[run + 1]
-        while True:
-            first, last = _largest_sum(misfits[begin:end], found[begin:end], gate, longest)
-            if last <= first:
-                break
-            found[begin + first : begin + last + 1] = True
-
-
-@compiled
-def _largest_sum(misfits: FloatArray, found: BoolArray, gate: float, longest: int) -> tuple[int, int]:
-    """First and last reading of the part of a run with the largest sum above a gate; (0, 0) if there is none."""
-    best, result = gate, (0, 0)
-    for first in range(len(misfits)):
-        total = 0.0
-        for last in range(first, min(first + longest, len(misfits))):
-            if found[last]:
-                break
-            total += misfits[last]
-            size = abs(total) / math.sqrt(last - first + 1.0)
-            if last > first and size > best:
-                best, result = size, (first, last)
     return result
 
 

@@ -4,44 +4,18 @@ Lines are (d, alpha) about one anchor each, as in :mod:`limslam_agent.slam.line_
 its distance from the anchor, m.
 """
 
-import math
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 
+from limslam_agent.slam.consistent.limits import MIN_OVERLAP, ONE_WALL_GATE, STRAIGHTNESS
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, THICKEST, board_evidence, board_odds, is_wall
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import angle_between, direction, normal
 
-_REGULAR = np.diag([1e-6, 1e-8])  # added to the covariance of the difference of two lines, m^2 and rad^2
+_MAX_OFFSET, _MAX_ANGLE = 0.15, 0.12  # m and rad: two lines that differ by more are not merged
 _MOST_MOVED = (0.10, 0.05)  # m and rad: the largest change of a line by merging before the problem is linearised again
-
-
-class OneWall(NamedTuple):
-    """Criteria that two lines are one wall: upper bounds of chi-square, offset (m), angle (rad); least overlap (m).
-
-    ``weakest`` is an upper bound of chi-square plus the logarithm of the determinant of the covariance (m^2 rad^2) of
-    the lines' difference. Two lines of which little is known pass every other test.
-    """
-
-    gate: float
-    max_offset: float
-    max_angle: float
-    min_overlap: float
-    weakest: float = math.inf
-
-    def wider(self, max_offset: float, max_angle: float, min_overlap: float) -> "OneWall":
-        """Criteria with wider limits, for pairs that are more likely one wall than two walls within these limits.
-
-        The difference of one wall's two lines is normally distributed, and that of two walls is uniform. Both
-        densities are equal where chi-square plus the logarithm of the determinant is ``weakest``.
-        """
-        weakest = 2.0 * math.log(4.0 * max_offset * max_angle / (2.0 * math.pi))
-        return OneWall(self.gate, max_offset, max_angle, min_overlap, weakest)
-
-
-ONE_WALL = OneWall(16.0, 0.15, 0.12, 0.15)
 
 
 class Pairs(NamedTuple):
@@ -76,7 +50,7 @@ class Difference(NamedTuple):
     values
         Offset and angle (k, 2), m and rad.
     columns, jacobian
-        What they depend on: unknowns (k, 5) of the joint covariance, and derivatives (k, 2, 5).
+        What they depend on: unknowns (k, 4) of the joint covariance, and derivatives (k, 2, 4).
     information
         Inverse covariances (k, 2, 2).
     """
@@ -110,7 +84,7 @@ class Lines:
     seen
         Ends (m, 2, 2) of the parts that were read from each side, m; (inf, -inf) where there is no such part.
     covariance
-        Joint covariance (3 m, 3 m) of the lines, and of the places of their anchors along them.
+        Joint covariance (2 m, 2 m) of the lines.
     merged_into
         For each line (m,), the line that it was merged into, or the line itself.
     """
@@ -124,17 +98,17 @@ class Lines:
     def __post_init__(self) -> None:
         self.merged_into = np.arange(len(self.lines))
 
-    def near_pairs(self, limits: OneWall) -> Pairs:
-        """The pairs of lines within the limits of offset, angle and overlap."""
+    def near_pairs(self, max_offset: float = _MAX_OFFSET) -> Pairs:
+        """The pairs of lines that are nearly parallel, at most so far apart, m, and cover the same stretch."""
         ends = _ends(self.seen)
         left = np.flatnonzero((self.merged_into == np.arange(len(ends))) & (ends[:, 0] < ends[:, 1]))
         first, second = (left[each] for each in np.triu_indices(len(left), 1))
-        is_parallel = np.abs(angle_between(self.lines[first, 1] - self.lines[second, 1])) <= limits.max_angle
+        is_parallel = np.abs(angle_between(self.lines[first, 1] - self.lines[second, 1])) <= _MAX_ANGLE
         first, second = first[is_parallel], second[is_parallel]
         seen, there = self._seen_along(first, second), self.seen[second]
         middle = self._points(second, ends[second].mean(axis=1))
         offset = np.sum((middle - self.anchors[first]) * normal(self.lines[first]), axis=1) - self.lines[first, 0]
-        is_near = (np.abs(offset) <= limits.max_offset) & (_shared(_ends(seen), ends[second]) >= limits.min_overlap)
+        is_near = (np.abs(offset) <= max_offset) & (_shared(_ends(seen), ends[second]) >= MIN_OVERLAP)
         first, second, seen, there = first[is_near], second[is_near], seen[is_near], there[is_near]
         opposite = _shared(seen[:, ::-1], there)
         return Pairs(
@@ -145,17 +119,16 @@ class Lines:
     def differences(self, pairs: Pairs) -> Difference:
         """The differences of the lines of each pair."""
         (one, other), count = (self.lines[pairs.first], self.lines[pairs.second]), len(pairs.first)
-        sign, away = np.where(np.cos(one[:, 1] - other[:, 1]) < 0.0, -1.0, 1.0), self._anchor_to_anchor(pairs)
+        away = self.anchors[pairs.second] - self.anchors[pairs.first]
+        sign = np.where(np.cos(one[:, 1] - other[:, 1]) < 0.0, -1.0, 1.0)
         offset = sign * (one[:, 0] - np.sum(away * normal(one), axis=1)) - other[:, 0]
-        jacobian = np.zeros((count, 2, 5))
+        jacobian = np.zeros((count, 2, 4))
         jacobian[:, 0, 0], jacobian[:, 0, 2] = sign, -1.0
         jacobian[:, 0, 1] = -sign * np.sum(away * direction(one), axis=1)
-        jacobian[:, 0, 4] = -sign * np.sin(one[:, 1] - other[:, 1])
         jacobian[:, 1, 1], jacobian[:, 1, 3] = 1.0, -1.0
-        lines = 2 * np.column_stack((pairs.first, pairs.first, pairs.second, pairs.second)) + np.array([0, 1, 0, 1])
-        columns = np.column_stack((lines, 2 * len(self.lines) + pairs.second))
+        columns = 2 * np.column_stack((pairs.first, pairs.first, pairs.second, pairs.second)) + np.array([0, 1, 0, 1])
         joint = self.covariance[columns[:, :, None], columns[:, None, :]]
-        covariance = jacobian @ joint @ jacobian.swapaxes(1, 2) + _REGULAR
+        covariance = jacobian @ joint @ jacobian.swapaxes(1, 2) + np.diag(STRAIGHTNESS)
         values = np.column_stack((offset, angle_between(one[:, 1] - other[:, 1])))
         return Difference(values, columns, jacobian, np.linalg.inv(covariance))
 
@@ -164,15 +137,12 @@ class Lines:
         crossed = self.covariance[:, difference.columns[which]] @ difference.jacobian[which].T
         gain = crossed @ difference.information[which]
         moves = gain @ difference.values[which]
-        self.lines -= moves[: self.lines.size].reshape(-1, 2)
+        self.lines -= moves.reshape(-1, 2)
         self.covariance -= gain @ crossed.T
         own = self.seen[pairs.second[which]]
         own[:, 0] = np.minimum(own[:, 0], pairs.seen[which, :, 0])
         own[:, 1] = np.maximum(own[:, 1], pairs.seen[which, :, 1])
-        self.merged_into[pairs.first[which]] = pairs.second[which]
-
-    def _anchor_to_anchor(self, pairs: Pairs) -> FloatArray:
-        return np.asarray(self.anchors[pairs.second] - self.anchors[pairs.first])
+        self.merged_into[self.merged_into == pairs.first[which]] = pairs.second[which]
 
     def _points(self, chosen: IntArray, places: FloatArray) -> FloatArray:
         """Points (k, 2) at places (k,) along chosen lines (k,)."""
@@ -188,30 +158,30 @@ class Lines:
         return np.asarray(np.where(is_turned[:, None, None], turned, middle + self.seen[first]))
 
 
-def merge_lines(known: Lines, limits: OneWall, kinds: tuple[float, float]) -> bool:
+def merge_lines(known: Lines, kinds: tuple[float, float]) -> bool:
     """Merge lines that may be one wall, in the order of likelihood; return whether there were any.
 
-    The pair with the greatest likelihood is merged first. A pair with a large covariance passes the chi-square test
-    easily. This is weak evidence, so it has a limit of its own. Two lines that were read from opposite sides only are
-    merged if they are a board. Merging ends when a line has moved far: the problem must then be linearised again.
+    The pair with the greatest likelihood is merged first: a pair with a large covariance passes the chi-square test
+    easily. Two lines that were read from opposite sides only are merged if they are a board. Merging ends when a line
+    has moved far: the problem must then be linearised again.
 
     Parameters
     ----------
     known
         The lines, which are changed.
-    limits, kinds
-        Criteria that two lines are one wall; and the lengths of the known boards and walls, m.
+    kinds
+        The lengths of the known boards and walls, m.
     """
     begin, has_merged = known.lines.copy(), False
-    most = np.array(_MOST_MOVED) + np.sqrt(known.covariance.diagonal()[: begin.size]).reshape(-1, 2)
+    most = np.array(_MOST_MOVED) + np.sqrt(known.covariance.diagonal()).reshape(-1, 2)
     while True:
-        pairs = known.near_pairs(limits)
+        pairs = known.near_pairs()
         difference = known.differences(pairs)
         squared = difference.squared
         cost = squared + difference.volumes
-        likely = np.flatnonzero((squared < limits.gate) & (cost < limits.weakest))
+        likely = np.flatnonzero(squared < ONE_WALL_GATE)
         ordered = likely[np.argsort(cost[likely])].tolist()
-        best = next((k for k in ordered if _is_one_line(pairs, difference, k, limits, kinds)), None)
+        best = next((k for k in ordered if _is_one_line(pairs, difference, k, kinds)), None)
         if best is None:
             return has_merged
         known.merge(pairs, difference, best)
@@ -221,10 +191,10 @@ def merge_lines(known: Lines, limits: OneWall, kinds: tuple[float, float]) -> bo
             return has_merged
 
 
-def wall_kinds(known: Lines, limits: OneWall) -> tuple[float, float]:
+def wall_kinds(known: Lines) -> tuple[float, float]:
     """Length of the lines that are boards, and length of the walls with two faces, m."""
     boards = np.maximum(known.seen[..., 1].min(axis=1) - known.seen[..., 0].max(axis=1), 0.0).sum()
-    pairs = known.near_pairs(limits._replace(max_offset=THICKEST))
+    pairs = known.near_pairs(THICKEST)
     difference, behind = known.differences(pairs), np.zeros(len(known.lines))
     for k in np.flatnonzero(pairs.opposite > 0.0).tolist():
         if is_wall(*_compared(pairs, difference, k)):
@@ -233,9 +203,9 @@ def wall_kinds(known: Lines, limits: OneWall) -> tuple[float, float]:
     return float(boards), 0.5 * float(behind.sum())
 
 
-def _is_one_line(pairs: Pairs, difference: Difference, which: int, limits: OneWall, kinds: tuple[float, float]) -> bool:
+def _is_one_line(pairs: Pairs, difference: Difference, which: int, kinds: tuple[float, float]) -> bool:
     """Whether the lines of a pair share a stretch that was read from one side, or are a board."""
-    if pairs.own[which] >= min(limits.min_overlap, pairs.opposite[which]):
+    if pairs.own[which] >= min(MIN_OVERLAP, pairs.opposite[which]):
         return True
     return board_odds(_compared(pairs, difference, which)[0], *kinds) > SURE
 

@@ -11,14 +11,13 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse.linalg import SuperLU
 
+from limslam_agent.kernels.tables import GRAZING
 from limslam_agent.slam.least_squares.normal_equations import DegenerateError, NormalEquations
-from limslam_agent.slam.line_graph.factors import GRAZING, Expected, motion_jacobians
+from limslam_agent.slam.line_graph.factors import Expected, motion_jacobians
 from limslam_agent.slam.line_graph.problem import Problem, State, expected, moved
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
-MOST_ITERATIONS = 6
-"""Most iterations of a solution. Those that have not converged then have wrong associations."""
-
+_MOST_ITERATIONS = 6  # of a solution; those that have not converged then have wrong associations
 _LINE_STD = np.array([100.0, 10.0])  # m and rad: keeps the equations of a line regular if it was read only once
 _MOST_HALVINGS, _CHOOSING = 6, 2  # of a step; iterations after which the set of grazing readings is fixed
 _CONVERGED = 1e-3  # m or rad: the last step; what remains is of the order of its square
@@ -94,8 +93,7 @@ class Solution:
     state
         Poses, lines and calibration at the optimum.
     weights
-        Weights (k,): 0 for readings without a line and for grazing readings, otherwise 1, or more or less than that if
-        the noise grows with the range.
+        Weights (k,) of the readings: their inverse variances, 1/m^2; 0 for readings without a line and grazing ones.
     unknowns, equations, factors
         The equations, linearised at the state before the last step, and their factors.
     """
@@ -131,11 +129,10 @@ class Solution:
         return self.equations.marginals(pose_columns(poses)).reshape(*self.state.poses.shape, 3)
 
 
-def solve(problem: Problem, state: State, labels: IntArray, iterations: int = MOST_ITERATIONS) -> Solution:
+def solve(problem: Problem, state: State, labels: IntArray) -> Solution:
     """The optimum near a state by the Gauss-Newton method, for readings with known lines.
 
-    ``labels`` (k,) is the line of each reading, or -1 for readings that are not used. At most so many ``iterations``
-    are made.
+    ``labels`` (k,) is the line of each reading, or -1 for readings that are not used.
 
     Raises
     ------
@@ -147,10 +144,10 @@ def solve(problem: Problem, state: State, labels: IntArray, iterations: int = MO
     calibrated = 0 if problem.prior is None else state.calibration.shape[1]
     unknowns = Unknowns(len(problem.starts), problem.steps, calibrated, len(state.lines))
     graph, weights = _Graph(problem, labels, unknowns), np.zeros(len(labels))
-    for iteration in range(iterations):
+    for iteration in range(_MOST_ITERATIONS):
         readings = expected(problem, state, labels)
         if iteration < _CHOOSING:
-            weights = not_grazing(readings, labels) / problem.noise**2
+            weights = not_grazing(readings, labels) / problem.stds**2
         graph.linearise(state, readings, weights)
         factors = graph.equations.factorise()
         step = -graph.equations.solved(factors, graph.equations.gradient)
@@ -166,7 +163,7 @@ def chi_square(problem: Problem, state: State, readings: Expected, weights: Floa
     """Sum of the squared residuals of wheels, readings and calibration, each divided by its variance."""
     driven = problem.whitened(state.motions - problem.motions(state.calibration))
     read = range_residuals(problem, state, readings)
-    total = float(np.sum(driven**2) + np.sum(weights * read**2) / problem.range_std**2)
+    total = float(np.sum(driven**2) + np.sum(weights * read**2))
     if problem.prior is None:
         return total
     off = state.calibration - problem.assumed_calibration
@@ -256,7 +253,7 @@ class _Graph:
     def _add_readings(self, state: State, readings: Expected, weights: FloatArray) -> None:
         """Add the readings of lines."""
         problem, unknowns, used = self._problem, self._unknowns, np.flatnonzero(self._labels >= 0)
-        places, roots = problem.readings.places[used], np.sqrt(weights[used]) / problem.range_std
+        places, roots = problem.readings.places[used], np.sqrt(weights[used])
         lines = unknowns.first_line + 2 * self._labels[used, None] + np.arange(2)
         columns, jacobian = [pose_columns(places), lines], [readings.by_pose[used], readings.by_line[used]]
         if unknowns.calibrated:

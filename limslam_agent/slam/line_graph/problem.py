@@ -4,25 +4,23 @@ The variables are the pose of every step, every line, and the calibration of whe
 arcs, so poses follow from motions.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 from scipy.linalg import block_diag
 
 from limslam_agent.config.consistent import SelfCalibrationConfig
-from limslam_agent.slam.core.contact import LooseMotion, slips_of
+from limslam_agent.slam.core.contact import slip_covariances
+from limslam_agent.slam.core.motion import LEAST_VARIANCE
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph.factors import Expected, drive, expected_readings, motions_between
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import NominalNoise, RobotSpec
 
 LEAST_RANGE_STD = 0.005  # m
-FEWEST_READINGS = 6
-"""Least number of readings of a line."""
-
-_ASIDE_STD = 1e-5  # m: keeps the equations regular, and adds up to less than a millimetre in a run
-_LEAST_VARIANCE = 1e-12  # m^2
+ASIDE_STD = 1e-5
+"""Motion aside, m, that keeps the equations regular, and adds up to less than a millimetre in a run."""
 
 
 def _calibration_prior(size_std: float, bias_std: float) -> FloatArray:
@@ -73,36 +71,28 @@ class Problem:
         Body and beams of each robot. The beams are those that are assumed.
     starts
         Known poses (n, 3) of the first step, m and rad.
-    wheels, stds
-        Reported motions (n, t - 1, 3), m, and their standard deviations. The last column is the motion aside.
-    readings, range_std, growth
-        The readings of walls, and the standard deviation of one of usual length, m. It grows with the range: the part
-        that is proportional to the squared range is ``growth``, 1/m^2, times that of short ranges.
-    looks
-        The readings of walls, and the beams that met no wall, each with the length of its free path.
-    prior, beam_width
-        Inverse covariance of a robot's calibration, or None; and half the opening angle of all beams, rad.
-    bias
-        By what all ranges are too long as far as that is known, m. A calibration estimates it from there on.
+    wheels, roots
+        Reported motions (n, t - 1, 3), m, of which the last column is the motion aside, and roots (n, t - 1, 3, 3) of
+        their inverse covariances.
+    readings, looks
+        The readings of walls; and these with the beams that met no wall, each with the length of its free path.
+    sensor
+        How the ranges are measured. A calibration estimates their bias from that of the sensor on.
+    prior
+        Inverse covariance of a robot's calibration, or None.
     jumps
         Motions (n, t - 1, 3) of carried robots, m, of which the wheels say nothing; None if no robot was carried.
-    loose
-        The motions that are less certain than ``stds``: the robots may have touched something, or were carried away.
     """
 
     robot: RobotSpec
     starts: FloatArray
     wheels: FloatArray
-    stds: FloatArray
+    roots: FloatArray
     readings: Readings
     looks: Readings
-    range_std: float
+    sensor: RangeSensor
     prior: FloatArray | None = None
-    beam_width: float = 0.0
-    growth: float = 0.0
-    bias: float = 0.0
     jumps: FloatArray | None = None
-    loose: tuple[LooseMotion, ...] = ()
 
     @property
     def steps(self) -> int:
@@ -124,16 +114,20 @@ class Problem:
         """Which of the looks (k,) met a wall."""
         return np.asarray(self.looks.distances < self.robot.too_far[self.looks.beams])
 
+    @property
+    def range_std(self) -> float:
+        """Standard deviation of a reading of usual length, m."""
+        return max(self.sensor.usual_std(float(self.robot.max_ranges.max())), LEAST_RANGE_STD)
+
     @cached_property
-    def noise(self) -> FloatArray:
-        """Standard deviation of each reading (k,), as a share of ``range_std``."""
-        sensor = RangeSensor(1.0, self.growth)
-        return sensor.stds(self.readings.distances) / sensor.usual_std(float(self.robot.max_ranges.max()))
+    def stds(self) -> FloatArray:
+        """Standard deviation of each reading (k,), m."""
+        return np.maximum(self.sensor.stds(self.readings.distances), LEAST_RANGE_STD)
 
     @cached_property
     def assumed_calibration(self) -> FloatArray:
         """The calibration (n, 4) of robots that are as specified, but for the known bias."""
-        return np.tile((0.0, 0.0, 0.0, self.bias), (len(self.starts), 1))
+        return np.tile((0.0, 0.0, 0.0, self.sensor.bias), (len(self.starts), 1))
 
     def axle(self, calibration: FloatArray) -> float:
         """The distance between the wheels (m) of a robot with a calibration (4,)."""
@@ -148,10 +142,7 @@ class Problem:
 
     def whitened(self, errors: FloatArray) -> FloatArray:
         """Errors of the motions (n, t - 1, 3), m, or derivatives of them (n, t - 1, 3, k), in standard deviations."""
-        result = errors / self.stds.reshape(self.stds.shape + (1,) * (errors.ndim - 3))
-        for number, motion, root in self.loose:
-            result[number, motion] = root @ errors[number, motion]
-        return np.asarray(result)
+        return np.asarray(np.einsum("ntij,ntj...->nti...", self.roots, errors))
 
     def _beams_of(self, readings: Readings) -> FloatArray:
         table = np.column_stack((self.robot.beam_origins, self.robot.beam_angles))
@@ -217,8 +208,6 @@ def make_problem(
         How the ranges are measured, if that is known to differ from ``robot`` and ``noise``.
     """
     reported = np.moveaxis(np.asarray(wheels, dtype=float), 0, 1)[:, 1:]
-    stds = np.full((*reported.shape[:2], 3), _ASIDE_STD)
-    stds[..., :2] = np.sqrt(noise.wheel_variance * np.abs(reported) + _LEAST_VARIANCE)
     motions = np.concatenate((reported, np.zeros_like(reported[..., :1])), axis=-1)
     ranges = np.asarray(ranges, dtype=float)
     fresh = np.array([robot.measures(first_step + row) for row in range(len(ranges))])[:, None]
@@ -227,14 +216,12 @@ def make_problem(
     readings = _listed(looked & (ranges < robot.too_far), ranges)
     looks = _listed(looked, np.minimum(ranges, robot.max_ranges))
     sensor = sensor or RangeSensor(noise.range_std, cone=robot.cone)
-    contact_std = max(noise.range_std, LEAST_RANGE_STD)
-    return Problem(
-        sensor.mounted(robot), np.asarray(starts, dtype=float), motions, stds, readings, looks,
-        range_std=max(sensor.usual_std(float(robot.max_ranges.max())), LEAST_RANGE_STD),
-        prior=prior, beam_width=sensor.cone,
-        growth=sensor.growth / sensor.std if sensor.growth else 0.0, bias=sensor.bias,
-        loose=slips_of(robot, contact_std, reported, stds, ranges, measured),
-    )  # fmt: skip
+    covariances = slip_covariances(robot, max(noise.range_std, LEAST_RANGE_STD), reported, ranges, measured)
+    covariances[..., [0, 1], [0, 1]] += noise.wheel_variance * np.abs(reported) + LEAST_VARIANCE
+    covariances[..., 2, 2] += ASIDE_STD**2
+    roots = np.linalg.inv(np.linalg.cholesky(covariances))
+    starts = np.asarray(starts, dtype=float)
+    return Problem(sensor.mounted(robot), starts, motions, roots, readings, looks, sensor, prior)
 
 
 def _listed(kept: BoolArray, ranges: FloatArray) -> Readings:
@@ -243,28 +230,9 @@ def _listed(kept: BoolArray, ranges: FloatArray) -> Readings:
     return Readings(number * len(ranges) + step, beam, ranges[step, number, beam])
 
 
-def _before(readings: Readings, count: int) -> Readings:
-    """The readings of one robot before a step."""
-    last = np.searchsorted(readings.places, count)
-    return Readings(readings.places[:last], readings.beams[:last], readings.distances[:last])
-
-
-def first_steps(problem: Problem, count: int) -> Problem:
-    """One robot's problem of its first ``count`` steps."""
-    return replace(
-        problem, wheels=problem.wheels[:, : count - 1], stds=problem.stds[:, : count - 1],
-        jumps=None if problem.jumps is None else problem.jumps[:, : count - 1],
-        readings=_before(problem.readings, count), looks=_before(problem.looks, count),
-        loose=tuple(each for each in problem.loose if each.motion < count - 1),
-    )  # fmt: skip
-
-
-def state_from_poses(problem: Problem, poses: FloatArray, calibration: FloatArray | None = None) -> State:
-    """A state without lines at poses (t, n, 3). The first pose is the known start; headings may be wrapped.
-
-    The calibration (n, 4) is the assumed one if it is None.
-    """
-    calibration = problem.assumed_calibration if calibration is None else calibration
+def state_from_poses(problem: Problem, poses: FloatArray) -> State:
+    """A state without lines at poses (t, n, 3). The first pose is the known start; headings may be wrapped."""
+    calibration = problem.assumed_calibration
     chains = np.moveaxis(np.asarray(poses, dtype=float), 0, 1).copy()
     chains[..., 2] = np.unwrap(chains[..., 2], axis=1)
     motions = np.array([
@@ -285,4 +253,4 @@ def moved(
 def expected(problem: Problem, state: State, labels: IntArray) -> Expected:
     """What each reading (k,) should be, given its line (k,). Those of readings without a line, -1, mean nothing."""
     poses, beams = state.flat_poses[problem.readings.places], problem.beams
-    return expected_readings(poses, beams, state.lines[labels], state.anchors[labels], problem.beam_width)
+    return expected_readings(poses, beams, state.lines[labels], state.anchors[labels], problem.sensor.cone)

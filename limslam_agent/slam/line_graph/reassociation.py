@@ -8,32 +8,31 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from limslam_agent.kernels.tables import FEWEST
+from limslam_agent.slam.core.line_fit import fit_line
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, board_odds
 from limslam_agent.slam.line_graph import line_kernels as kernels
 from limslam_agent.slam.line_graph.factors import expected_readings, rays
-from limslam_agent.slam.line_graph.line_merging import ONE_WALL, Lines, OneWall, merge_lines, wall_kinds
-from limslam_agent.slam.line_graph.line_smoother import MOST_ITERATIONS, Solution, pose_columns, solve
-from limslam_agent.slam.line_graph.problem import FEWEST_READINGS, Problem, State
+from limslam_agent.slam.line_graph.line_merging import Lines, merge_lines, wall_kinds
+from limslam_agent.slam.line_graph.line_smoother import Solution, solve
+from limslam_agent.slam.line_graph.problem import Problem, State
 from limslam_agent.slam.line_graph.straightness import straight_labels
 from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.geometry.line import direction, normal
+from limslam_env.geometry.line import direction
 
-ROUNDS = 8
-"""Largest number of rounds of merging, association and solving."""
+_ROUNDS = 8  # of merging, association and solving, at most
 _SETTLED = 2e-3  # m: the last round is the first one that moves no pose farther
-GATE = 3.5
-"""A line explains a reading that it predicts within this number of standard deviations."""
-BEYOND = 0.10
-"""How far beyond a line's ends a beam may meet it, m."""
+_GATE = 3.5  # standard deviations, within which a line explains a reading: 0.9995 of its own readings
+_BEYOND = 0.10  # m: how far beyond a line's ends a beam may meet it
 _MARGIN = 3.0  # standard deviations by which the second-best line must predict a reading worse
 _FEWEST_OF_SIDE = 4  # readings
-_ROUGH = 3  # iterations before bent lines are looked for; fewer of them lose readings of right lines
 
 
 @dataclass(frozen=True, eq=False)
 class Association:
-    """A solution, and the line (k,) of each reading in this solution; -1 for readings that were not used."""
+    """A problem, its solution, and the line (k,) of each reading in it; -1 for readings that were not used."""
 
+    problem: Problem
     solution: Solution
     labels: IntArray
 
@@ -43,8 +42,10 @@ class Association:
         return self.solution.state
 
 
-def reassociate(problem: Problem, state: State, labels: IntArray, rounds: int = ROUNDS) -> Association:
+def reassociate(problem: Problem, state: State, labels: IntArray) -> Association:
     """Poses, lines and associations, from approximate poses and the first associations of some readings.
+
+    Each round merges lines, re-associates readings, solves, and divides bent lines.
 
     Parameters
     ----------
@@ -52,35 +53,22 @@ def reassociate(problem: Problem, state: State, labels: IntArray, rounds: int = 
         Initial poses; the lines of the state are not used.
     labels
         The initial line of each reading, in any numbering, or -1.
-    rounds
-        Largest number of rounds.
 
     Raises
     ------
     DegenerateError
         If the readings do not determine the poses.
     """
-    return reassociate_from(problem, solve_labels(problem, state, sided(problem, state, labels)), rounds)
-
-
-def sided(problem: Problem, state: State, labels: IntArray) -> IntArray:
-    """Labels in which each side of a line is a line of its own: merging decides anew which lines are boards."""
-    labels, _ = renumbered(labels)
-    fitted = with_lines(problem, without_lines(state), labels)
-    return np.where(labels >= 0, 2 * labels + sides_of(problem, fitted, labels), -1)
-
-
-def reassociate_from(problem: Problem, found: Association, rounds: int) -> Association:
-    """Merge lines, re-associate readings, solve and divide bent lines, for at most ``rounds`` rounds."""
-    for _ in range(rounds):
+    found = solve_labels(problem, state, labels)
+    for _ in range(_ROUNDS):
         before = found.state.poses
-        merged, has_merged, kinds = merge(problem, found)
+        merged, has_merged, kinds = merge(found)
         seen = seen_ends(problem, merged.state, merged.labels)
         if board_odds(0.0, *kinds) > SURE:
             # The walls are boards for sure: what was read from one side can be read from the other side.
             seen[..., 0], seen[..., 1] = seen[..., 0].min(axis=1)[:, None], seen[..., 1].max(axis=1)[:, None]
         labels = assigned(problem, merged.state, seen)
-        found = straightened(problem, solve_again(problem, merged.state, labels, iterations=_ROUGH))
+        found = straightened(solve_again(problem, merged.state, labels))
         if np.abs(found.state.poses - before)[..., :2].max() < _SETTLED and not has_merged:
             break
     return found
@@ -92,10 +80,11 @@ def solve_labels(problem: Problem, state: State, labels: IntArray) -> Associatio
     Lines with too few readings are left out.
     """
     labels, _ = renumbered(labels)
-    return Association(solve(problem, with_lines(problem, without_lines(state), labels), labels), labels)
+    bare = replace(state, lines=state.lines[:0], anchors=state.anchors[:0])
+    return Association(problem, solve(problem, with_lines(problem, bare, labels), labels), labels)
 
 
-def solve_again(problem: Problem, state: State, labels: IntArray, iterations: int = MOST_ITERATIONS) -> Association:
+def solve_again(problem: Problem, state: State, labels: IntArray) -> Association:
     """The optimum for associations with the lines of a state; lines with too few readings are removed.
 
     Raises
@@ -105,43 +94,27 @@ def solve_again(problem: Problem, state: State, labels: IntArray, iterations: in
     """
     labels, kept = renumbered(labels)
     state = replace(state, lines=state.lines[kept], anchors=state.anchors[kept])
-    return Association(solve(problem, state, labels, iterations), labels)
+    return Association(problem, solve(problem, state, labels), labels)
 
 
-def renumbered(labels: IntArray, fewest: int = FEWEST_READINGS) -> tuple[IntArray, IntArray]:
-    """Labels of the lines in the order of first readings, and the old numbers (m,).
-
-    Lines with fewer than ``fewest`` readings are left out.
-    """
-    known, firsts, inverse, counts = np.unique(labels, return_index=True, return_inverse=True, return_counts=True)
-    is_line = (known >= 0) & (counts >= fewest)
-    order = np.argsort(np.where(is_line, firsts, len(labels)), kind="stable")[: int(is_line.sum())]
-    numbers = np.full(len(known), -1)
-    numbers[order] = np.arange(len(order))
-    return numbers[inverse], known[order]
-
-
-def without_lines(state: State) -> State:
-    """The same poses without lines."""
-    return replace(state, lines=state.lines[:0], anchors=state.anchors[:0])
+def renumbered(labels: IntArray) -> tuple[IntArray, IntArray]:
+    """Labels of the lines with enough readings, from 0 on, and the old numbers (m,) of these lines."""
+    known, inverse, counts = np.unique(labels, return_inverse=True, return_counts=True)
+    is_line = (known >= 0) & (counts >= FEWEST)
+    return np.where(is_line, np.cumsum(is_line) - 1, -1)[inverse], known[is_line]
 
 
 def with_lines(problem: Problem, state: State, labels: IntArray) -> State:
     """The state with further lines, through the readings of each label from the number of its lines on."""
-    known = len(state.lines)
-    order = np.argsort(labels, kind="stable")
-    order = order[labels[order] >= known]
+    known, readings = len(state.lines), problem.readings
     count = max(int(labels.max(initial=-1)) + 1 - known, 0)
     lines, anchors = np.zeros((count, 2)), np.zeros((count, 2))
-    firsts = np.searchsorted(labels[order], known + np.arange(count + 1))
-    kernels.fit_lines(np.hstack(hit_points(problem, state, order)), firsts, problem.range_std, lines, anchors)
+    origins, ahead = rays(state.flat_poses[readings.places], problem.beams)
+    ends = origins + readings.distances[:, None] * ahead
+    for number in np.unique(labels[labels >= known]).tolist():
+        points = ends[labels == number]
+        lines[number - known, 1], anchors[number - known] = fit_line(points, 1.0).line[1], points.mean(axis=0)
     return replace(state, lines=np.vstack((state.lines, lines)), anchors=np.vstack((state.anchors, anchors)))
-
-
-def hit_points(problem: Problem, state: State, chosen: IntArray) -> tuple[FloatArray, FloatArray]:
-    """The end points (k, 2) of chosen readings, m, and the unit vectors (k, 2) of their beams."""
-    origins, ahead = rays(state.flat_poses[problem.readings.places[chosen]], problem.beams[chosen])
-    return origins + problem.readings.distances[chosen, None] * ahead, ahead
 
 
 def places_along(problem: Problem, state: State, labels: IntArray) -> FloatArray:
@@ -156,18 +129,14 @@ def places_along(problem: Problem, state: State, labels: IntArray) -> FloatArray
     return along
 
 
-def sides_of(problem: Problem, state: State, labels: IntArray) -> IntArray:
-    """The side (k,) of its line that each reading was taken from: ``POSITIVE`` or ``NEGATIVE``."""
-    headings = state.flat_poses[problem.readings.places, 2] + problem.beams[:, 2]
-    return np.where(np.cos(state.lines[labels, 1] - headings) < 0.0, POSITIVE, NEGATIVE)
-
-
 def seen_ends(problem: Problem, state: State, labels: IntArray) -> FloatArray:
     """The ends of each line's readings from each side (m, 2, 2), m, without the outermost reading at each end.
 
     Where a side has few readings, these may be of another wall, and the side counts as not seen.
     """
-    sided = np.where(labels >= 0, 2 * labels + sides_of(problem, state, labels), -1)
+    headings = state.flat_poses[problem.readings.places, 2] + problem.beams[:, 2]
+    side = np.where(np.cos(state.lines[labels, 1] - headings) < 0.0, POSITIVE, NEGATIVE)
+    sided = np.where(labels >= 0, 2 * labels + side, -1)
     along, count = places_along(problem, state, labels), 2 * len(state.lines)
     order = np.lexsort((along, sided))
     order = order[sided[order] >= 0]
@@ -181,79 +150,41 @@ def seen_ends(problem: Problem, state: State, labels: IntArray) -> FloatArray:
 def assigned(problem: Problem, state: State, ends: FloatArray) -> IntArray:
     """For each reading, the line that predicts it, or -1 if no line or two lines predict it.
 
-    A line can explain the readings from a side between the ends (m, 2, 2) on this side, and up to ``BEYOND``
-    outside.
+    A line can explain the readings from a side between the ends (m, 2, 2) on this side, and up to
+    ``_BEYOND`` outside.
     """
     readings = problem.readings
     best, misfits = np.empty(len(readings), dtype=np.int64), np.empty((len(readings), 2))
     biases = state.calibration[readings.places // problem.steps, 3]
     kernels.best_lines(
         state.flat_poses, readings.places, problem.beams, readings.distances - biases, state.lines, state.anchors,
-        ends, BEYOND, problem.beam_width, best, misfits,
+        ends, _BEYOND, problem.sensor.cone, best, misfits,
     )  # fmt: skip
-    misfits /= problem.range_std * problem.noise[:, None]
-    is_clear = (misfits[:, 0] < GATE) & (misfits[:, 1] - misfits[:, 0] > _MARGIN)
+    misfits /= problem.stds[:, None]
+    is_clear = (misfits[:, 0] < _GATE) & (misfits[:, 1] - misfits[:, 0] > _MARGIN)
     return np.where(is_clear, best, -1)
 
 
-def straightened(problem: Problem, found: Association) -> Association:
-    """The optimum with bent lines divided, and without runs of readings that lie on one side of their line."""
+def straightened(found: Association) -> Association:
+    """The optimum with bent lines divided."""
+    problem = found.problem
     labels = straight_labels(problem, found.state, found.labels, places_along(problem, found.state, found.labels))
     return solve_again(problem, with_lines(problem, found.state, labels), labels)
 
 
-def merge(
-    problem: Problem, found: Association, limits: OneWall = ONE_WALL
-) -> tuple[Association, bool, tuple[float, float]]:
+def merge(found: Association) -> tuple[Association, bool, tuple[float, float]]:
     """Merge the lines that may be one wall; whether there were such lines, and the lengths of boards and walls, m.
 
     Each merge updates all lines through their joint covariance. Poses and lines are solved for again when a line has
     moved far. This repeats until no pair can merge.
     """
-    has_merged, lines = False, lines_of(problem, found)
-    kinds = wall_kinds(lines, ONE_WALL)
-    while merge_lines(lines, limits, kinds):
-        labels = np.where(found.labels >= 0, rooted(lines.merged_into)[found.labels], -1)
-        found, has_merged = solve_again(problem, found.state, labels), True
-        lines = lines_of(problem, found)
-        kinds = wall_kinds(lines, ONE_WALL)
-    return found, has_merged, kinds
-
-
-def lines_of(problem: Problem, found: Association) -> Lines:
-    """The lines of a solution, for merging.
-
-    :mod:`limslam_agent.slam.core.carried_anchors` says why two lines are compared at a place that moves with the world.
-    In the filter it moves with the robot. Here it moves with a pose near the last reading of the line: of the poses
-    that are eliminated last, the first one after this reading.
-    """
-    solution, state = found.solution, found.state
-    poses, by_pose = carriers(problem, found)
-    moved = np.einsum("mi,mij->mj", by_pose, solution.covariance[poses])
-    places = np.einsum("mnj,nj->mn", moved[:, poses], by_pose)
-    beside = moved[:, -len(solution.of_lines) :]
-    joint = np.block([[solution.of_lines, beside.T], [beside, places]])
-    return Lines(state.lines.copy(), state.anchors, seen_ends(problem, state, found.labels), joint)
-
-
-def carriers(problem: Problem, found: Association) -> tuple[IntArray, FloatArray]:
-    """Indices (m, 3) of the pose with which each line's anchor moves, among the unknowns that are eliminated last.
-
-    Also the derivative (m, 3) of the anchor's place along its line by this pose, when pose and world move together.
-    """
-    state, ends, used = found.state, found.solution.unknowns.ends, found.labels >= 0
-    last = np.zeros(len(state.lines), dtype=np.int64)
-    np.maximum.at(last, found.labels[used], problem.readings.places[used])
-    chosen = np.minimum(np.searchsorted(ends, last), len(ends) - 1)
-    away = state.anchors - state.flat_poses[ends[chosen], :2]
-    by_pose = np.column_stack((direction(state.lines), np.sum(normal(state.lines) * away, axis=1)))
-    return pose_columns(chosen), by_pose
-
-
-def rooted(merged_into: IntArray) -> IntArray:
-    """The final line (m,) of each line, by following the merges in ``merged_into``."""
+    problem, has_merged = found.problem, False
     while True:
-        further = merged_into[merged_into]
-        if np.array_equal(further, merged_into):
-            return merged_into
-        merged_into = further
+        state = found.state
+        seen = seen_ends(problem, state, found.labels)
+        lines = Lines(state.lines.copy(), state.anchors, seen, found.solution.of_lines.copy())
+        kinds = wall_kinds(lines)
+        if not merge_lines(lines, kinds):
+            return found, has_merged, kinds
+        labels = np.where(found.labels >= 0, lines.merged_into[found.labels], -1)
+        found, has_merged = solve_again(problem, state, labels), True

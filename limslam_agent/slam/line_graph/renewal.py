@@ -19,17 +19,13 @@ from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with, 
 from limslam_agent.slam.consistent.wall_map import NEW, Wall
 from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.line_graph.line_smoother import pose_columns
-from limslam_agent.slam.line_graph.reassociation import seen_ends
-from limslam_agent.slam.line_graph.smoothed_map import drawn_pieces, is_contradicted, wall_extents
-from limslam_agent.slam.line_graph.smoother import FilteredRun, Settled, filter_labels, settle
+from limslam_agent.slam.line_graph.reassociation import Association, seen_ends
+from limslam_agent.slam.line_graph.smoothed_map import contradictions, drawn_pieces, wall_extents
+from limslam_agent.slam.line_graph.smoother import FilteredRun, filter_labels, settle
 from limslam_env.geometry import FloatArray, IntArray
 
-SHORTEST = 0.3
-"""Least length of a wall, m, that the error of its direction is based on."""
-
-# By how much the position of each end of a known wall becomes less certain at each renewal, in standard deviations of a
-# range. It stands for errors that a wall has in each stretch again.
-_END_NOISE = 1.0
+_SHORTEST = 0.3  # m: least length of a wall that the error of its direction is based on
+_CONTRADICTED = 0.01  # share of the beams that go through walls of a wrong map
 
 
 def renewed(start: MapState, stretch: FilteredRun, config: SmootherConfig) -> tuple[MapState, FloatArray] | None:
@@ -51,34 +47,31 @@ def renewed(start: MapState, stretch: FilteredRun, config: SmootherConfig) -> tu
         poses of the stretch (t, 3). None if the stretch cannot be smoothed, or if its beams contradict the result.
     """
     found = settle(stretch, config)
-    if found is None or is_contradicted(found.problem, found.association):
+    if found is None or contradictions(found) > _CONTRADICTED:
         return None
-    aged = _aged(start, _END_NOISE * found.problem.range_std)
+    # A wall has some errors in each stretch again, which are about as large as that of a range.
+    aged = _aged(start, found.problem.range_std)
     labels = filter_labels(found.problem, stretch.associations, stretch.closures, stretch.first_step)
-    return _joined(aged, found, labels), found.association.state.poses[0]
+    return _joined(aged, found, labels), found.state.poses[0]
 
 
 def _aged(state: MapState, end_std: float) -> MapState:
     """The map with the ends of each wall, m, less certain by a standard deviation, m."""
     variance, lengths = end_std**2, np.array([np.ptp(wall.extent.ends) for wall in state.walls])
-    lengths = np.maximum(lengths, SHORTEST)
+    lengths = np.maximum(lengths, _SHORTEST)
     added = np.column_stack((np.full(len(lengths), 0.5 * variance), 2.0 * variance / lengths**2))
     return replace(state, covariance=state.covariance + np.diag(np.append(np.zeros(POSE), added)))
 
 
-def _joined(start: MapState, found: Settled, labels: IntArray) -> MapState:
+def _joined(start: MapState, found: Association, labels: IntArray) -> MapState:
     """The map from before, and the walls and the last pose of a stretch, with their joint covariance.
 
     ``labels`` (k,) are the numbers of the landmarks that the filter has taken the readings for, or -1.
     """
-    state, solution = found.association.state, found.association.solution
-    extents = {
-        index: extent
-        for index, extent in wall_extents(found.problem, found.association).items()
-        if len(drawn_pieces(extent))
-    }
-    kept, counts = np.array(list(extents), dtype=int), np.bincount(found.association.labels + 1)[1:]
-    seen = seen_ends(found.problem, state, found.association.labels)
+    state, solution = found.state, found.solution
+    extents = {index: extent for index, extent in wall_extents(found).items() if len(drawn_pieces(extent))}
+    kept, counts = np.array(list(extents), dtype=int), np.bincount(found.labels + 1)[1:]
+    seen = seen_ends(found.problem, state, found.labels)
     lines, anchors, last = state.lines[kept], state.anchors[kept], state.poses[0, -1]
     columns = np.append(
         pose_columns(solution.unknowns.ends[-1:]), solution.unknowns.first_line + 2 * kept[:, None] + np.arange(2)
@@ -104,7 +97,7 @@ def _joined(start: MapState, found: Settled, labels: IntArray) -> MapState:
             *(
                 Wall(
                     NEW, extents[index], 1, int(counts[index]), seen[index],
-                    known_as=_most_frequent(labels[found.association.labels == index]),
+                    known_as=_most_frequent(labels[found.labels == index]),
                 )
                 for index in kept.tolist()
             ),

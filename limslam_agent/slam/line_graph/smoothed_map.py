@@ -8,21 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from limslam_agent.kernels.tables import BIN, THROUGH_SIGMAS, THROUGH_SLACK
+from limslam_agent.slam.consistent.limits import MAX_GAP, THROUGH_TOLERANCE
 from limslam_agent.slam.consistent.wall_map import WallExtent
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.line_graph import line_kernels as kernels
-from limslam_agent.slam.line_graph.problem import Problem, Readings, State
+from limslam_agent.slam.line_graph.problem import Readings, State
 from limslam_agent.slam.line_graph.reassociation import Association, places_along
 from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.geometry.line import direction, normal, normalise
 from limslam_env.geometry.segment import lengths
 
-_MAX_GAP = 0.30  # m: the largest hole without looks in a drawn segment
-_MOST_PASSED = 1.0  # beams that passed for each beam that hit, where a wall is drawn
 _FEWEST_SHOWN = 10  # readings of a line that is drawn
 # The least length of a drawn segment: in m, and in standard deviations of a range.
 _SHORTEST_SHOWN, _SHORTEST_IN_STDS = 0.20, 7.5
-_CONTRADICTED = 0.01  # share of the beams that go through walls of a wrong map
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +33,8 @@ class Tally:
         Index of the first bin of each line (m,).
     hits, misses
         Numbers (m, b) of beams that ended in each bin, and of beams that passed through it.
+    reached
+        Least and largest position (m, 2, b) of a hit in each bin, m along the line.
     contradictions
         Number of beams that passed through any wall.
     """
@@ -42,55 +42,56 @@ class Tally:
     low: IntArray
     hits: IntArray
     misses: IntArray
+    reached: FloatArray
     contradictions: int
 
 
-def tally(problem: Problem, found: Association) -> Tally:
+def tally(found: Association) -> Tally:
     """Count hits and misses along the lines of a solution."""
-    state, labels, looks = found.state, found.labels, problem.looks
-    used = labels >= 0
-    bins = np.floor(places_along(problem, state, labels)[used] / BIN).astype(np.int64)
-    count = len(state.lines)
+    problem, state, used = found.problem, found.state, found.labels >= 0
+    looks = problem.looks
+    labels, along = found.labels[used], places_along(problem, state, found.labels)[used]
+    bins, count = np.floor(along / BIN).astype(np.int64), len(state.lines)
     low, high = np.full(count, np.iinfo(np.int64).max), np.full(count, np.iinfo(np.int64).min)
-    np.minimum.at(low, labels[used], bins)
-    np.maximum.at(high, labels[used], bins)
+    np.minimum.at(low, labels, bins)
+    np.maximum.at(high, labels, bins)
+    bins -= low[labels]
     hits = np.zeros((count, int((high - low).max(initial=0)) + 1), dtype=np.int64)
-    np.add.at(hits, (labels[used], bins - low[labels[used]]), 1)
+    np.add.at(hits, (labels, bins), 1)
     misses = np.zeros_like(hits)
+    reached = np.stack((np.full(hits.shape, np.inf), np.full(hits.shape, -np.inf)), axis=1)
+    np.minimum.at(reached[:, 0], (labels, bins), along)
+    np.maximum.at(reached[:, 1], (labels, bins), along)
     crossed = kernels.count_crossings(
         state.flat_poses, looks.places, problem.look_beams, looks.distances, state.lines, state.anchors,
         low, hits, THROUGH_SIGMAS * problem.range_std + THROUGH_SLACK, misses,
     )  # fmt: skip
-    return Tally(low, hits, misses, crossed)
+    return Tally(low, hits, misses, reached, crossed)
 
 
-def contradictions(problem: Problem, found: Association) -> float:
+def contradictions(found: Association) -> float:
     """Share of the looks that pass through walls, without those that saw nothing and may be dropouts of the sensor.
 
     A beam that saw nothing counts if it also saw nothing in the steps before and after.
     """
-    looks, steps = problem.looks, len(problem.starts) * problem.steps
+    problem, looks = found.problem, found.problem.looks
+    steps = len(problem.starts) * problem.steps
     is_empty = np.zeros((steps + 2, len(problem.robot.beams)), dtype=bool)
     is_empty[looks.places[~problem.is_hit] + 1, looks.beams[~problem.is_hit]] = True
     lasts = is_empty[:-2] & is_empty[1:-1] & is_empty[2:]
     counts = problem.is_hit | lasts[looks.places, looks.beams]
     kept = Readings(looks.places[counts], looks.beams[counts], looks.distances[counts])
-    return tally(replace(problem, looks=kept), found).contradictions / max(len(kept), 1)
+    return tally(replace(found, problem=replace(problem, looks=kept))).contradictions / max(len(kept), 1)
 
 
-def is_contradicted(problem: Problem, found: Association) -> bool:
-    """Whether more beams pass through walls than in a correct map."""
-    return contradictions(problem, found) > _CONTRADICTED
-
-
-def smoothed_map(problem: Problem, found: Association) -> tuple[list[Landmark], FloatArray]:
+def smoothed_map(found: Association) -> tuple[list[Landmark], FloatArray]:
     """The walls of a solution: the lines with walls, as landmarks about the world's origin, and the segments (k, 4), m.
 
     A wall is where beams ended along a line and no beam passed through.
     """
-    segments, owners = _drawn(problem, found)
+    segments, owners = _drawn(found)
     lines, covariances = world_lines(found)
-    along = places_along(problem, found.state, found.labels)
+    along = places_along(found.problem, found.state, found.labels)
     landmarks = []
     for index in np.unique(owners).tolist():
         own, (r, theta) = along[found.labels == index], lines[index].tolist()
@@ -116,34 +117,30 @@ def world_lines(found: Association) -> tuple[FloatArray, FloatArray]:
     return normalise(lines), np.asarray(jacobians @ blocks @ np.swapaxes(jacobians, 1, 2))
 
 
-def wall_extents(problem: Problem, found: Association) -> dict[int, WallExtent]:
+def wall_extents(found: Association) -> dict[int, WallExtent]:
     """Where along each line beams ended and passed, by the line's index, for lines with enough readings."""
-    counted, state = tally(problem, found), found.state
-    along, used = places_along(problem, state, found.labels), found.labels >= 0
-    bins = np.floor(along[used] / BIN).astype(np.int64) - counted.low[found.labels[used]]
-    least, most = np.full(counted.hits.shape, np.inf), np.full(counted.hits.shape, -np.inf)
-    np.minimum.at(least, (found.labels[used], bins), along[used])
-    np.maximum.at(most, (found.labels[used], bins), along[used])
-    extents = {}
-    for index in np.flatnonzero(counted.hits.sum(axis=1) >= _FEWEST_SHOWN).tolist():
-        counts, reached = np.stack((counted.hits[index], counted.misses[index])), np.stack((least[index], most[index]))
-        extents[index] = WallExtent(int(counted.low[index]), counts, reached)
-    return extents
+    counted = tally(found)
+    return {
+        index: WallExtent(
+            int(counted.low[index]), np.stack((counted.hits[index], counted.misses[index])), counted.reached[index]
+        )
+        for index in np.flatnonzero(counted.hits.sum(axis=1) >= _FEWEST_SHOWN).tolist()
+    }
 
 
 def drawn_pieces(extent: WallExtent) -> FloatArray:
     """The pieces (k, 2) of a line that are drawn as walls, m along the line."""
-    return extent.intervals(_MAX_GAP, _MOST_PASSED)
+    return extent.intervals(MAX_GAP, THROUGH_TOLERANCE)
 
 
-def _drawn(problem: Problem, found: Association) -> tuple[FloatArray, IntArray]:
+def _drawn(found: Association) -> tuple[FloatArray, IntArray]:
     """The wall segments (k, 4), m, and the line (k,) of each."""
     drawn, owners = [no_rows(4)], [np.zeros(0, dtype=np.int64)]
-    for index, extent in wall_extents(problem, found).items():
+    for index, extent in wall_extents(found).items():
         drawn.append(_points(found.state, index, drawn_pieces(extent)).reshape(-1, 4))
         owners.append(np.full(len(drawn[-1]), index))
     every, owner = np.concatenate(drawn), np.concatenate(owners)
-    is_long = lengths(every) >= max(_SHORTEST_SHOWN, _SHORTEST_IN_STDS * problem.range_std)
+    is_long = lengths(every) >= max(_SHORTEST_SHOWN, _SHORTEST_IN_STDS * found.problem.range_std)
     return np.asarray(every[is_long]), np.asarray(owner[is_long])
 
 

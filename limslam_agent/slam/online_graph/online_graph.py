@@ -18,8 +18,8 @@ from limslam_agent.config.graph import GraphConfig, LocalMapConfig
 from limslam_agent.slam.graph.chunk_graph import inflated
 from limslam_agent.slam.graph.key_poses import KEY_DISTANCE, KEY_TURN, calibrated_motion, motion_variances
 from limslam_agent.slam.graph.local_maps import cut_chunks
+from limslam_agent.slam.graph.loop_search import ChunkGraph
 from limslam_agent.slam.online_graph.local_frame import LocalFrame, OdometryErrors, smooth_window
-from limslam_agent.slam.online_graph.place_graph import PlaceGraph
 from limslam_agent.slam.online_graph.recent_events import RecentEvents
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import between, compose, compose_jacobians
@@ -88,7 +88,7 @@ class OnlineGraph:
         Time that the job of the last step took, ms; zero if there was none.
     """
 
-    places: PlaceGraph | None
+    places: ChunkGraph | None
 
     def __init__(self, beams: Beams, start: FloatArray, config: GraphConfig | None = None) -> None:
         self._beams, self._config = beams, config or GraphConfig()
@@ -98,7 +98,7 @@ class OnlineGraph:
         self._ridden, self._variances = np.zeros(3), np.zeros(3)
         self._anchor = Anchor(self._ridden, self._variances, self._start, np.zeros((3, 3)), self.errors.mean)
         self._waiting: Anchor | None = None
-        self._chunk_std = 0.0
+        self._chunk_std, self._first_covariance = 0.0, np.zeros((3, 3))
         self._middles = [0]  # events in the middle of the last chunks
         self._job_at = _remainder(self._config.maps)
         self._key_travel, self._key_turned = 0.0, 0.0
@@ -119,7 +119,7 @@ class OnlineGraph:
         recent, travel, turned = self._recent, self._recent.travel, self._recent.turned
         recent.append(time, odometry, ranges, hit)
         self.job_ms = 0.0
-        motion = calibrated_motion(recent.last_motion(float(self._anchor.errors[3])), self._anchor.errors)
+        motion = calibrated_motion(recent.last_motion, self._anchor.errors)
         moved = np.array([recent.travel - travel]), np.array([recent.turned - turned])
         self._ridden = compose(self._ridden, motion)
         self._variances = self._variances + motion_variances(*moved)[0]
@@ -174,7 +174,8 @@ class OnlineGraph:
         if self.places is None:
             key, pose, covariance = 0, self._start, np.zeros((3, 3))
         else:
-            pose, covariance = self.places.poses[-1], self.places.covariance
+            pose = self.places.poses[-1]
+            covariance = self.places.covariance[-3:, -3:] + _turned(self._first_covariance, pose - self.places.poses[0])
         motion = between(frame.trajectory.poses[key], frame.poses[-1])
         own = inflated(frame.covariances(np.array([key, last])))[0]
         return compose(pose, motion), moved_covariance(pose, covariance, motion, own)
@@ -188,14 +189,14 @@ class OnlineGraph:
         pose = frame.trajectory.poses[key]
         before = self._middles
         keys = np.array([frame.keys.event_key[before[-1] - recent.first], key])
-        covariance = frame.covariances(keys)[0]
+        own = inflated(frame.covariances(keys))[0]
         if self.places is None:
-            motion, own = between(frame.poses[0], pose), inflated(covariance)
-            start = moved_covariance(self._start, np.zeros((3, 3)), motion, own)
-            self.places, self._middles = PlaceGraph(chunk, compose(self._start, motion), start), []
+            motion = between(frame.poses[0], pose)
+            self._first_covariance = moved_covariance(self._start, np.zeros((3, 3)), motion, own)
+            self.places, self._middles = ChunkGraph(chunk, compose(self._start, motion)), []
         else:
             path = np.vstack((frame.poses[np.array(before) - recent.first], pose))
-            self.places.add(chunk, between(path[:-1], path[1:]), covariance)
+            self.places.add(chunk, between(path[:-1], path[1:]), own)
             self._chunk_std = self.places.position_std
         self._middles.append(event)
 
@@ -204,6 +205,12 @@ def moved_covariance(pose: FloatArray, covariance: FloatArray, motion: FloatArra
     """Covariance (3, 3) of a pose (3,) after a motion (3,) with the covariance ``own`` (3, 3)."""
     by_pose, by_motion = compose_jacobians(pose, motion)
     return np.asarray(by_pose @ covariance @ by_pose.T + by_motion @ own @ by_motion.T)
+
+
+def _turned(covariance: FloatArray, apart: FloatArray) -> FloatArray:
+    """What the covariance (3, 3) of the first pose adds to that of a pose that is ``apart`` (3,) from it."""
+    turned = np.array([[1.0, 0.0, -apart[1]], [0.0, 1.0, apart[0]], [0.0, 0.0, 1.0]])
+    return np.asarray(turned @ covariance @ turned.T)
 
 
 def _remainder(config: LocalMapConfig) -> float:

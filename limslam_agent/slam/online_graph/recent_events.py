@@ -7,7 +7,7 @@ import numpy as np
 
 from limslam_agent.slam.graph.key_poses import LogData
 from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.geometry.se2 import between, wrap_angle
+from limslam_env.geometry.se2 import between
 
 
 class RecentEvents:
@@ -56,31 +56,12 @@ class RecentEvents:
             del events[old]
         self.first = event
 
-    def last_motion(self, delay: float) -> FloatArray:
-        """Motion (3,) by odometry of the last event, ``delay`` s before its time and that of the event before."""
-        if len(self._times) < 2:
-            return np.zeros(3)
-        return np.asarray(between(self._odometry_at(-2, delay), self._odometry_at(-1, delay)))
+    @property
+    def last_motion(self) -> FloatArray:
+        """Motion (3,) by odometry of the last event."""
+        return between(*self._odometry[-2:]) if len(self._odometry) > 1 else np.zeros(3)
 
     def data(self, origins: FloatArray, angles: FloatArray, max_range: float, range_std: float) -> LogData:
         """The events as a log, of beams with origins (b, 2) and directions (b,)."""
         times, odometry, hits = np.array(self._times), np.array(self._odometry), np.array(self._hits)
         return LogData(times, odometry, np.array(self._ranges), hits, origins, angles, max_range, range_std)
-
-    def _odometry_at(self, place: int, delay: float) -> FloatArray:
-        """Pose of odometry (3,) a delay before an event, by linear interpolation."""
-        place += len(self._times)
-        if not delay:
-            return self._odometry[place]
-        time = self._times[place] - delay
-        after = place if delay > 0.0 else len(self._times) - 1
-        while after > 1 and self._times[after - 1] >= time:
-            after -= 1
-        if after < 1:
-            return self._odometry[place]
-        begin, end = self._times[after - 1], self._times[after]
-        share = min(max((time - begin) / (end - begin), 0.0), 1.0) if end > begin else 1.0
-        first, second = self._odometry[after - 1], self._odometry[after]
-        change = second - first
-        change[2] = wrap_angle(change[2])
-        return np.asarray(first + share * change)

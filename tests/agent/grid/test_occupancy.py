@@ -50,32 +50,6 @@ def test_a_beam_clears_what_it_crosses_and_occupies_where_it_ends() -> None:
     assert all(value(grid, column, row) == 0 for column in range(2, 12) for row in (-1, 1))
 
 
-@pytest.mark.parametrize(("heading", "right", "up"), [(0.0, 1, 0), (0.5, 0, 1), (1.0, -1, 0), (-0.5, 0, -1)])
-def test_rows_go_up_and_columns_to_the_right(heading: float, right: int, up: int) -> None:
-    grid = OccupancyGrid(CONFIG)
-    grid.update(at_centre(2, 3, heading * math.pi), ONE, np.array([0.8]), YES)
-    assert value(grid, 2 + 8 * right, 3 + 8 * up) == -4
-    assert value(grid, 2 + 5 * right, 3 + 5 * up) == 1
-    assert sum(each < 0 for each in known(grid).values()) == 1
-
-
-def test_a_slanted_beam_leaves_no_hole_in_its_way() -> None:
-    grid = OccupancyGrid(CONFIG)
-    pose = at_centre(0, 0, math.radians(30.0))
-    grid.update(pose, ONE, np.array([1.4]), YES)
-    free = {place for place, each in known(grid).items() if each > 0}
-    along = pose[:2] + np.linspace(0.0, 1.3, 27)[:, None] * [math.cos(pose[2]), math.sin(pose[2])]
-    assert {tuple(place) for place in np.floor(along / 0.1).astype(int).tolist()} <= free
-
-
-def test_nothing_seen_clears_all_the_way_and_occupies_nothing() -> None:
-    grid = OccupancyGrid(CONFIG)
-    # As float32 reads it: the maximum need not survive the rounding exactly.
-    grid.update(at_centre(0, 0), ONE, np.float32([1.5]).astype(float), YES)
-    assert all(value(grid, column, 0) == 1 for column in range(15))
-    assert not grid.view.occupied.any()
-
-
 @pytest.mark.parametrize("reading", [0.2, float(np.float32(0.2)), 0.1])
 def test_a_reading_at_the_minimum_marks_nothing(reading: float) -> None:
     with_it, without = OccupancyGrid(CONFIG), OccupancyGrid(CONFIG)
@@ -112,13 +86,6 @@ def test_a_map_without_bounds_is_refused(far: tuple[int, int]) -> None:
         grid.update(at_centre(*far), ONE, np.array([1.0]), YES)
 
 
-def test_a_map_of_nearly_two_kilometres_is_not_refused() -> None:
-    grid = OccupancyGrid(CONFIG)
-    for column in (0, 19_800):
-        grid.update(at_centre(column, 0), ONE, np.array([1.0]), YES)
-    assert grid.view.values.shape == (1, 19_811)
-
-
 def test_after_a_refusal_the_map_is_as_it_was() -> None:
     grid = OccupancyGrid(CONFIG)
     grid.update(at_centre(0, 0), ONE, np.array([1.0]), YES)
@@ -128,50 +95,12 @@ def test_after_a_refusal_the_map_is_as_it_was() -> None:
     assert known(grid) == before
 
 
-def test_the_body_stands_on_free_ground() -> None:
-    grid = OccupancyGrid(CONFIG)
-    robot = RobotSpec(radius=0.15, beams=ONE.beams)
-    grid.update(at_centre(0, 0), robot, np.array([1.0]), NO)
-    assert {place for place, each in known(grid).items() if each > 0} >= {(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)}
-    assert max(abs(x) for x, _ in known(grid)) == 1
-
-
-@pytest.mark.parametrize("reading", [math.nan, math.inf, 0.7])
-def test_readings_that_cannot_be_used_change_nothing(reading: float) -> None:
-    with_it, without = OccupancyGrid(CONFIG), OccupancyGrid(CONFIG)
-    ranges = np.array([0.5, 0.6, 1.2, 1.1, 0.7, 0.5])
-    usable = np.array([True, True, False, True, True, True])
-    without.update(at_centre(0, 0), SIX, ranges, usable)
-    ranges[2] = reading
-    with_it.update(at_centre(0, 0), SIX, ranges, usable)
-    assert known(with_it) == known(without)
-    # That beam would have hit something here.
-    full = OccupancyGrid(CONFIG)
-    full.update(at_centre(0, 0), SIX, np.array([0.5, 0.6, 0.7, 1.1, 0.7, 0.5]), np.ones(6, dtype=bool))
-    assert known(full) != known(with_it)
-
-
-def test_without_a_single_usable_beam_only_the_body_is_known() -> None:
-    grid = OccupancyGrid(CONFIG)
-    grid.update(at_centre(0, 0), SIX, np.full(6, math.nan), np.zeros(6, dtype=bool))
-    assert known(grid)
-    assert all(abs(x) <= 1 and abs(y) <= 1 and each == 1 for (x, y), each in known(grid).items())
-
-
 def test_a_cell_is_counted_once_a_step_however_many_samples_fall_into_it() -> None:
     grid = OccupancyGrid(CONFIG)
     fan = RobotSpec(radius=0.05, beams=tuple(SensorSpec(0.0, 0.0, a, 0.05, 1.5) for a in (-0.01, 0.0, 0.01)))
     grid.update(at_centre(0, 0), fan, np.full(3, 1.0), np.ones(3, dtype=bool))
     assert value(grid, 5, 0) == 1
     assert value(grid, 10, 0) == -4
-
-
-def test_a_cell_that_one_beam_hits_is_not_cleared_by_another_in_the_same_step() -> None:
-    grid = OccupancyGrid(CONFIG)
-    pair = RobotSpec(radius=0.05, beams=(SensorSpec(0.0, 0.0, 0.0), SensorSpec(0.0, 0.01, 0.0)))
-    grid.update(at_centre(0, 0), pair, np.array([0.8, 1.4]), np.ones(2, dtype=bool))
-    assert value(grid, 8, 0) == -4
-    assert value(grid, 9, 0) == 1
 
 
 def test_values_stay_within_the_limit_and_can_always_be_outvoted() -> None:
@@ -184,16 +113,6 @@ def test_values_stay_within_the_limit_and_can_always_be_outvoted() -> None:
     for _ in range(20):
         grid.update(at_centre(0, 0), ONE, np.array([1.5]), YES)
     assert value(grid, 10, 0) == 1
-
-
-def test_what_is_known_never_becomes_unknown_by_adding_up_to_nothing() -> None:
-    grid = OccupancyGrid(CONFIG)
-    grid.update(at_centre(0, 0), ONE, np.array([1.0]), YES)
-    values = []
-    for _ in range(5):
-        grid.update(at_centre(0, 0), ONE, np.array([1.5]), YES)
-        values.append(value(grid, 10, 0))
-    assert values == [-3, -2, -1, 1, 2]
 
 
 poses = st.tuples(st.integers(-120, 120), st.integers(-120, 120), st.floats(-math.pi, math.pi))
@@ -216,25 +135,6 @@ def test_growing_keeps_what_is_known_and_where(first: tuple, second: tuple, thir
     assert known(together) == expected
 
 
-@pytest.mark.parametrize(("column", "row"), [(-33, -74), (-1, 5), (4, -1), (-1000, 1000)])
-def test_negative_coordinates_are_places_like_any_other(column: int, row: int) -> None:
-    grid = OccupancyGrid(CONFIG)
-    grid.update(at_centre(column, row), ONE, np.array([1.0]), YES)
-    assert [value(grid, column + ahead, row) for ahead in range(12)] == [1] * 10 + [-4, 0]
-    # It starts where it is needed, and does not reach back to the origin.
-    assert grid.view.values.size < 100 * 100
-
-
-def test_the_grid_covers_the_robot_and_all_that_it_saw() -> None:
-    grid = OccupancyGrid(CONFIG)
-    for column in range(0, 200, 7):
-        pose = at_centre(column, -2 * column, 0.1 * column)
-        grid.update(pose, ONE, np.array([1.5]), YES)
-        cell = grid.view.cells(pose[None, :2])[0]
-        assert (cell >= 0).all()
-        assert (cell < grid.view.values.shape).all()
-
-
 def test_a_view_is_read_only() -> None:
     grid = OccupancyGrid(CONFIG)
     grid.update(at_centre(0, 0), ONE, np.array([1.0]), YES)
@@ -249,16 +149,3 @@ def test_cells_and_centres_are_inverse_and_tell_rows_from_columns() -> None:
     assert len(cells) == 24
     np.testing.assert_array_equal(view.cells(view.centres(cells)), cells)
     np.testing.assert_allclose(view.centres(np.array([[3, 0]])), [[-0.75, 3.75]])
-
-
-def test_the_signs_of_values_are_free_occupied_and_unknown() -> None:
-    view = GridView(np.zeros(2), 0.1, np.array([[3, -1, 0]], dtype=np.int16))
-    assert view.free.tolist() == [[True, False, False]]
-    assert view.occupied.tolist() == [[False, True, False]]
-    assert view.unknown.tolist() == [[False, False, True]]
-
-
-def test_values_at_points_are_those_of_their_cells_and_unknown_outside():
-    view = GridView(np.array([-1.0, 2.0]), 0.5, np.array([[1, 2, 3], [-4, 5, -6]], dtype=np.int16))
-    points = np.array([[-0.9, 2.1], [0.4, 2.9], [-0.6, 2.6], [-1.1, 2.1], [0.6, 2.1], [0.4, 3.1]])
-    np.testing.assert_array_equal(view.values_at(points), [1, -6, -4, 0, 0, 0])

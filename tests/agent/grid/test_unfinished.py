@@ -86,13 +86,6 @@ def test_a_stretch_shorter_than_asked_is_left_out() -> None:
     assert not len(unfinished(grid, walls, 0.25))
 
 
-def test_a_single_occupied_cell_before_a_wall_is_no_stretch() -> None:
-    grid = room(20, 20)
-    values = grid.values.copy()
-    values[1, 10] = -4
-    assert not len(unfinished(GridView(grid.low, CELL, values), walls_of(20, 20)))
-
-
 def test_an_obstacle_without_walls_is_unfinished_all_around() -> None:
     grid = room(20, 20)
     values = grid.values.copy()
@@ -100,16 +93,6 @@ def test_an_obstacle_without_walls_is_unfinished_all_around() -> None:
     found = unfinished(GridView(grid.low, CELL, values), walls_of(20, 20))
     assert len(found) == 16
     assert (np.sum(found.normals * (found.middles - 1.0), axis=1) > 0.0).all()
-
-
-def test_a_wall_at_a_right_angle_does_not_finish_a_side_beside_it() -> None:
-    # The left side of the room is 0.6 m long and not drawn; both of its neighbours are.
-    found = unfinished(room(20, 6), walls_of(20, 6)[:3])
-    assert len(found) == 4
-
-
-def test_without_any_wall_everything_is_unfinished() -> None:
-    assert len(unfinished(room(5, 4), np.zeros((0, 4)))) == 18
 
 
 @pytest.mark.parametrize("place", [(0.05, 0.05), (0.95, 0.05)])
@@ -120,16 +103,3 @@ def test_only_the_ground_that_the_robot_can_reach_counts(place) -> None:
     assert ground[1, 1:5].all() == (place[0] < 0.5)
     assert ground[1, 7:11].all() == (place[0] > 0.5)
     assert ground.sum() == 4
-
-
-def test_a_place_that_is_not_free_counts_all_ground() -> None:
-    grid = room(4, 4)
-    assert reachable_ground(grid, np.array([-0.05, -0.05])).sum() == 16
-    assert reachable_ground(grid, np.array([9.0, 9.0])).sum() == 16
-
-
-def test_no_faces_give_no_stretch() -> None:
-    nothing = Faces(np.zeros((0, 2)), np.zeros((0, 2)))
-    assert in_long_stretches(nothing, 0.15, CELL).shape == (0,)
-    empty = GridView(np.zeros(2), CELL, np.zeros((3, 3), dtype=np.int16))
-    assert not len(border_faces(empty, empty.free))

@@ -80,16 +80,3 @@ def test_cells_move_with_the_nearest_wall():
     grid.bend(np.array([[1.0, 0.5], [5.0, 0.5]]), np.array([[0.0, 0.0, 0.0], [0.3, -0.2, 0.0]]))
     found = grid.view.values_at(np.array([[1.05, 0.55], [5.05, 0.55], [5.35, 0.35]]))
     np.testing.assert_array_equal(found, [-3, 0, 7])
-
-
-@pytest.mark.parametrize("turn", [0.15, -0.15])
-def test_a_turn_about_a_wall_takes_no_cells_from_the_border(turn):
-    values, anchor = np.zeros((40, 40), dtype=np.int16), np.array([0.0, 2.0])
-    values[:, -1] = -3
-    grid = OccupancyGrid.of(GridView(np.zeros(2), 0.1, values), GridConfig())
-    border = np.column_stack((np.full(40, 3.95), 0.1 * np.arange(40) + 0.05))
-    grid.bend(anchor[None], np.array([[0.0, 0.0, turn]]))
-    turned = transform_points(np.array([*anchor, turn]), border - anchor)
-    near = grid.view.centres(np.argwhere(grid.view.values == -3))
-    away = np.hypot(*(turned[:, None] - near).T).min(axis=0)
-    assert away.max() < 0.1

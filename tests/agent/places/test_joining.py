@@ -6,11 +6,9 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from support.command_line import call
 from support.halls import HALL, PART, ROBOT, SENSOR, WAY, drive, known, poses_along, readings
 
 from limslam_agent import preset
-from limslam_agent.cli.main import main
 from limslam_agent.config.exploration import GridConfig
 from limslam_agent.grid.occupancy import GridView, drawn_grid
 from limslam_agent.joining import NOT_YET_CONFIRMED, NOT_YET_JOINED, JoiningMapper
@@ -24,7 +22,6 @@ from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import write_episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.runs.smoothing import final_status
-from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.status import LEVELS, Status
 from limslam_agent.team import LimSlamTeam
 from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
@@ -125,30 +122,6 @@ def test_a_robot_that_sees_the_other_one_finds_it():
     assert meeting.records[0]["match"]["contradictions"] == 0
 
 
-def test_a_place_is_unsure_until_the_map_has_no_other_one():
-    meeting, slams, grids, _ = met()
-    while meeting.seek(slams, grids, HERE) is None:
-        pass
-    meeting.has_joined(HERE)
-    for _ in range(3):
-        assert not meeting.is_to_be_confirmed
-        meeting.drive([np.array([1.0, 0.0, 0.0])] * 2)
-    assert meeting.is_to_be_confirmed
-    hall = known(WAY, HALL)
-    assert meeting.confirm(hall, is_complete=False) == ""
-    assert meeting.is_doubtful
-    twice = np.concatenate((HALL, HALL + 20.0))
-    low, cells = hall.grid.low, hall.grid.values.shape
-    values = np.zeros((cells[0] + 200, cells[1] + 200), dtype=np.int16)
-    values[: cells[0], : cells[1]] = values[200:, 200:] = hall.grid.values
-    alike = KnownPlaces(twice, GridView(low, 0.1, values), SENSOR)
-    assert meeting.confirm(alike, is_complete=True).startswith("ambiguous")
-    assert meeting.is_doubtful
-    assert meeting.confirm(hall, is_complete=True) == ""
-    assert not meeting.is_doubtful
-    assert [each["event"] for each in meeting.records] == ["joined", "confirmed"]
-
-
 def test_a_joining_that_the_readings_contradict_is_taken_back(episode, monkeypatch):
     mapper = JoiningMapper(RobotSpec(), preset("graph", NominalNoise(NOISE)))
     mapper.reset(np.array([episode.true[0, 0], HERE]))
@@ -186,19 +159,6 @@ def test_a_joined_run_is_smoothed_with_an_unknown_start(episode):
     assert final_status(episode)["status"] == "unsure", "the joining is not confirmed"
 
 
-def test_robots_of_which_one_was_carried_away_are_not_joined(episode):
-    """The joining would process all steps again, with a motion that no wheels have told."""
-    mapper = JoiningMapper(RobotSpec(), preset("graph", NominalNoise(NOISE)))
-    mapper.reset(np.array([episode.true[0, 0], HERE]))
-    for step in range(episode.places.records[0]["step"] + 1):
-        if step == 10:
-            mapper._apart[1]._recovery.breaks.append(5)
-        mapper.step(*observations_of(episode, step))
-    assert mapper.is_apart
-    mapper.finish()
-    assert mapper.places.records[-1]["reason"] == "a robot was carried away, or has begun a new map"
-
-
 def test_robots_that_do_not_join_leave_two_maps(early, tmp_path):
     assert early.joined is None
     assert early.smoothed is None
@@ -212,45 +172,6 @@ def test_robots_that_do_not_join_leave_two_maps(early, tmp_path):
     assert json.loads((tmp_path / "map_unplaced.json").read_text())["frame"] == "local"
     (line,) = [line for line in record_summary(result) if line.startswith("place ")]
     assert "the map of the second robot is in map_unplaced.json" in line
-
-
-def test_the_second_robot_begins_in_a_frame_of_its_own(early):
-    np.testing.assert_allclose(early.estimated[0, 1], 0.0, atol=1e-6)
-    expected = compose(inverse(early.true[0, 1]), early.true[-1, 1])
-    assert np.hypot(*(early.estimated[-1, 1] - expected)[:2]) < 0.1
-
-
-def test_a_wrong_match_is_refused_by_the_readings(episode):
-    mapper = JoiningMapper(RobotSpec(), preset("graph", NominalNoise(NOISE)))
-    mapper.reset(np.array([episode.true[0, 0], HERE]))
-    seek, (*_, event) = mapper._meeting.seek, episode.places.records
-    wrong = np.array(event["start"]) + np.array([0.8, -0.6, 0.0])
-
-    def seek_wrongly(*arguments):
-        return seek(*arguments) and (wrong, np.diag([0.01, 0.01, 0.001]))
-
-    mapper._meeting.seek = seek_wrongly
-    for step in range(event["step"] + 1):
-        mapper.step(*observations_of(episode, step))
-    assert mapper.is_apart
-    assert [each["event"] for each in mapper.places.records] == ["match refused"]
-    assert mapper.poses.shape == (2, 3)
-
-
-def test_robots_that_were_lost_before_they_met_join_later(episode, monkeypatch):
-    mapper, joined = JoiningMapper(RobotSpec(), preset("graph", NominalNoise(NOISE))), episode.places.records[0]["step"]
-    mapper.reset(np.array([episode.true[0, 0], HERE]))
-    with monkeypatch.context() as patch:
-        patch.setattr(Mapper, "statuses", property(lambda _: [Status("lost", "made up")]))
-        for step in range(joined + 1):
-            mapper.step(*observations_of(episode, step))
-    assert mapper.is_apart, "a lost robot is not in its map"
-    assert mapper.places.records == []
-    step = joined
-    while mapper.is_apart:
-        step += 1
-        mapper.step(*observations_of(episode, step))
-    assert [each["event"] for each in mapper.places.records] == ["joined"]
 
 
 def test_the_body_of_a_robot_that_is_not_known_contradicts_no_map():
@@ -274,13 +195,6 @@ def test_what_cannot_be_run_is_refused(options, words):
         RunConfig("env2", NOISE, unknown_starts=True, **options)
 
 
-def test_the_command_refuses_three_robots_in_one_line(tmp_path):
-    answer = call(main, "run", "--robots", "3", "--unknown-starts", "--out", tmp_path / "out")
-    assert answer.returncode == 2
-    assert answer.stderr == "limslam: unknown starts are for two robots, not 3\n"
-    assert not (tmp_path / "out").exists()
-
-
 def test_a_team_with_unknown_starts_is_two_robots():
     with pytest.raises(ValueError, match="two robots"):
         LimSlamTeam(RobotSpec(), num_robots=3, unknown_starts=True)
@@ -290,17 +204,3 @@ def test_a_team_with_unknown_starts_is_two_robots():
     mapper = JoiningMapper(RobotSpec())
     with pytest.raises(ValueError, match="1 observations for 2 robots"):
         mapper.step({"ranges": np.full(6, 1.0), "wheels": np.zeros(2)})
-
-
-def test_a_team_begins_with_what_its_robots_have_found_about_odometry_and_sensor(early):
-    mapper, sensor = JoiningMapper(RobotSpec(), preset("graph", NominalNoise(NOISE))), RangeSensor(0.03, cone=0.03)
-    for step in range(10):
-        mapper.step(*observations_of(early, step))
-    first, second = mapper._apart
-    first.slam.calibrate()
-    # A team does not know how the beams of single robots are mounted, and noise beside turned beams is smaller.
-    first.slam.assume(RangeSensor(0.01, turns=(0.01,) * 6))
-    second.slam.assume(sensor)
-    assert mapper._join([first, second], np.array([1.0, 0.5, 0.3]), np.diag([0.01, 0.01, 0.01]))
-    assert mapper.slam.sensor == sensor
-    assert None not in mapper.slam.odometry_calibrations

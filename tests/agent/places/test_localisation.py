@@ -6,14 +6,11 @@ import numpy as np
 import pytest
 from support.halls import HALL, PART, ROBOT, SQUARE, STD, WAY, drive, known
 
-from limslam_agent import preset
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.kernels.tables import RAY_LENGTH
-from limslam_agent.places.history import StepLog
-from limslam_agent.places.localisation import LEAD, ON_MAP, KnownPlaces, agree, localise
-from limslam_agent.places.recovery import Recovery
+from limslam_agent.places.localisation import LEAD, KnownPlaces, agree, localise
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.known_map import PlaceFit
+from limslam_agent.status.known_map import DECIDED
 from limslam_agent.status.rays import ends_of, have_ended, moved, rays_of
 from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from limslam_env.geometry.segment import distances
@@ -60,18 +57,7 @@ def test_ground_that_the_map_does_not_have_is_refused(whole):
     elsewhere = np.array([[0, 0, 2.2, 0.5], [2.2, 0.5, 1.8, 4], [1.8, 4, 0.2, 3.8], [0.2, 3.8, 0, 0]], dtype=float)
     found = localise(whole, rays_of(drive([[1.0, 0.8], [1.0, 3.4]], elsewhere), ROBOT))
     assert not found.is_accepted
-    assert found.fit.is_on_map < ON_MAP
-
-
-@pytest.mark.parametrize(("contradictions", "is_rival"), [(0, True), (4, False)])
-def test_a_place_that_as_few_readings_contradict_is_a_rival(monkeypatch, whole, contradictions, is_rival):
-    """The readings of ground without a map say nothing at the right place, and fit where rooms look alike."""
-    alike, right = np.array([4.0, 0.0, 3.0]), np.zeros(3)
-    fits = [PlaceFit(alike, 187.0, 4, 137), PlaceFit(right, 93.0, contradictions, 53)]
-    monkeypatch.setattr(KnownPlaces, "weigh", lambda *_: list(fits))
-    found = localise(whole, rays_of(drive(PART, HALL), ROBOT))
-    assert found.fit is fits[0]
-    assert found.refusal.startswith("ambiguous") is is_rival
+    assert found.fit.is_on_map < DECIDED
 
 
 def test_a_pose_does_not_slide_along_walls_that_are_not_quite_parallel():
@@ -90,20 +76,16 @@ def test_a_pose_does_not_slide_along_walls_that_are_not_quite_parallel():
 def test_two_searches_agree_on_one_place_only(whole):
     found = localise(whole, rays_of(drive(PART, HALL), ROBOT))
     assert agree(found, found)
-    away = replace(found, fit=replace(found.fit, pose=found.fit.pose + np.array([0.5, 0.0, 0.0])))
+    away = replace(found, fit=replace(found.fit, pose=found.fit.pose + np.array([0.6, 0.0, 0.0])))
     assert not agree(found, away)
     assert not agree(found, replace(found, refusal="ambiguous"))
     assert agree(replace(found, refusal="ambiguous"), found), "it was the best place before"
-    few, many = (replace(found, fit=replace(found.fit, contradictions=0, tested=tested)) for tested in (60, 70))
-    assert few.fit.is_on_map > ON_MAP
-    assert not agree(found, few), "a single search may accept so few readings"
-    assert agree(found, many)
     # Three robots were placed wrongly with so many contradictions, on ground without a map.
     alike = replace(found, fit=replace(found.fit, contradictions=4, tested=142))
-    assert alike.fit.is_on_map > ON_MAP
+    assert alike.fit.is_on_map > DECIDED
     assert not agree(found, alike)
     assert agree(found, alike, may_be_bent=True)
-    assert agree(found, replace(found, is_near=True, fit=few.fit)), "a robot that has drifted is likely near"
+    assert agree(found, replace(alike, is_near=True)), "a robot that has drifted is likely near"
 
 
 def test_without_rays_or_walls_there_is_nothing_to_compare(whole):
@@ -137,21 +119,6 @@ def test_readings_that_say_nothing_have_no_ray():
     assert have_ended(rays).any()
 
 
-def test_a_beam_that_measures_in_every_second_step_sees_free_ground():
-    steps = drive([[1.0, 0.7], [3.0, 0.7]], HALL)
-    every_second = [
-        replace(step, ranges=np.where(number % 2, np.nan, step.ranges)) for number, step in enumerate(steps)
-    ]
-    assert (~have_ended(rays_of(steps, ROBOT))).sum() > 5
-    assert (~have_ended(rays_of(every_second, ROBOT))).sum() > 5
-    one_miss = [
-        replace(step, ranges=np.where(number == 8, ROBOT.max_ranges, np.minimum(step.ranges, 0.5)))
-        for number, step in enumerate(every_second)
-    ]
-    one_miss = [replace(step, ranges=np.where(number % 2, np.nan, step.ranges)) for number, step in enumerate(one_miss)]
-    assert have_ended(rays_of(one_miss, ROBOT)).all(), "one reading without a wall may be a dropout"
-
-
 def test_of_very_many_beams_some_are_used():
     angles = np.radians(np.arange(-90.0, 90.0, 1.0))
     many = replace(ROBOT, beams=tuple(replace(ROBOT.beams[0], angle=angle) for angle in angles))
@@ -168,20 +135,3 @@ def test_a_drive_that_has_left_the_ground_of_the_map_is_still_found(whole):
     seen = np.concatenate((rays, away))
     found = whole.refined(whole.likely(seen), seen)
     assert np.hypot(*found[:, :2].T)[np.abs(found[:, 2]) < 0.1].min() < 0.1
-
-
-def test_a_log_whose_first_steps_are_forgotten_gives_all_that_are_left():
-    log = StepLog(60, drive(PART, HALL))
-    assert log.since(50) == log.steps
-    assert log.since(62) == log.steps[2:]
-
-
-def test_a_renewal_moves_the_latest_steps_of_a_recovery():
-    recovery = Recovery(ROBOT, preset("graph"))
-    recovery.log.steps = drive(PART, HALL)
-    before = [step.pose for step in recovery.log.steps]
-    renewed = [np.full(3, 7.0), np.full(3, 8.0)]
-    recovery.move(renewed)
-    np.testing.assert_array_equal([step.pose for step in recovery.log.steps], [*before[:-2], *renewed])
-    recovery.move([np.zeros(3)] * (len(before) + 5))
-    assert not np.any([step.pose for step in recovery.log.steps])

@@ -1,23 +1,19 @@
 """A run that begins at an unknown place of an earlier map finds itself, and goes on in that map."""
 
-import json
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from support.command_line import call
 
 from limslam_agent import Mapper, preset
 from limslam_agent.cli.main import main
-from limslam_agent.grid.occupancy import GridView, OccupancyGrid
+from limslam_agent.grid.occupancy import GridView
 from limslam_agent.output.export import write_map
 from limslam_agent.output.summary import record_summary, run_summary
 from limslam_agent.places.saved_map import SavedMap, SavedMapError, read_saved_map
 from limslam_agent.runs.episode import run_episode, told_starts
-from limslam_agent.runs.results import score, write_episode
+from limslam_agent.runs.results import score
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry.se2 import inverse, transform_points, wrap_angle
 from limslam_env.geometry.segment import distances
 from limslam_env.interface import NominalNoise, RobotSpec
@@ -97,15 +93,6 @@ def test_the_walls_of_both_runs_are_one_map(episode):
     assert np.median(distances(middles, edges).min(axis=1)) < 0.05
 
 
-def test_the_folder_of_the_later_run_says_so(episode, tmp_path):
-    result = write_episode(tmp_path, episode)
-    assert (
-        json.loads((tmp_path / "result.json").read_text())["record"]["places"][0]["event"] == "found in the saved map"
-    )
-    assert any(line.startswith("place       found in the saved map at") for line in record_summary(result))
-    assert result["metrics"]["ate_m"] < 0.2
-
-
 def test_another_building_does_not_fit(folder):
     settings = preset("graph", NominalNoise(NOISE))
     episode = run_episode(
@@ -125,32 +112,6 @@ def test_another_building_does_not_fit(folder):
     ]
     words = record_summary({"record": {"places": [{**event, "time_s": 30.0}]}})
     assert words[-1].endswith("the results are in the run's own frame")
-
-
-def test_known_walls_are_walls_of_the_map():
-    saved = map_of(load_world("env3"))
-    slam = LineSlam(RobotSpec(), preset("graph", NominalNoise(NOISE)))
-    slam.know(saved.landmarks, saved.segments)
-    assert len(slam.landmarks) == len(saved.landmarks)
-    ends = slam.segments.reshape(-1, 2)
-    assert distances(ends, saved.segments).min(axis=1).max() < 1e-6
-    for known, mark in zip(saved.landmarks, slam.landmarks, strict=True):
-        assert (mark.r, np.cos(mark.theta)) == pytest.approx((known.r, np.cos(known.theta)), abs=1e-9)
-        assert mark.covariance[1, 1] == pytest.approx(1e-5 + np.radians(0.2) ** 2)
-        assert mark.covariance[0, 0] == pytest.approx(2e-4)
-
-
-def test_a_grid_begins_with_known_cells():
-    config, saved = preset("graph").grid, map_of(load_world("env3"))
-    grid = OccupancyGrid.of(saved.grid, config)
-    np.testing.assert_array_equal(grid.view.values, saved.grid.values)
-    np.testing.assert_allclose(grid.view.low, saved.grid.low)
-    grid.update(np.array([-3.0, 1.0, 0.0]), RobotSpec(), np.full(6, 1.0), np.ones(6, dtype=bool))
-    assert grid.view.low[0] < -2.9
-    inside = grid.view.cells(saved.grid.centres(np.array([[5, 5]])))[0]
-    assert grid.view.values[tuple(inside)] == saved.grid.values[5, 5]
-    with pytest.raises(ValueError, match=r"cells of 0.1 m, and the settings have cells of 0.2 m"):
-        OccupancyGrid.of(saved.grid, replace(config, cell=0.2))
 
 
 def test_a_team_cannot_begin_in_a_map(folder):

@@ -37,10 +37,6 @@ def test_ranges_in_millimetres_are_noticed(tmp_path):
     assert warning.startswith("100.0% of the readings saw nothing up to 3 m: are the ranges in metres?")
 
 
-def test_half_of_the_readings_may_see_nothing(tmp_path):
-    assert log_warnings(read_log(written(tmp_path, "2.9", "inf"))) == []
-
-
 def test_readings_that_jump_to_0_are_noticed(tmp_path):
     path = written(tmp_path, "0.8", "2.9")
     lines = path.read_text(encoding="utf-8").splitlines()
@@ -51,10 +47,6 @@ def test_readings_that_jump_to_0_are_noticed(tmp_path):
     assert warning.startswith("5.1% of the readings jump from more than 0.3 m to the beam's shortest range or to 0")
     assert "--zero-is-nothing reads a table so, other logs have to be changed" in warning
     assert log_warnings(read_log(path, table=TableOptions(zero_is_nothing=True))) == []
-
-
-def test_readings_that_do_not_exist_say_nothing_about_units(tmp_path):
-    assert log_warnings(read_log(written(tmp_path, "nan", "nan"))) == []
 
 
 def test_negative_numbers_can_say_that_nothing_was_seen(tmp_path):
@@ -78,21 +70,12 @@ def test_times_that_never_rise_are_noticed(tmp_path, period):
     assert warning.startswith("the times never rise")
 
 
-@pytest.mark.parametrize("period", [0.002, 9.0])
-def test_slow_and_fast_logs_are_plausible(tmp_path, period):
-    assert log_warnings(read_log(written(tmp_path, period=period))) == []
-
-
 def test_a_sensor_that_sees_less_far_than_was_told_is_noticed_with_both_numbers(tmp_path):
     path = written(tmp_path, "1.93", "inf")
     (warning,) = log_warnings(read_log(path))
     assert "the longest range is 3 m, but the largest reading of a wall is 1.93 m" in warning
     assert "--max-range 2 sets another longest range" in warning
     assert log_warnings(read_log(path, None, 2.0)) == []
-
-
-def test_without_readings_of_nothing_the_longest_range_does_not_matter(tmp_path):
-    assert log_warnings(read_log(written(tmp_path, "0.5", "0.6"))) == []
 
 
 @pytest.mark.parametrize(
@@ -109,20 +92,6 @@ def test_a_map_without_walls_is_explained(tmp_path, changes, words):
     (warning,) = map_warnings(replay_log(read_log(written(tmp_path, **changes)), preset("consistent")))
     assert warning.startswith("the map has 0 walls: ")
     assert words in warning
-
-
-def test_readings_off_every_line_are_explained_by_units_and_directions(tmp_path):
-    path = written(tmp_path)
-    head, *rows = path.read_text(encoding="utf-8").splitlines()
-    scattered = np.random.default_rng(0).uniform(0.3, 2.9, (len(rows), 2))
-    fields = [row.split(",")[:4] for row in rows]
-    lines = [
-        ",".join([*row, f"{one:.3f}", f"{other:.3f}"]) for row, (one, other) in zip(fields, scattered, strict=True)
-    ]
-    path.write_text("\n".join([head, *lines]) + "\n", encoding="utf-8")
-    (warning,) = map_warnings(replay_log(read_log(path), preset("consistent")))
-    assert "the 100% of the readings that saw something do not lie on lines" in warning
-    assert "headings" not in warning
 
 
 def test_the_command_warns_on_standard_error_and_succeeds(tmp_path):
@@ -147,9 +116,7 @@ def laps():
     ("factors", "order", "said"),
     [
         ((1.0, 1.0, 1.0), 1, ""),
-        ((1.0, -1.0, -1.0), -1, ""),
         ((1.0, 1.0, 1.0), -1, "with left and right exchanged"),
-        ((1.0, -1.0, -1.0), 1, "with left and right exchanged"),
         ((1.0, 1.0, -1.0), 1, "with a heading of the other sign"),
         ((1.0, -1.0, 1.0), 1, "with y of the other sign"),
         ((1.0, 1.0, 180.0 / np.pi), 1, "is its heading in radians?"),
@@ -165,25 +132,12 @@ def test_a_log_that_is_read_in_a_wrong_way_is_noticed(laps, factors, order, said
     assert all(said in warning for warning in warnings)
 
 
-def test_a_robot_that_often_turns_at_one_place_has_its_heading_in_radians(laps):
-    """A robot that looks around in an open hall turns by much more than 4 rad on each metre."""
-    stay = np.repeat(np.arange(len(laps.time)), 40)
-    odometry = laps.odometry[stay]
-    odometry[:, 2] += np.tile(np.linspace(0.0, 2.0 * np.pi, 41)[:-1], len(laps.time))
-    rows = {"ranges": laps.ranges[stay], "has_scan": laps.has_scan[stay], "time": 0.1 * np.arange(len(stay))}
-    turning = replace(laps, odometry=odometry, **rows)
-    assert not any("radians" in warning for warning in log_warnings(turning))
-
-
 @pytest.mark.parametrize(
     ("directions", "is_noticed"),
     [
         ((16.875, 5.625, -5.625, -16.875, 106.875, 95.625, 84.375, 73.125), True),
-        ((19.6875, 14.0625, 8.4375, 2.8125, -2.8125, -8.4375, -14.0625, -19.6875), True),
         ((90, 54, 18, -18, -54, -90), False),
-        (np.arange(16) * 22.5, False),
         (np.arange(11) * 18.0 - 90.0, False),
-        (np.arange(37) * 5.0 - 90.0, False),
         ((17, 49, 90, 150, -17, -49, -90, -150), False),
     ],
 )
@@ -223,7 +177,6 @@ def wheel_log(change):
         ([[-1, 0], [0, -1]], "do the encoders of both wheels count backwards?"),
         ([[0, 0], [0, 0]], "the wheels never move: are the encoders connected, and are left and right their columns?"),
         ([[0, 0], [0, 1]], " m: is its encoder connected, and is left its column?"),
-        ([[1, 0], [0, 0]], " m: is its encoder connected, and is right its column?"),
     ],
 )
 def test_exchanged_and_reversed_wheels_are_noticed(change, question):
@@ -235,7 +188,6 @@ def test_exchanged_and_reversed_wheels_are_noticed(change, question):
     ("reading", "first", "words"),
     [
         (0.4, 0, "says 0.4 in all of its {} readings"),
-        (0.4, -250, "says 0.4 in all of its 250 readings"),
         (np.inf, 0, "says nothing was seen in all of its {} readings"),
         (np.nan, 0, "has no reading"),
     ],
@@ -247,13 +199,6 @@ def test_a_beam_that_always_says_the_same_or_nothing_is_named(reading, first, wo
     (warning,) = [found for found in log_warnings(log) if "sensor connected" in found]
     assert warning.startswith(f"the beam at 90 deg {words.format(len(log))}: is its sensor connected?")
     assert "--beams=45,15,-15,-45,-90 leaves it out" in warning
-
-
-@pytest.mark.parametrize("count", [1, 150])
-def test_a_beam_with_few_readings_is_not_left_out_because_they_are_the_same(count):
-    log = wheel_log(np.eye(2))
-    log.ranges[count:, 0], log.ranges[:count, 0] = np.nan, 0.4
-    assert not [found for found in log_warnings(log) if "sensor connected" in found]
 
 
 def test_a_beam_that_sees_nothing_is_not_left_out_where_others_often_see_nothing():
@@ -269,19 +214,6 @@ def test_wheels_that_are_faster_than_the_robot_are_noticed():
     assert warning.endswith("If the robot is so fast, set max_wheel_speed in its file")
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [([[0, 1], [1, 0]], "are the wheels exchanged"), ([[0, 0], [0, 3]], "the left wheel never moves")],
-)
-def test_faster_wheels_are_examined_further(change, words):
-    """The robot drives faster than its file says, and its wheels are exchanged, or one of them is not connected."""
-    log = wheel_log(np.array(change, dtype=float))
-    slow = replace(log, robot=replace(log.robot, max_wheel_speed=0.1))
-    faster, other = log_warnings(slow)
-    assert "but the robot's max_wheel_speed is 0.1 m/s" in faster
-    assert words in other
-
-
 def test_a_gap_in_a_wheel_log_is_named_with_its_times():
     log = wheel_log(np.eye(2))
     first, last = 100, 200
@@ -293,14 +225,3 @@ def test_a_gap_in_a_wheel_log_is_named_with_its_times():
     )
     (warning,) = [found for found in log_warnings(gapped) if "wheel travels" in found]
     assert f"{np.abs(wheels[last]).max():.1f} m between 10.0 s and 20.0 s: what the robot did" in warning
-
-
-def test_rows_that_are_far_apart_throughout_are_too_few_and_no_gaps():
-    log = wheel_log(np.eye(2))
-    groups = np.arange(0, len(log) - 1, 40)
-    wheels = np.vstack((log.wheels[:1], np.add.reduceat(log.wheels[1:], groups, axis=0)))
-    kept = np.append(0, np.append(groups[1:], len(log) - 1))
-    rare = replace(log, time=log.time[kept], ranges=log.ranges[kept], has_scan=log.has_scan[kept], wheels=wheels)
-    (warning,) = [found for found in log_warnings(rare) if "wheel travels" in found]
-    travel = np.median(np.abs(wheels[1:]).max(axis=1))
-    assert f"{travel:.2f} m between two rows, which are 4 s apart (medians)" in warning

@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 from support.faults import Fault, steps_with
 
-from limslam_agent import LimSlamAgent, LimSlamTeam, Mapper, SlamObservation, preset, read_log
+from limslam_agent import Mapper, preset, read_log
 from limslam_agent.output.summary import run_summary
 from limslam_agent.replay.replay import replay_log
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import score
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.status.monitor import StatusMonitor
-from limslam_env.envs.env import LimSlamEnv
 from limslam_env.interface import NominalNoise, RobotSpec
 
 BEGIN, NOISE = 30.0, 0.02
@@ -58,22 +57,6 @@ def test_the_monitor_changes_no_pose(monkeypatch):
     np.testing.assert_array_equal(watched.slam.poses, bare.slam.poses)
     np.testing.assert_array_equal(watched.slam.covariances, bare.slam.covariances)
     np.testing.assert_array_equal(watched.slam.segments, bare.slam.segments)
-
-
-def test_agents_and_teams_are_ok_at_the_start():
-    team = LimSlamTeam(RobotSpec(), num_robots=2)
-    assert (team.status, team.status_reason) == ("ok", "")
-    assert [status.level for status in team.snapshot().statuses] == ["ok", "ok"]
-    assert LimSlamAgent(RobotSpec()).status == "ok"
-
-
-def test_the_wrapper_puts_the_status_into_the_info():
-    env = SlamObservation(LimSlamEnv("env2", sensor_noise=NOISE))
-    _, info = env.reset(seed=1)
-    assert (info["status"], info["status_reason"]) == ("ok", "")
-    assert "pose" in info
-    *_, info = env.step(np.zeros(2))
-    assert info["status"] == "ok"
 
 
 def test_results_of_runs_and_replays_have_the_status(tmp_path, monkeypatch):

@@ -63,13 +63,6 @@ def test_an_unsure_pose_explains_a_miss():
     assert not explained(wall, covariance=np.diag([0.04, 0.04, 1e-4]))[0].against.any()
 
 
-def test_ends_of_walls_do_not_count():
-    # Beam 0 points to the left: it meets this wall 5 cm inside its end.
-    heading = POSE[2] + ROBOT.beam_angles[0]
-    x = POSE[0] + np.cos(heading) * 0.5 / np.sin(heading) + 0.05
-    assert not explained(np.array([[0.0, 1.3, x, 1.3]]), grid=UNKNOWN)[0].against[0]
-
-
 def test_ends_of_beams_in_free_space_contradict_unless_they_are_beside_unknown_ground():
     nothing = np.zeros((0, 4))
     found, rays = explained(nothing)
@@ -113,11 +106,3 @@ def test_the_likeliest_pose_near_by_is_that_of_the_drive(off):
     assert found.evidence > 50.0
     assert found.cost < 20.0
     assert whole.sensor == SENSOR
-
-
-def test_a_few_readings_do_not_lead_away_from_the_likeliest_pose_near_by():
-    rays = rays_of(drive(PART, HALL)[:1], ROBOT)
-    found = near_fit(known(WAY, HALL), rays, np.diag([0.03**2, 0.03**2, 0.01**2]))
-    assert found.cost < 2.0
-    empty = near_fit(known(WAY, HALL), rays[:0], np.eye(3))
-    assert (empty.evidence, empty.cost) == (0.0, 0.0)

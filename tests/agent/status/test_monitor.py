@@ -11,18 +11,12 @@ from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.known_map import KnownMap
 from limslam_agent.status.monitor import (
     CARRIED,
-    LONGEST_SPACING,
     MAYBE_CARRIED,
-    POSITION_GROWTH,
-    POSITION_LIMIT,
-    RECOVERY_WINDOW,
-    SPACING,
-    TURN_LENGTH,
-    UNIFORM_HEADING,
+    WINDOW,
     StatusMonitor,
 )
 from limslam_agent.status.status import Status, status_scores, worst
-from limslam_agent.status.sudden_changes import Sight, change_evidence
+from limslam_agent.status.sudden_changes import Sight
 
 WALLS = room(0.0, 0.0, 2.0, 2.0)
 SURE = np.diag([1e-6, 1e-6, 1e-6])
@@ -80,16 +74,6 @@ def test_dropouts_are_no_contradictions_and_beams_that_keep_seeing_nothing_are(t
     assert watched.status.level == level
 
 
-@pytest.mark.parametrize(("is_busy", "motion"), [(True, SPACING), (False, LONGEST_SPACING)])
-def test_readings_are_compared_after_a_motion_and_not_at_each_step(is_busy, motion):
-    watched = monitor()
-    assert watched.observe(blind(0.0), is_busy=is_busy)
-    for distance, turn in ((0.021, 0.0), (0.0, 0.021 / TURN_LENGTH)):
-        watched.check(SURE, KNOWN)
-        due = [watched.observe(blind(distance, turn), is_busy=is_busy) for _ in range(40)]
-        assert due.index(True) == math.ceil(motion / 0.021) - 1
-
-
 def test_a_robot_whose_walls_are_gone_is_lost_at_once_and_says_why():
     watched = monitor()
     drive(watched, 40)
@@ -103,19 +87,15 @@ def test_a_robot_whose_walls_are_gone_is_lost_at_once_and_says_why():
     assert watched.loss.ago == lost_after
 
 
-def test_a_lost_robot_stays_lost_although_the_map_is_redrawn_around_it():
+def test_a_robot_that_was_carried_away_is_lost_although_its_map_is_redrawn_around_it():
     watched = monitor()
     drive(watched, 40)
     wrong = room(-3.0, -3.0, 3.0, 3.0)
     # After a step without readings, nothing has changed at once.
     watched.observe(blind(0.01), is_busy=True)
-    drive(watched, 200, walls=wrong, known=KnownMap(wrong, WIDE, SENSOR), begin=40)
-    assert watched.status.level == "ok"
-    watched = monitor()
-    drive(watched, 40)
-    drive(watched, 10, walls=np.zeros((0, 4)), begin=40)
-    levels = drive(watched, 200, walls=wrong, known=KnownMap(wrong, WIDE, SENSOR), begin=50)
-    assert set(levels) == {"lost"}
+    levels = drive(watched, 200, walls=wrong, known=KnownMap(wrong, WIDE, SENSOR), begin=40)
+    assert levels.index("lost") < 10
+    assert set(levels[levels.index("lost") :]) == {"lost"}
 
 
 def test_a_lost_robot_is_ok_again_when_the_earlier_map_fits():
@@ -125,24 +105,9 @@ def test_a_lost_robot_is_ok_again_when_the_earlier_map_fits():
     assert watched.added_covariance.any()
     levels = drive(watched, 200, begin=50)
     steps = levels.index("ok") + 10 - began
-    assert RECOVERY_WINDOW <= 0.11 * steps <= RECOVERY_WINDOW + 1.0
+    assert WINDOW <= 0.11 * steps <= WINDOW + 1.0
     assert set(levels[levels.index("ok") :]) == {"ok"}
     assert not watched.added_covariance.any()
-
-
-def test_the_covariance_of_a_lost_robot_grows_to_its_limits():
-    watched = monitor()
-    drive(watched, 40)
-    drive(watched, 10, walls=np.zeros((0, 4)), begin=40)
-    before = watched.added_covariance
-    watched.observe(blind(0.5), is_busy=True)
-    after, grown = watched.added_covariance, POSITION_GROWTH * 0.5
-    assert math.sqrt(after[0, 0]) == pytest.approx(math.sqrt(before[0, 0]) + grown)
-    assert after[1, 1] == after[0, 0]
-    for _ in range(40):
-        watched.observe(blind(0.5), is_busy=True)
-    limits = [POSITION_LIMIT, POSITION_LIMIT, UNIFORM_HEADING]
-    np.testing.assert_allclose(np.sqrt(np.diag(watched.added_covariance)), limits)
 
 
 def test_a_jump_of_the_odometry_is_noticed_in_the_same_step():
@@ -153,16 +118,6 @@ def test_a_jump_of_the_odometry_is_noticed_in_the_same_step():
     assert watched.status == Status("lost", "the odometry reports a motion of 5.0 m in one step")
     assert math.sqrt(watched.added_covariance[0, 0]) == pytest.approx(5.0)
     assert not watched.observe(blind(0.01), is_busy=True)
-
-
-def test_readings_that_change_and_fit_the_map_afterwards_do_not_make_a_robot_lost():
-    watched = monitor()
-    for number in range(20):
-        # The robot looks past a wall, and then at it.
-        walls = WALLS if number >= 10 else np.zeros((0, 4))
-        if watched.observe(Sight(place(0), ranges_at(place(0), walls), np.array([0.02, 0.0, 0.0])), is_busy=True):
-            watched.check(SURE, KNOWN)
-    assert "changed at once" not in watched.status.reason
 
 
 def changing(beams, motion, *, known=UNKNOWN, walls=None, lasts=20):
@@ -217,67 +172,19 @@ def test_readings_that_clearly_fit_end_a_suspicion():
     levels = drive(watched, 60, begin=46)
     assert "lost" not in levels
     assert watched.status == Status()
-    assert not watched._changes
 
 
 @pytest.mark.parametrize("counts", [True, False])
 def test_a_body_beside_the_robot_makes_it_lost_only_if_free_space_counts(counts):
-    watched, levels = StatusMonitor(ROBOT, SENSOR, free_space_counts=counts), []
-    drive(watched, 40)
+    watched, levels = monitor(), []
+    known = KnownMap(WALLS, FREE, SENSOR, free_space_counts=counts)
+    drive(watched, 40, known=known)
     for number in range(40, 80):
         ranges = np.where(np.arange(6) < 3, 0.25, ranges_at(place(number), WALLS))
         if watched.observe(Sight(place(number), ranges, np.array([0.11, 0.0, 0.0])), is_busy=True):
-            watched.check(SURE, KNOWN)
+            watched.check(SURE, known)
         levels.append(watched.status.level)
     assert ("lost" in levels) == counts
-
-
-def test_a_closed_loop_ends_all_suspicions():
-    watched = changing(3, (0.02, 0.0))
-    watched.observe(
-        Sight(place(0) + np.array([0.5, 0.0, 0.0]), np.full(6, np.nan), np.array([0.02, 0.0, 0.0])), is_busy=False
-    )
-    assert not watched.is_suspicious
-
-
-def test_the_evidence_of_a_reading_is_that_of_two_explanations():
-    still = np.zeros((3, 2))
-    ranges = np.array([[1.0] * 6, [1.0] * 6, [1.0, 1.02, 1.2, 0.5, 1.5, np.nan]])
-    usable = np.isfinite(ranges)
-    (evidence,) = change_evidence(ranges, usable, still, ROBOT, RangeSensor(0.02))
-    assert evidence[0] < -1.0
-    assert evidence[1] < -1.0
-    assert (evidence[2:5] > 2.5).all()
-    assert evidence[5] == 0.0
-    (turning,) = change_evidence(
-        ranges, usable, np.array([[0.0, 0.0], [0.0, 0.2], [0.0, 0.2]]), ROBOT, RangeSensor(0.02)
-    )
-    assert (turning[2:5] < evidence[2:5]).all()
-    # Both saw nothing: that is likely here, and half as likely elsewhere.
-    nothing = np.full((3, 6), 1.5)
-    np.testing.assert_allclose(change_evidence(nothing, nothing > 0.0, still, ROBOT, RangeSensor(0.02)), math.log(0.5))
-
-
-def test_a_beam_that_sweeps_along_a_wall_changes_as_its_last_readings_say():
-    motions = np.array([[0.0, 0.2]] * 3)
-    along = np.array([[1.4] * 6, [1.2] * 6, [1.0] * 6])
-    bent = np.array([[1.2] * 6, [1.2] * 6, [0.4] * 6])
-    straight, edge = (change_evidence(each, each > 0.0, motions, ROBOT, RangeSensor(0.02)) for each in (along, bent))
-    assert (straight < 0.0).all()
-    assert (edge > 1.5).all()
-
-
-def test_a_beam_that_contradicts_the_map_alone_is_named_and_the_robot_is_not_lost():
-    watched, levels = monitor(), []
-    for number in range(100):
-        # The beam at 90 deg sees nothing in a room of 2 m x 2 m.
-        seen = np.where(np.arange(6) == 0, ROBOT.max_ranges, ranges_at(place(number), WALLS))
-        if watched.observe(Sight(place(number), seen, np.array([0.11, 0.0, 0.0])), is_busy=True):
-            watched.check(SURE, KNOWN)
-        levels.append(watched.status.level)
-    assert set(levels[50:]) == {"unsure"}
-    assert "lost" not in levels
-    assert watched.status.reason.endswith(" readings contradict the map, all of the beam at 90 deg")
 
 
 def test_contradictions_at_a_single_place_are_no_proof():

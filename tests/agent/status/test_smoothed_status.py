@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from limslam_agent.status.smoothed_status import lost_note, lost_since, smoothed_status
+from limslam_agent.status.smoothed_status import lost_since, smoothed_status
 from limslam_agent.status.status import Status, final_status_scores
 
 STEPS = 50
@@ -48,24 +48,12 @@ def test_an_uncertain_smoothed_heading_is_unsure():
     assert status == Status("unsure", "the smoothed heading's standard deviation reaches 6.0 deg")
 
 
-def test_a_robot_that_was_lost_to_the_end_is_lost_or_unsure():
+def test_a_robot_that_was_lost_to_the_end_is_lost():
     since = lost_since(np.arange(10.0, 20.0), 4)
     assert since == 4.0
     assert lost_since(np.arange(10.0), None) is None
     lost = smoothed_status(0.0, path(), path(), while_driving="lost", lost_since=since)
     assert lost == Status("lost", "the place of the robot is unknown from 4 s on")
-    found = smoothed_status(0.0, path(), path(), while_driving="lost", lost_since=since, is_continued=True)
-    assert (found.level, "from 4 s on" in found.reason) == ("unsure", True)
-
-
-def test_the_note_says_when_the_robot_was_lost():
-    time = 10.0 + np.arange(6.0)
-    levels = np.zeros((6, 2), dtype=int)
-    assert lost_note(time, levels) == ""
-    levels[2:4, 1] = 2
-    assert lost_note(time, levels) == "lost while driving, from 2 s to 4 s"
-    levels[5, 0] = 2
-    assert lost_note(time, levels) == "lost while driving, from 2 s to the end"
 
 
 def test_the_scores_have_the_status_of_the_result_and_of_the_filter():

@@ -6,14 +6,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import stats
 
-from limslam_env.batch.noise import BatchNoise
+from limslam_env.batch.noise import noise_settings
 from limslam_env.batch.worlds import Sites, from_tiles, prepare, to_tiles
 from limslam_env.compilation import compiled
 from limslam_env.config import DrawnNoise, NoiseConfig
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.batch_rays import cast_fan, find_unseen
 from limslam_env.kernels.coverage import mark_disc, mark_ray
-from limslam_env.kernels.random_numbers import derive_keys, fill_units, mixed, normal
+from limslam_env.kernels.random_numbers import derive_keys, draw_rows, mixed, normal
 from limslam_env.kernels.rays import meeting
 from limslam_env.kernels.tiles import take_disc, take_ray
 from limslam_env.simulation.odometry import wheel_noise
@@ -91,8 +91,9 @@ def test_normal_numbers_are_normal():
 def test_uniform_numbers_are_uniform_and_of_their_key():
     keys = derive_keys(np.arange(100, dtype=np.uint64), np.ones(100, dtype=np.int64), 1)
     numbers, again = np.empty((100, 100)), np.empty((1, 100))
-    fill_units(keys, numbers)
-    fill_units(keys[41:42], again)
+    rows, bounds = np.zeros(100, dtype=np.int64), (np.zeros((1, 100)), np.ones((1, 100)), np.arange(100))
+    draw_rows(keys, rows, *bounds, numbers)
+    draw_rows(keys[41:42], rows, *bounds, again)
     np.testing.assert_array_equal(numbers[41], again[0])
     assert len(np.unique(numbers)) == numbers.size
     assert stats.kstest(numbers.ravel(), "uniform").pvalue > 0.001
@@ -202,7 +203,8 @@ def test_a_world_can_move_out_and_a_larger_one_in():
 def test_noise_of_many_is_the_noise_of_each():
     robot = RobotSpec()
     each = [NoiseConfig(sensor_noise=0.02), NoiseConfig.sharp(axle_mismatch=0.1, slip_rate=2.0)]
-    table = BatchNoise(each, robot).drawn(np.array([1, 0]), np.zeros(2, dtype=np.uint64))
+    table = np.empty((2, 14))
+    draw_rows(np.zeros(2, dtype=np.uint64), np.array([1, 0]), *noise_settings(each, robot), table)
     for row, noise in zip(table, reversed(each), strict=True):
         drawn = DrawnNoise(**vars(noise))
         one = np.concatenate((range_noise(drawn), wheel_noise(drawn, robot.max_wheel_travel)))
@@ -213,7 +215,8 @@ def test_noise_of_many_is_the_noise_of_each():
 def test_ranges_of_noise_are_drawn_from_evenly_and_for_each():
     keys = derive_keys(np.arange(2000, dtype=np.uint64), np.zeros(2000, dtype=np.int64), 1)
     noise = NoiseConfig(sensor_noise=(0.01, 0.03), wheel_mismatch=(-0.1, 0.1))
-    table = BatchNoise([noise], RobotSpec()).drawn(np.arange(2000), keys)
+    table = np.empty((2000, 14))
+    draw_rows(keys, np.zeros(2000, dtype=np.int64), *noise_settings([noise], RobotSpec()), table)
     assert stats.kstest(table[:, 0], stats.uniform(0.01, 0.02).cdf).pvalue > 0.001
     np.testing.assert_allclose(table[:, 6] + table[:, 7], 2.0)
     assert abs(np.corrcoef(table[:, 0], table[:, 6])[0, 1]) < 0.1

@@ -1,18 +1,21 @@
 """Hough: every wall in a buffer once, each piece of it, and nothing where there is none."""
 
 import math
-from typing import Any
 
 import cv2
 import numpy as np
 import pytest
 
 from limslam_agent.config.shared import HoughConfig
-from limslam_agent.slam.core.hough import ExtractedLine, extract_lines, hough_votes
+from limslam_agent.kernels import lines
+from limslam_agent.kernels.compilation import entry
+from limslam_agent.slam.core.hough import ExtractedLine, extract_lines
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import at, nearest_form
 
 CONFIG = HoughConfig()
+
+hough_votes = entry(lines.hough_votes.py_func)
 
 
 def wall(
@@ -29,32 +32,27 @@ def assert_line(found: ExtractedLine, r: float, theta: float) -> None:
     np.testing.assert_allclose(nearest_form(found.fit.line, expected), expected, atol=0.04)
 
 
-# Where OpenCV's bins begin and end: a wall there votes for (r, 0) as well as for (-r, pi).
-ANGLES_DEG = (0.0, 0.4, -0.4, 1.0, -1.0, 30.0, 89.6, 90.0, 135.0, 179.0, 179.6, 180.0, -179.6, -90.0, -45.0)
-
-
-@pytest.mark.parametrize("degrees", ANGLES_DEG)
-@pytest.mark.parametrize("std", [0.0, 0.005, 0.02])
-@pytest.mark.parametrize("r", [0.0, 0.5, 3.0])
-def test_one_wall_is_found_once(degrees: float, std: float, r: float) -> None:
+# Where the bins of theta begin and end: a wall there votes for (r, 0) as well as for (-r, pi).
+@pytest.mark.parametrize("degrees", [0.0, 0.4, -1.0, 30.0, 90.0, 179.6, 180.0, -179.6, -45.0])
+@pytest.mark.parametrize("std", [0.0, 0.02])
+def test_one_wall_is_found_once(degrees: float, std: float) -> None:
     theta = math.radians(degrees)
-    points = wall(r, theta, -0.4, 0.4, std=std, seed=3)
-    found = extract_lines(points, CONFIG, max(std, 0.005))
-    assert len(found) == 1
-    assert_line(found[0], r, theta)
-    assert len(found[0].members) >= 27
+    for r in (0.0, 0.5, 3.0):
+        found = extract_lines(wall(r, theta, -0.4, 0.4, std=std, seed=3), CONFIG, max(std, 0.005))
+        assert len(found) == 1
+        assert_line(found[0], r, theta)
+        assert len(found[0].members) >= 27
 
 
-@pytest.mark.parametrize("turn_deg", range(-180, 180, 20))
-def test_a_corner_gives_both_walls(turn_deg: int) -> None:
-    turn = math.radians(turn_deg)
-    points = np.vstack((wall(0.5, turn, -0.5, 0.5, count=20), wall(0.5, turn + 0.5 * math.pi, -0.5, 0.5, count=16)))
-    found = extract_lines(points, CONFIG, 0.005)
-    assert len(found) == 2
-    # Which has more votes depends on how the bins cut the walls. The first 20 points are the first wall's.
-    first, second = sorted(found, key=lambda line: float(np.median(line.members)))
-    assert_line(first, 0.5, turn)
-    assert_line(second, 0.5, turn + 0.5 * math.pi)
+def test_a_corner_gives_both_walls() -> None:
+    for turn in np.radians(range(-180, 180, 20)):
+        points = np.vstack((wall(0.5, turn, -0.5, 0.5, count=20), wall(0.5, turn + 0.5 * math.pi, -0.5, 0.5, count=16)))
+        found = extract_lines(points, CONFIG, 0.005)
+        assert len(found) == 2
+        # Which has more votes depends on how the bins cut the walls. The first 20 points are the first wall's.
+        first, second = sorted(found, key=lambda line: float(np.median(line.members)))
+        assert_line(first, 0.5, turn)
+        assert_line(second, 0.5, turn + 0.5 * math.pi)
 
 
 def test_only_best_takes_the_wall_with_the_most_votes() -> None:
@@ -70,95 +68,65 @@ def test_two_parallel_walls_are_two() -> None:
     assert sorted(round(float(line.fit.line[0]), 1) for line in found) == [0.5, 0.9]
 
 
-@pytest.mark.parametrize("degrees", [0.0, 40.0, 90.0, 180.0])
-def test_walls_on_one_line_with_a_gap_between_are_two_pieces(degrees: float) -> None:
-    theta = math.radians(degrees)
-    points = np.vstack((wall(0.5, theta, -1.0, -0.4, count=15), wall(0.5, theta, 0.4, 1.0, count=15, seed=1)))
-    found = extract_lines(points, CONFIG, 0.005)
-    assert len(found) == 2
-    lengths = [line.fit.length for line in found]
-    assert lengths == pytest.approx([0.6, 0.6], abs=0.03)
-    # Neither reaches over the gap.
+@pytest.mark.parametrize("theta", [0.0, 0.7, math.pi])
+def test_walls_are_cut_at_gaps_above_the_setting(theta: float) -> None:
+    apart = np.vstack((wall(0.5, theta, -1.0, -0.4, count=15), wall(0.5, theta, 0.4, 1.0, count=15, seed=1)))
+    found = extract_lines(apart, CONFIG, 0.005)
+    assert [line.fit.length for line in found] == pytest.approx([0.6, 0.6], abs=0.03)
     assert sorted(tuple(sorted(line.members.tolist())) for line in found) == [tuple(range(15)), tuple(range(15, 30))]
+    near = np.vstack((wall(0.5, theta, -0.6, -0.1, count=15), wall(0.5, theta, 0.1, 0.6, count=15)))
+    assert [line.fit.length for line in extract_lines(near, CONFIG, 0.005)] == pytest.approx([1.2], abs=0.03)
 
 
-def test_a_gap_shorter_than_the_setting_keeps_the_wall_whole() -> None:
-    points = np.vstack((wall(0.5, 0.3, -0.6, -0.1, count=15), wall(0.5, 0.3, 0.1, 0.6, count=15)))
-    found = extract_lines(points, CONFIG, 0.005)
-    assert len(found) == 1
-    assert found[0].fit.length == pytest.approx(1.2, abs=0.03)
-
-
-@pytest.mark.parametrize("seed", range(10))
-def test_points_all_over_the_place_are_no_wall(seed: int) -> None:
-    points = np.random.default_rng(seed).uniform(-1.0, 1.0, (30, 2))
-    assert extract_lines(points, CONFIG, 0.005) == []
-
-
-@pytest.mark.parametrize("seed", range(10))
-def test_a_small_blob_has_the_votes_but_is_too_short_for_a_wall(seed: int) -> None:
-    points = np.array([0.4, 0.6]) + np.random.default_rng(seed).normal(0.0, 0.02, (30, 2))
-    assert len(hough_votes(points - points.mean(axis=0), CONFIG.min_votes, 0.02, CONFIG.theta_step)) > 0
-    assert extract_lines(points, CONFIG, 0.005) == []
+def test_points_all_over_the_place_and_small_blobs_are_no_wall() -> None:
+    for seed in range(10):
+        generator = np.random.default_rng(seed)
+        assert extract_lines(generator.uniform(-1.0, 1.0, (30, 2)), CONFIG, 0.005) == []
+        assert extract_lines(np.array([0.4, 0.6]) + generator.normal(0.0, 0.02, (30, 2)), CONFIG, 0.005) == []
 
 
 def test_outliers_do_not_move_the_wall() -> None:
     outliers = np.random.default_rng(4).uniform(-1.0, 1.0, (6, 2))
-    points = np.vstack((wall(0.5, 1.0, -0.4, 0.4, count=24), outliers))
-    found = extract_lines(points, CONFIG, 0.005)
+    found = extract_lines(np.vstack((wall(0.5, 1.0, -0.4, 0.4, count=24), outliers)), CONFIG, 0.005)
     assert len(found) == 1
     np.testing.assert_allclose(found[0].fit.line, [0.5, 1.0], atol=0.02)
 
 
-@pytest.mark.parametrize("count", [0, 1, 7])
-def test_fewer_points_than_the_threshold_give_nothing(count: int) -> None:
-    assert extract_lines(wall(0.5, 1.0, -0.4, 0.4, count=count), CONFIG, 0.005) == []
-
-
-def test_as_many_votes_as_the_threshold_are_a_wall() -> None:
-    # Exact points in the middle of a bin: all of them vote for one line. "Every line with this many votes is taken."
-    points = wall(0.5, 0.0, -0.4, 0.4, count=8, std=0.0)
-    assert len(extract_lines(points, HoughConfig(min_votes=7), 0.005)) == 1
-    assert len(extract_lines(points, HoughConfig(min_votes=8), 0.005)) == 1
-
-
 def test_the_threshold_is_of_votes_for_one_line() -> None:
+    for count in (0, 1, 7):
+        assert extract_lines(wall(0.5, 1.0, -0.4, 0.4, count=count), CONFIG, 0.005) == []
+    # Exact points in the middle of a bin: all of them vote for one line.
+    points = wall(0.5, 0.0, -0.4, 0.4, count=8, std=0.0)
+    assert len(extract_lines(points, HoughConfig(min_votes=8), 0.005)) == 1
     # 30 points, but no wall of theirs has 25.
     points = np.vstack((wall(0.5, 0.0, -0.5, 0.5, count=15), wall(0.5, 0.5 * math.pi, -0.5, 0.5, count=15)))
     assert extract_lines(points, HoughConfig(min_votes=25), 0.005) == []
 
 
-def test_opencv_finding_nothing_at_all_is_no_wall(monkeypatch: pytest.MonkeyPatch) -> None:
-    def nothing(*_: Any, **__: Any) -> None:
-        return None
-
-    monkeypatch.setattr(cv2, "HoughLinesPointSet", nothing)
-    points = wall(0.5, 1.0, -0.4, 0.4)
-    assert hough_votes(points, CONFIG.min_votes, 0.02, CONFIG.theta_step).shape == (0, 3)
-    assert extract_lines(points, CONFIG, 0.005) == []
-
-
-def test_votes_come_best_first_and_pass_the_threshold() -> None:
-    points = np.vstack((wall(0.5, 0.0, -0.3, 0.3, count=12, std=0.0), wall(-0.1, 1.8, -0.5, 0.5, count=18)))
-    votes, r, theta = hough_votes(points, CONFIG.min_votes, 0.02, CONFIG.theta_step).T
-    assert len(votes) >= 3
-    assert (np.diff(votes) <= 0.0).all()
-    assert votes.min() >= CONFIG.min_votes
-    # The exact wall lies in the middle of a bin and gets all its points' votes.
-    exact = (theta < 1e-6) & (np.abs(r - 0.5) < 0.011)
-    assert votes[exact].max() >= 12
-    assert ((theta >= 0.0) & (theta < math.pi)).all()
+def test_votes_are_those_of_opencv() -> None:
+    for seed in range(20):
+        generator = np.random.default_rng(seed)
+        theta, size = generator.uniform(0.0, math.pi), int(generator.integers(20, 80))
+        points = np.vstack((wall(0.3, theta, -0.5, 0.5, count=size, std=0.02), generator.uniform(-1.0, 1.0, (20, 2))))
+        reach, votes = float(np.hypot(*points.T).max()), int(generator.integers(5, 12))
+        expected = cv2.HoughLinesPointSet(
+            points.astype(np.float32)[:, None], lines_max=lines.MAX_CANDIDATES, threshold=votes - 1,
+            min_rho=-reach - 0.06, max_rho=reach + 0.06, rho_step=0.06,
+            min_theta=0.0, max_theta=math.pi, theta_step=math.pi / 90,
+        )  # fmt: skip
+        found = hough_votes(points, votes, 0.06, math.pi / 90)
+        expected = expected.reshape(-1, 3)
+        np.testing.assert_allclose(found, expected[np.argsort(-expected[:, 0], kind="stable"), 1:], atol=1e-6)
 
 
-@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("seed", range(4))
 def test_each_point_belongs_to_at_most_one_line(seed: int) -> None:
     # Four crossing walls, so that many points lie near two of them.
     generator = np.random.default_rng(seed)
     parts = [
         wall(generator.uniform(0.0, 0.3), t, -0.6, 0.6, count=25, std=0.01, seed=seed) for t in (0.1, 0.9, 1.7, 2.6)
     ]
-    points = np.vstack(parts)
-    found = extract_lines(points, CONFIG, 0.01)
+    found = extract_lines(np.vstack(parts), CONFIG, 0.01)
     assert len(found) >= 3
     members = np.concatenate([line.members for line in found])
     assert len(members) == len(set(members.tolist()))
@@ -168,9 +136,6 @@ def test_each_point_belongs_to_at_most_one_line(seed: int) -> None:
 
 
 def test_where_the_buffer_lies_does_not_matter() -> None:
-    # Votes are counted about the middle of the points: a wall far from the origin is no harder.
     for shift in ((0.0, 0.0), (30.0, -20.0)):
-        points = wall(0.5, 0.9, -0.4, 0.4, std=0.01) + np.array(shift)
-        found = extract_lines(points, CONFIG, 0.01)
-        assert len(found) == 1
-        assert len(found[0].members) == 30
+        found = extract_lines(wall(0.5, 0.9, -0.4, 0.4, std=0.01) + np.array(shift), CONFIG, 0.01)
+        assert [len(line.members) for line in found] == [30]

@@ -51,13 +51,6 @@ def test_wheels_move_the_robot_along_the_exact_arc(left: float, right: float) ->
     np.testing.assert_allclose(motion_from_wheels(wheels, ROBOT, NOISE).increment, exact_arc(wheels, 0.16), atol=1e-9)
 
 
-def test_a_quarter_circle_ends_where_it_must() -> None:
-    # The inner wheel on a circle of 0.42 m, the outer of 0.58 m: the middle of the axle on one of 0.5 m.
-    wheels = 0.5 * math.pi * np.array([0.42, 0.58])
-    increment = motion_from_wheels(wheels, ROBOT, NOISE).increment
-    np.testing.assert_allclose(increment, [0.5, 0.5, 0.5 * math.pi], atol=1e-12)
-
-
 @settings(deadline=None, max_examples=100)
 @given(travels, travels)
 def test_the_covariance_of_wheels_is_theirs_through_the_jacobian_of_the_arc(left: float, right: float) -> None:
@@ -68,28 +61,6 @@ def test_the_covariance_of_wheels_is_theirs_through_the_jacobian_of_the_arc(left
     np.testing.assert_allclose(covariance, expected, rtol=1e-4, atol=1e-12)
 
 
-@pytest.mark.parametrize("wheels", [(0.03, 0.03), (0.03, 0.02), (-0.02, 0.02), (-0.03, -0.025)])
-def test_the_covariance_of_wheels_is_what_noisy_wheels_scatter(wheels: tuple[float, float]) -> None:
-    generator = np.random.default_rng(11)
-    mean = np.array(wheels)
-    # A tenth of the usual variance keeps the arc straight enough for the scatter to be normal.
-    noise = NominalNoise(0.0, 2e-6)
-    drawn = mean + generator.standard_normal((20_000, 2)) * np.sqrt(noise.wheel_variance * np.abs(mean))
-    motion = motion_from_wheels(mean, ROBOT, noise)
-    errors = np.array([exact_arc(each, ROBOT.axle) for each in drawn]) - motion.increment
-    # The three numbers come from two wheels: compare where there is something to compare, in sd units.
-    scale = np.sqrt(np.diag(motion.covariance)) + 1e-9
-    np.testing.assert_allclose(np.cov(errors.T) / np.outer(scale, scale), motion.covariance / np.outer(scale, scale),
-                               atol=0.05)  # fmt: skip
-
-
-def test_a_longer_way_is_less_certain_and_more_noise_too() -> None:
-    short, far = (motion_from_wheels(np.array([d, d]), ROBOT, NOISE).covariance for d in (0.01, 0.03))
-    noisy = motion_from_wheels(np.array([0.01, 0.01]), ROBOT, NominalNoise(0.0, 4e-5)).covariance
-    assert far[0, 0] == pytest.approx(3.0 * short[0, 0], rel=1e-4)
-    assert noisy[2, 2] == pytest.approx(2.0 * short[2, 2], rel=1e-4)
-
-
 @settings(deadline=None, max_examples=100)
 @given(metres, st.floats(-0.1, 0.1), st.floats(-0.5, 0.5), st.floats(-0.1, 0.1))
 def test_the_bias_is_made_up_for_in_proportion_to_the_distance(x: float, y: float, turn: float, bias: float) -> None:
@@ -97,41 +68,6 @@ def test_the_bias_is_made_up_for_in_proportion_to_the_distance(x: float, y: floa
     # The bias is true minus reported heading; its sign is that of the way driven.
     assert motion.increment[2] - turn == pytest.approx(bias * math.copysign(math.hypot(x, y), x), abs=1e-12)
     np.testing.assert_array_equal(motion.increment[:2], [x, y])
-
-
-def test_the_bias_unwinds_when_the_robot_backs_up() -> None:
-    config = OdometryConfig(turn_bias=math.radians(1.0))
-    ahead = motion_from_odometry(np.array([2.0, 0.0, 0.0]), config).increment
-    back = motion_from_odometry(np.array([-2.0, 0.0, 0.0]), config).increment
-    assert ahead[2] == pytest.approx(math.radians(2.0))
-    assert back[2] == pytest.approx(-math.radians(2.0))
-
-
-def test_turning_on_the_spot_has_no_bias() -> None:
-    motion = motion_from_odometry(np.array([0.0, 0.0, 0.7]), OdometryConfig(turn_bias=0.1))
-    np.testing.assert_allclose(motion.increment, [0.0, 0.0, 0.7], atol=1e-15)
-
-
-def test_the_scale_stretches_the_way_and_leaves_the_turn() -> None:
-    motion = motion_from_odometry(np.array([1.0, -0.2, 0.3]), OdometryConfig(distance_scale=1.075))
-    np.testing.assert_allclose(motion.increment, [1.075, -0.215, 0.3], atol=1e-15)
-
-
-@settings(deadline=None, max_examples=100)
-@given(metres, metres, st.floats(-1.0, 1.0))
-def test_the_covariance_of_odometry_is_symmetric_and_positive(x: float, y: float, turn: float) -> None:
-    covariance = motion_from_odometry(np.array([x, y, turn]), OdometryConfig()).covariance
-    np.testing.assert_allclose(covariance, covariance.T, atol=1e-18)
-    assert np.linalg.eigvalsh(covariance).min() > 0.0
-
-
-@settings(deadline=None, max_examples=100)
-@given(travels, travels)
-def test_the_covariance_of_wheels_is_symmetric_and_not_negative(left: float, right: float) -> None:
-    covariance = motion_from_wheels(np.array([left, right]), ROBOT, NOISE).covariance
-    np.testing.assert_allclose(covariance, covariance.T, atol=1e-20)
-    # Two wheels, three numbers: rank two, so the least eigenvalue is a rounded zero.
-    assert np.linalg.eigvalsh(covariance).min() > -1e-15
 
 
 def test_odometry_is_less_certain_the_farther_and_the_more_it_turns() -> None:
@@ -166,11 +102,6 @@ def test_odometry_that_is_not_three_finite_numbers_is_refused(bad: object) -> No
         motion_of({"ranges": np.zeros(6), "odometry": np.array(bad)}, ROBOT, NOISE, OdometryConfig())
 
 
-def test_an_observation_without_motion_is_refused() -> None:
-    with pytest.raises(ValueError, match="'wheels' or 'odometry'"):
-        motion_of({"ranges": np.zeros(6)}, ROBOT, NOISE, OdometryConfig())
-
-
 SIZES = OdometryCalibration(0.02, -0.01, 0.03)
 QUIET = NominalNoise(0.0, 1e-9)
 
@@ -194,19 +125,8 @@ def test_the_derivative_by_the_factors_is_that_of_central_differences(wheels: tu
     np.testing.assert_allclose(calibrated(motion, 0.16, SIZES).by_calibration, np.column_stack(columns), atol=1e-9)
 
 
-def test_what_lies_beside_the_arc_stays() -> None:
-    slipped = motion_from_odometry(np.array([0.05, 0.01, 0.1]), OdometryConfig())
-    still = calibrated(slipped, ROBOT.axle, OdometryCalibration(0.0, 0.0, 0.0))
-    np.testing.assert_allclose(still.increment, slipped.increment, atol=1e-15)
-
-
 def test_a_turn_that_may_be_noise_says_nothing_of_the_axle() -> None:
     motion = motion_from_wheels(np.array([0.0251, 0.0249]), ROBOT, NOISE)
     by_calibration = calibrated(motion, ROBOT.axle, OdometryCalibration(0.0, 0.0, 0.0)).by_calibration
     assert by_calibration is not None
     np.testing.assert_allclose(by_calibration[2], [-0.025 / 0.16, 0.025 / 0.16, 0.0], atol=1e-6)
-
-
-def test_without_factors_nothing_is_said_of_them() -> None:
-    observation = {"wheels": np.array([0.05, 0.03])}
-    assert motion_of(observation, ROBOT, NOISE, OdometryConfig()).by_calibration is None

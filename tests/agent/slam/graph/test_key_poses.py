@@ -7,7 +7,6 @@ import pytest
 
 from limslam_agent.config.graph import PointConfig
 from limslam_agent.slam.graph.key_poses import (
-    KEY_DISTANCE,
     LogData,
     calibrated_steps,
     choose_keys,
@@ -63,13 +62,6 @@ def test_points_lie_where_their_beams_end():
     assert np.allclose(begin[row], se2.transform_points(log.odometry[event], log.origins[beam][None])[0])
 
 
-def test_key_poses_are_neither_far_nor_turned_apart():
-    log = wandering()
-    keys = keys_of(log)
-    assert np.all(np.diff(keys.key_travel) < KEY_DISTANCE + 0.2)
-    assert np.all(keys.first_event[keys.event_key] <= np.arange(len(log.time)))
-
-
 def test_constant_errors_of_odometry_are_undone():
     truth = wandering()
     moves = se2.between(truth.odometry[:-1], truth.odometry[1:])
@@ -101,51 +93,9 @@ def test_two_corrections_after_each_other_are_one():
     assert np.abs(once - log.odometry).max() > 0.1
 
 
-def test_a_standing_robot_gives_points_once():
-    log = wandering()
-    odometry = np.repeat(log.odometry[:1], len(log.time), axis=0)
-    assert set(keys_of(replace(log, odometry=odometry)).point_event) <= {0}
-
-
-def test_dense_scans_are_thinned_to_all_beams_in_turn():
-    log = wandering(beams=180)
-    keys = keys_of(log)
-    all_points = choose_keys(log, PointConfig(points_per_metre=1e6))
-    assert len(all_points.point_event) == log.hit[np.unique(all_points.point_event)].sum()
-    density = len(keys.point_event) / keys.travel[-1]
-    assert 70.0 < density < 145.0
-    angles = np.round(np.arctan2(*(keys.in_robot - keys.origin_in_robot).T[::-1]), 6)
-    assert len(np.unique(angles)) > 0.9 * 180
-
-
-@pytest.mark.parametrize("name", ["time", "odometry", "hit", "angles"])
-def test_a_misshapen_log_is_refused(name):
-    log = wandering()
-    with pytest.raises(ValueError, match=name):
-        replace(log, **{name: getattr(log, name)[1:]})
-
-
-def test_a_log_with_holes_in_its_odometry_is_refused():
-    log = wandering()
-    odometry = log.odometry.copy()
-    odometry[5, 1] = np.nan
-    with pytest.raises(ValueError, match="odometry"):
-        replace(log, odometry=odometry)
-
-
 def test_a_log_whose_times_do_not_tell_its_events_apart_keeps_its_odometry():
     log = wandering(60)
     same = replace(log, time=np.repeat(np.arange(20.0), 3))
     for delay in (0.0, 0.3):
         np.testing.assert_array_equal(delayed(same, delay).odometry, log.odometry)
     np.testing.assert_array_equal(delayed(log, 0.0).odometry, log.odometry)
-
-
-def test_events_with_one_time_keep_what_they_differ_by():
-    log = wandering(60)
-    time = log.time.copy()
-    time[30] = time[29]
-    moved = delayed(replace(log, time=time), 0.05).odometry
-    np.testing.assert_allclose(moved[30, :2] - moved[29, :2], log.odometry[30, :2] - log.odometry[29, :2], atol=1e-12)
-    alone = delayed(log, 0.05).odometry
-    np.testing.assert_allclose(alone[10, :2], 0.5 * (log.odometry[9, :2] + log.odometry[10, :2]), atol=1e-12)

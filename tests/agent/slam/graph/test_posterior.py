@@ -1,14 +1,12 @@
 """The expected error of a smoothed path, by the posterior covariance of its graph."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from support.corridors import corridor_log
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.chunk_graph import Loop
-from limslam_agent.slam.graph.key_poses import ERRORS, Trajectory, choose_keys, odometry_trajectory
+from limslam_agent.slam.graph.key_poses import ERRORS, Trajectory, choose_keys
 from limslam_agent.slam.graph.local_smoothing import cautious_equations
 from limslam_agent.slam.graph.posterior import aligned_covariance, odometry_ratios, position_std
 from limslam_agent.slam.graph.smooth import relations_of
@@ -58,23 +56,6 @@ def test_the_variances_of_odometry_follow_its_errors(laps):
     data, keys, path = laps
     ratios = odometry_ratios(keys, path, cautious_equations(keys, path, CONFIG, data.range_std))
     assert (ratios[1:] < 0.5).all()
-
-
-def test_a_path_that_follows_odometry_alone_does_not_show_how_good_odometry_is(laps):
-    data, _, _ = laps
-    blind = choose_keys(replace(data, hit=np.zeros_like(data.hit)), CONFIG.keys)
-    path = odometry_trajectory(blind, np.zeros(3))
-    ratios = odometry_ratios(blind, path, cautious_equations(blind, path, CONFIG, data.range_std))
-    assert ratios == pytest.approx(np.ones(3), abs=0.05)
-    assert position_std(blind, path, NO_LOOPS, CONFIG, data.range_std) > 1.0
-
-
-def test_a_log_of_one_pose_is_known(laps):
-    data, _, _ = laps
-    rows = {name: getattr(data, name)[:1] for name in ("time", "odometry", "ranges", "hit")}
-    keys = choose_keys(replace(data, **rows), CONFIG.keys)
-    path = odometry_trajectory(keys, np.zeros(3))
-    assert position_std(keys, path, NO_LOOPS, CONFIG, data.range_std) == 0.0
 
 
 def test_alignment_removes_what_moves_and_turns_all_positions():

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
-from limslam_agent.slam.line_graph.line_merging import ONE_WALL, Lines, merge_lines, wall_kinds
+from limslam_agent.slam.line_graph.line_merging import Lines, merge_lines, wall_kinds
 
-LIMITS = ONE_WALL._replace(max_offset=0.4)
 UNSEEN = [np.inf, -np.inf]
 
 
@@ -16,12 +15,12 @@ def parallel(behind, second, std=0.01, *, turned=False):
     anchors = np.array([[0.3, 0.0], [0.5, -behind]])
     seen = np.array([[UNSEEN, UNSEEN], [UNSEEN, UNSEEN]])
     seen[0, POSITIVE] = seen[1, 1 - second if turned else second] = [-1.0, 1.0]
-    return Lines(lines, anchors, seen, np.diag([std**2, 1e-4] * 2 + [0.0, 0.0]))
+    return Lines(lines, anchors, seen, np.diag([std**2, 1e-4] * 2))
 
 
 def merged(behind, std, second=NEGATIVE, kinds=(0.0, 0.0), *, turned=False):
     lines = parallel(behind, second, std, turned=turned)
-    return merge_lines(lines, LIMITS, kinds), lines
+    return merge_lines(lines, kinds), lines
 
 
 @pytest.mark.parametrize("turned", [False, True])
@@ -49,34 +48,10 @@ def test_what_is_known_of_a_building_decides_about_vague_lines():
     assert not merged(0.05, 0.2, kinds=(20.0, 20.0))[0]
 
 
-def test_two_lines_of_which_little_is_known_are_left_apart_within_wide_limits():
-    wide = ONE_WALL.wider(max_offset=0.8, max_angle=0.4, min_overlap=0.1)
-    for limits, std, merges in ((wide, 1.0, False), (wide, 0.2, True), (wide._replace(weakest=np.inf), 1.0, True)):
-        lines = parallel(0.5, POSITIVE)
-        lines.covariance = np.diag([std**2, (0.2 * std) ** 2] * 2 + [0.0, 0.0])
-        assert merge_lines(lines, limits, (0.0, 0.0)) == merges
-
-
 @pytest.mark.parametrize("turned", [False, True])
 def test_lengths_of_boards_and_walls(turned):
     lines = parallel(0.2, NEGATIVE, turned=turned)
-    lines.covariance = np.diag([1e-4, 1e-6] * 2 + [0.0, 0.0])
-    assert wall_kinds(lines, LIMITS) == (0.0, pytest.approx(1.8))
+    lines.covariance = np.diag([1e-4, 1e-6] * 2)
+    assert wall_kinds(lines) == (0.0, pytest.approx(1.8))
     lines.seen[0, NEGATIVE] = [0.0, 0.7]
-    assert wall_kinds(lines, LIMITS)[0] == pytest.approx(0.7)
-
-
-@pytest.mark.parametrize("turned", [False, True])
-def test_a_world_whose_place_is_unknown_does_not_merge_two_walls(turned):
-    """The lines are known to 0.02 m beside each other, but the world may be shifted by 2.5 m along them."""
-    for shift, merges in ((0.0, True), (2.5, False)):
-        lines = parallel(0.13, POSITIVE, turned=turned)
-        lines.lines[1, 1] += 0.04
-        normals = np.stack((np.cos(lines.lines[:, 1]), np.sin(lines.lines[:, 1])), axis=1)
-        by_shift = np.zeros((6, 2))
-        by_shift[:4:2], by_shift[4:] = normals, normals[:, ::-1] * [-1.0, 1.0]
-        moved = by_shift @ np.diag([2.5**2, 0.0]) @ by_shift.T
-        if not shift:
-            moved[4:], moved[:, 4:] = 0.0, 0.0
-        lines.covariance = np.diag([0.02**2, 1e-4] * 2 + [0.0, 0.0]) + moved
-        assert merge_lines(lines, LIMITS, (0.0, 0.0)) == merges
+    assert wall_kinds(lines)[0] == pytest.approx(0.7)

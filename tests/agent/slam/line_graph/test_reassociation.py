@@ -7,12 +7,8 @@ from support.smoother_runs import noisy_run, position_error, state_from_motions,
 from limslam_agent.slam.least_squares.normal_equations import DegenerateError
 from limslam_agent.slam.line_graph.problem import make_problem
 from limslam_agent.slam.line_graph.reassociation import (
-    carriers,
-    lines_of,
     merge,
     reassociate,
-    renumbered,
-    rooted,
     solve_labels,
 )
 
@@ -48,7 +44,7 @@ def test_lines_of_one_wall_are_merged():
     halves = 2 * wanted + (problem.readings.places > problem.steps // 2)
     begin = solve_labels(problem, state_from_motions(problem), halves)
     assert len(begin.state.lines) > 4
-    found, has_merged, _ = merge(problem, begin)
+    found, has_merged, _ = merge(begin)
     assert has_merged
     assert len(found.state.lines) == 4
     assert agreeing(found, wanted) == 1.0
@@ -60,26 +56,10 @@ def test_a_drive_of_which_no_line_is_left_is_not_solved():
         solve_labels(problem, state_from_motions(problem), np.full(len(problem.readings), -1))
 
 
-def test_anchors_move_with_the_world():
-    problem, poses = noisy_run(2)
-    found = solve_labels(problem, state_from_motions(problem), true_labels(problem, poses))
-    kept, by_pose = carriers(problem, found)
-    ends = found.solution.unknowns.ends
-    shift, turn = np.array([0.3, -0.2]), 1e-6
-    for line, anchor, index, row in zip(found.state.lines, found.state.anchors, kept, by_pose, strict=True):
-        x, y = anchor - found.state.poses[0, ends[index[0] // 3], :2]
-        along = np.array([-np.sin(line[1]), np.cos(line[1])])
-        moved = np.array([np.cos(turn) * x - np.sin(turn) * y - x, np.sin(turn) * x + np.cos(turn) * y - y])
-        assert row @ [*shift, turn] == pytest.approx(along @ (shift + moved), abs=1e-9)
-    joint = lines_of(problem, found).covariance
-    assert joint.shape == (12, 12)
-    assert np.linalg.eigvalsh(joint).min() > -1e-12
-
-
 def test_lines_of_different_walls_are_not_merged():
     problem, poses = noisy_run(3, noise=0.04)
     begin = solve_labels(problem, state_from_motions(problem), true_labels(problem, poses))
-    found, has_merged, _ = merge(problem, begin)
+    found, has_merged, _ = merge(begin)
     assert not has_merged
     assert np.array_equal(found.labels, begin.labels)
 
@@ -97,16 +77,6 @@ def test_readings_near_a_corner_that_two_lines_predict_are_not_used():
     problem, poses = noisy_run(5, noise=0.04)
     found = reassociate(problem, state_from_motions(problem), true_labels(problem, poses))
     assert 0.0 < (found.labels < 0).mean() < 0.1
-
-
-def test_lines_are_numbered_by_their_first_reading():
-    labels, kept = renumbered(np.array([5, -1, 5, 3, 3, 9, 5, 3]), 2)
-    assert labels.tolist() == [0, -1, 0, 1, 1, -1, 0, 1]
-    assert kept.tolist() == [5, 3]
-
-
-def test_merged_lines_are_followed_to_the_last():
-    assert rooted(np.array([0, 0, 1, 3, 2])).tolist() == [0, 0, 0, 3, 0]
 
 
 def test_beams_that_may_have_hit_another_robot_are_left_out():

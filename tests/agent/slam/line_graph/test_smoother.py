@@ -45,15 +45,13 @@ def run_of(problem, poses, sensor):
 
 def test_the_sensor_that_the_filter_found_is_taken_over():
     problem, poses = noisy_run(6, 0.0)
-    growing = replace(problem, range_std=FOUND.usual_std(problem.robot.reach), growth=2.0)
-    rough = growing.range_std * growing.noise * np.random.default_rng(6).standard_normal(len(problem.readings))
+    rough = replace(problem, sensor=FOUND).stds * np.random.default_rng(6).standard_normal(len(problem.readings))
     wide = widened(problem, poses, FOUND.cone).readings
     measured = replace(problem, readings=replace(wide, distances=wide.distances + FOUND.bias + rough))
     found = settle(run_of(measured, poses, FOUND), CONFIG)
-    assert found.problem.growth == FOUND.growth / FOUND.std
-    assert found.problem.beam_width == FOUND.cone
-    assert found.association.state.calibration[0, 3] == pytest.approx(FOUND.bias, abs=0.01)
-    assert position_error(found.association.state, poses) < 0.02
+    assert found.problem.sensor == FOUND
+    assert found.state.calibration[0, 3] == pytest.approx(FOUND.bias, abs=0.01)
+    assert position_error(found.state, poses) < 0.02
 
 
 def test_two_runs_with_known_turns_are_smoothed_as_one():
@@ -77,4 +75,4 @@ def test_rough_sensors_have_relative_errors_only():
     problem, poses = noisy_run(4, mismatch=0.02, places=[*ROUND, *ROUND])
     found = settle(run_of(problem, poses, RangeSensor(0.02, growth=1e-3)), CONFIG)
     assert found.problem.prior is RELATIVE_PRIOR
-    assert found.association.state.calibration[0] == pytest.approx([-0.02, 0.02, 0.0, 0.0], abs=0.01)
+    assert found.state.calibration[0] == pytest.approx([-0.02, 0.02, 0.0, 0.0], abs=0.01)

@@ -1,10 +1,9 @@
-"""Lines that are more than one wall: bends, and runs of readings on one side of a line."""
+"""Lines that are more than one wall are divided."""
 
 import numpy as np
 import pytest
 from support.smoother_runs import noisy_run, true_labels
 
-from limslam_agent.slam.line_graph.line_kernels import one_sided_runs
 from limslam_agent.slam.line_graph.problem import state_from_poses
 from limslam_agent.slam.line_graph.reassociation import solve_labels, straightened
 
@@ -13,7 +12,7 @@ from limslam_agent.slam.line_graph.reassociation import solve_labels, straighten
 def test_straight_walls_stay_whole(noise):
     problem, poses = noisy_run(1, noise)
     found = solve_labels(problem, state_from_poses(problem, np.moveaxis(poses, 0, 1)), true_labels(problem, poses))
-    result = straightened(problem, found)
+    result = straightened(found)
     assert len(result.state.lines) == len(found.state.lines)
     assert np.mean(result.labels == found.labels) > 0.99
 
@@ -22,24 +21,9 @@ def test_two_walls_with_one_line_are_divided():
     problem, poses = noisy_run(2, 0.04)
     wanted = true_labels(problem, poses)
     begin = solve_labels(problem, state_from_poses(problem, np.moveaxis(poses, 0, 1)), np.where(wanted == 1, 0, wanted))
-    result = straightened(problem, begin)
+    result = straightened(begin)
     pairs = np.zeros((result.labels.max() + 1, wanted.max() + 1), dtype=int)
     used = (result.labels >= 0) & (wanted >= 0)
     np.add.at(pairs, (result.labels[used], wanted[used]), 1)
     assert len(result.state.lines) > len(begin.state.lines)
     assert pairs.max(axis=1).sum() > 0.95 * used.sum()
-
-
-def test_runs_on_one_side_are_found():
-    misfits = np.array([1.0, -1.0, 2.5, 2.0, 2.5, 2.0, -1.0, 1.0, 6.0, -6.0])
-    found = np.zeros(10, dtype=bool)
-    one_sided_runs(misfits, np.array([0, 8, 9, 10]), 4.0, 40, found)
-    assert found.tolist() == [False] * 2 + [True] * 4 + [False] * 4
-
-
-def test_long_runs_are_tested_in_parts():
-    found = np.zeros(100, dtype=bool)
-    one_sided_runs(np.full(100, 0.5), np.array([0, 100]), 4.0, 40, found)
-    assert not found.any()
-    one_sided_runs(np.full(100, 0.7), np.array([0, 100]), 4.0, 40, found)
-    assert found[:40].all()

@@ -6,16 +6,12 @@ import numpy as np
 import pytest
 from support.corridors import SIX_BEAMS, corridor_log
 
-from limslam_agent.config.graph import OdometryErrorConfig
 from limslam_agent.config.presets import preset
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.mapper import Mapper
 from limslam_agent.replay import hand_over
 from limslam_agent.replay.filter_estimate import FilterEstimate
-from limslam_agent.slam.online_graph.local_frame import OdometryErrors
 from limslam_agent.slam.online_graph.online_graph import Beams, OnlineGraph
-from limslam_agent.slam.online_graph.place_graph import PlaceGraph
-from limslam_agent.slam.online_graph.recent_events import RecentEvents
 from limslam_agent.status.status import Status
 from limslam_env.geometry import se2
 from limslam_env.interface import NominalNoise
@@ -25,15 +21,13 @@ CUT = 400
 
 
 def driven(data, start, count):
-    """The online graph after the first events, with its pose and covariance at each event."""
+    """The graph after the first events, and at each: pose, covariance, whether there was a job, and position_std."""
     beams = Beams(data.origins, data.angles, data.max_range, data.range_std)
-    graph, poses, covariances, jobs = OnlineGraph(beams, start), [], [], []
+    graph, found = OnlineGraph(beams, start), []
     for row in range(count):
         graph.step(data.time[row], data.odometry[row], data.ranges[row], data.hit[row])
-        poses.append(graph.pose)
-        covariances.append(graph.covariance)
-        jobs.append(graph.job_ms > 0.0)
-    return graph, np.array(poses), np.array(covariances), np.array(jobs)
+        found.append((graph.pose, graph.covariance, graph.job_ms > 0.0, graph.position_std))
+    return graph, *map(np.array, zip(*found, strict=True))
 
 
 @pytest.fixture(scope="module")
@@ -43,19 +37,19 @@ def lap():
 
 
 def test_a_pose_uses_no_later_event(lap):
-    data, truth, (_, poses, covariances, _) = lap
+    data, truth, (_, poses, covariances, _, _) = lap
     # Whatever comes after the cut, even nonsense, changes nothing before it.
     odometry, ranges = data.odometry.copy(), data.ranges.copy()
     odometry[CUT + 5 :], ranges[CUT + 5 :] = 0.0, 1.0
     data = replace(data, odometry=odometry, ranges=ranges)
-    _, cut_poses, cut_covariances, _ = driven(data, truth[0], CUT + 20)
+    _, cut_poses, cut_covariances, _, _ = driven(data, truth[0], CUT + 20)
     cut_poses, cut_covariances = cut_poses[:CUT], cut_covariances[:CUT]
     np.testing.assert_array_equal(cut_poses, poses[:CUT])
     np.testing.assert_array_equal(cut_covariances, covariances[:CUT])
 
 
 def test_a_place_is_recognised_and_the_pose_jumps_there(lap):
-    _, truth, (graph, poses, covariances, _) = lap
+    _, truth, (graph, poses, covariances, _, _) = lap
     assert graph.places.loops
     assert all(loop.first < loop.second for loop in graph.places.loops)
     off = np.hypot(*(poses - truth)[:, :2].T)
@@ -67,19 +61,14 @@ def test_a_place_is_recognised_and_the_pose_jumps_there(lap):
 
 
 def test_the_position_becomes_uncertain_until_a_place_is_recognised(lap):
-    data, truth, (_, poses, _, _) = lap
-    graph = OnlineGraph(Beams(data.origins, data.angles, data.max_range, data.range_std), truth[0])
-    stds = np.empty(len(poses))
-    for row in range(len(poses)):
-        graph.step(data.time[row], data.odometry[row], data.ranges[row], data.hit[row])
-        stds[row] = graph.position_std
+    stds = lap[2][4]
     assert stds[0] == 0.0
     assert stds.max() > 0.5
     assert stds[-1] < 0.5 * stds.max()
 
 
 def test_the_local_frame_jumps_only_at_the_key_pose_after_a_job(lap):
-    data, _, (_, poses, _, jobs) = lap
+    data, _, (_, poses, _, jobs, _) = lap
     jumps = se2.between(poses[:-1], poses[1:])
     moved = np.hypot(*(jumps - se2.between(data.odometry[:-1], data.odometry[1:]))[:, :2].T)
     assert moved[jobs[1:]].max() < 0.02
@@ -87,61 +76,10 @@ def test_the_local_frame_jumps_only_at_the_key_pose_after_a_job(lap):
 
 
 def test_the_missing_turn_of_the_odometry_is_found(lap):
-    _, _, (graph, _, _, _) = lap
+    _, _, (graph, *_) = lap
     errors = graph.errors
     assert abs(np.degrees(errors.mean[0]) - 1.0) < 3.0 * np.degrees(np.sqrt(np.linalg.inv(errors.information)[0, 0]))
     assert abs(np.degrees(errors.mean[0]) - 1.0) < 0.4
-
-
-def test_a_chunk_has_the_covariance_of_the_first_chunk_about_it(lap):
-    _, _, (graph, _, _, _) = lap
-    chunk = graph.places._maps[0]
-    start = np.diag([0.01, 0.04, 0.09])
-    places = PlaceGraph(chunk, np.array([1.0, 2.0, 0.0]), start)
-    np.testing.assert_allclose(places.covariance, start)
-    places.add(chunk, np.array([[3.0, 0.0, 0.0]]), np.zeros((3, 3)))
-    own = places._covariances[0]
-    # The heading of the first chunk turns the second chunk, 3 m ahead, about it.
-    assert places.covariance[1, 1] == pytest.approx(0.04 + 9.0 * 0.09 + own[1, 1])
-    assert places.covariance[0, 0] == pytest.approx(0.01 + own[0, 0])
-
-
-def test_windows_add_their_information_by_their_share():
-    config = OdometryErrorConfig()
-    unknown = OdometryErrors.unknown(config)
-    prior = unknown.prior(config)
-    assert prior.bias_std == pytest.approx(config.bias_std)
-    # A window that says as much as the prior, with all of its driving new, doubles the information.
-    found = np.array([0.01, 0.0, 0.0, 0.0, 0.0])
-    known = unknown.after(found, 2.0 * unknown.information, 1.0)
-    np.testing.assert_allclose(known.information, 2.0 * unknown.information)
-    np.testing.assert_allclose(known.mean, found, atol=1e-12)
-    assert known.prior(config).bias_std == pytest.approx(config.bias_std / np.sqrt(2.0))
-    np.testing.assert_array_equal(unknown.after(found, 2.0 * unknown.information, 0.0).mean, np.zeros(5))
-
-
-def recent(times):
-    events = RecentEvents()
-    for number, time in enumerate(times):
-        events.append(time, np.array([float(number), 0.0, 0.0]), np.ones(2), np.ones(2, dtype=bool))
-    return events
-
-
-def test_odometry_is_interpolated_at_the_time_of_the_ranges():
-    events = recent([0.0, 1.0, 2.0, 4.0])
-    np.testing.assert_allclose(events.last_motion(0.0), [1.0, 0.0, 0.0])
-    # From 1.5 s at x = 1.5 to 3.5 s at x = 2.75.
-    np.testing.assert_allclose(events.last_motion(0.5), [1.25, 0.0, 0.0])
-    np.testing.assert_allclose(events.last_motion(10.0), np.zeros(3))
-    np.testing.assert_allclose(recent([0.0, 1.0, 1.0]).last_motion(0.5)[1:], np.zeros(2))
-
-
-def test_events_keep_their_numbers_when_earlier_ones_are_forgotten():
-    events = recent([0.0, 1.0, 2.0, 3.0])
-    assert (events.at(1.5), events.at(99.0), events.travel) == (2, 3, 3.0)
-    events.forget_before(2)
-    assert (events.first, events.last, events.at(2.5), events.travel_at(3)) == (2, 3, 3, 3.0)
-    assert len(events.data(np.zeros((2, 2)), np.zeros(2), 5.0, 0.01).time) == 2
 
 
 def test_the_graph_goes_on_once_the_filter_is_lost(monkeypatch):

@@ -1,0 +1,129 @@
+"""The batched environment on a GPU: a thin adapter over the batched simulation there."""
+
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.utils import seeding
+from gymnasium.vector import AutoresetMode
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from limslam_env.batch.batch import BatchSimulation, Results
+from limslam_env.batch.device import DeviceSimulation
+from limslam_env.config import RewardConfig
+from limslam_env.envs.adapter import action_space, observation_space
+from limslam_env.envs.arguments import BatchSource, NoiseSource, Plans, SensorNoise
+from limslam_env.envs.batch_adapter import Batched
+from limslam_env.interface import RobotSpec
+
+
+class LimSlamDeviceEnv(Batched, gym.vector.VectorEnv[dict[str, Any], Any, Any]):
+    """The environments of :class:`limslam_env.envs.vector_env.LimSlamVectorEnv` on a GPU of NVIDIA (extra ``gpu``).
+
+    ``gym.make_vec("LimSlam-Env1-v0", num_envs=65536, device="cuda")`` makes such a batch. Spaces, arguments and the
+    results of a seed are those of the batch on processors, up to rounding, with these differences:
+
+    * Observations, rewards, ends and info are arrays on the device, which torch, JAX and CuPy take without a copy
+      (``__cuda_array_interface__``). The next step writes into the same arrays: clone what is to be kept.
+    * Actions (n, 2) are float32. A step takes those of a GPU without a copy, and does not look for NaN in them, which
+      counts as -1.
+    * ``autoreset_mode`` is NEXT_STEP. ``reset`` begins episodes in all environments, and has no ``reset_mask``.
+    * Floor plans are generated beforehand: ``LimSlam-Random-v0`` needs ``plans``.
+    * Info has no masks and no ``cost``. There are no pictures.
+
+    The kernel is compiled at the first reset, in about 20 s.
+    """
+
+    metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+    _kind: ClassVar[type[BatchSimulation]] = DeviceSimulation
+    _simulation: DeviceSimulation
+
+    def __init__(
+        self,
+        world: BatchSource,
+        num_envs: int = 1,
+        *,
+        robot: RobotSpec | None = None,
+        sensor_noise: SensorNoise = None,
+        noise: NoiseSource = None,
+        coverage_goal: float | None = 0.99,
+        rewards: RewardConfig | None = None,
+        max_episode_steps: int | None = 18_000,
+        plans: Plans = None,
+    ) -> None:
+        self._set_up(
+            world, num_envs, 1, robot, sensor_noise, noise, coverage_goal, rewards, max_episode_steps, plans, None,
+            AutoresetMode.NEXT_STEP,
+        )  # fmt: skip
+        self.single_action_space, self.single_observation_space = action_space(), observation_space(self.robot)
+        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[dict[str, Any], dict[str, Any]]:
+        """Start new episodes in all environments.
+
+        Parameters
+        ----------
+        seed
+            Of all random numbers from now on; without it they go on.
+        options
+            ``start``: a pose (3,), m and rad, or one for each environment (n, 3).
+
+        Raises
+        ------
+        ValueError
+            If an option is unknown or has another shape.
+        WorldError
+            If a start cannot be used.
+        """
+        if options and "reset_mask" in options:
+            raise ValueError("on a device there is no reset_mask: all environments are reset together")
+        generator = self.np_random if seed is None else seeding.np_random(seed)[0]
+        results, _ = self._begin(generator, seed, options)
+        if seed is not None:
+            self._np_random, self._np_random_seed = generator, seed
+        self._handed = _handed_out(results)
+        return self._handed[0].copy(), self._handed[-1].copy()
+
+    def step(self, actions: Any) -> tuple[dict[str, Any], Any, Any, Any, dict[str, Any]]:
+        """Drive for one control period; ``actions`` (n, 2), float32, are left and right wheel speeds, -1 to 1.
+
+        Raises
+        ------
+        ValueError
+            If the actions have another shape or type, or rows that do not follow each other in memory.
+        gymnasium.error.ResetNeeded
+            If there was no reset yet.
+        """
+        if not self._is_running:
+            raise gym.error.ResetNeeded("call reset before step")
+        self._simulation.step(actions)
+        observation, rewards, terminated, truncated, info = self._handed
+        return observation.copy(), rewards, terminated, truncated, info.copy()
+
+    def to_device(self, array: NDArray[np.float32]) -> Any:
+        """A copy of an array on the device, for actions that are made without a library for GPUs."""
+        return self._simulation.to_device(array)
+
+    def synchronize(self) -> None:
+        """Wait until all steps are done. JAX needs this before it takes results, and torch does not."""
+        self._simulation.synchronize()
+
+
+def _handed_out(results: Results) -> tuple[dict[str, Any], Any, Any, Any, dict[str, Any]]:
+    """What each step returns: views of the results, in which there is one robot in each environment."""
+    count = len(results.time)
+    ranges, wheels, pose, collision, wall_seen, rewards = (
+        part.reshape(count, *part.shape[2:])
+        for part in (
+            results.ranges, results.wheels, results.poses, results.contact, results.wall_seen, results.rewards,
+        )
+    )  # fmt: skip
+    info = {
+        "pose": pose, "time": results.time, "coverage": results.coverage, "collision": collision,
+        "wall_seen": wall_seen,
+    }  # fmt: skip
+    return {"ranges": ranges, "wheels": wheels}, rewards, results.terminated, results.truncated, info
