@@ -28,7 +28,7 @@ from limslam_env.worlds.formats.loading import load_world
 DIAGRAMS = {
     "action -> physics": "the stages of one step of the loop",
     "limslam_env/": "the packages and what each is for; test_docs compares it with the folders",
-    "simulator    geometry, interface <-": "which package may import which; test_architecture has the rules themselves",
+    "simulator    geometry <-": "which package may import which; test_architecture has the rules themselves",
     "# t1   t2": "relations of a tape; a test below reads them",
     "H,1,": "lines of the live protocol; tests/agent/live/test_protocol.py reads them",
     "turned   ": "a line of the summary; a test below prints it",
