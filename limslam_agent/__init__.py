@@ -10,12 +10,13 @@ more of ``limslam_env`` than its geometry and its interface. The agent therefore
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from limslam_agent.agent import LimSlamAgent
     from limslam_agent.belief import Belief
     from limslam_agent.config.presets import AgentConfig, preset, with_until
     from limslam_agent.logs.log_reader import read_log
-    from limslam_agent.map_snapshot import MapSnapshot
-    from limslam_agent.mapper import Mapper
+    from limslam_agent.mapping.agent import LimSlamAgent
+    from limslam_agent.mapping.map_snapshot import MapSnapshot
+    from limslam_agent.mapping.mapper import Mapper
+    from limslam_agent.mapping.team import LimSlamTeam
     from limslam_agent.output.live_map import save_map
     from limslam_agent.policies.frontier_policy import FrontierPolicy
     from limslam_agent.policies.learned.learned import LearnedPolicy
@@ -25,7 +26,6 @@ if TYPE_CHECKING:
     from limslam_agent.runs.evaluate import evaluate, medians
     from limslam_agent.slam.batch.batch_slam import BatchSlam
     from limslam_agent.slam.slam import LineSlam
-    from limslam_agent.team import LimSlamTeam
     from limslam_agent.wrappers.single import SlamObservation
     from limslam_agent.wrappers.vector import SlamVectorObservation
 
@@ -62,11 +62,11 @@ _MODULES = {
     "FrontierPolicy": "policies.frontier_policy",
     "Laps": "policies.simple_policies",
     "LearnedPolicy": "policies.learned.learned",
-    "LimSlamAgent": "agent",
-    "LimSlamTeam": "team",
+    "LimSlamAgent": "mapping.agent",
+    "LimSlamTeam": "mapping.team",
     "LineSlam": "slam.slam",
-    "MapSnapshot": "map_snapshot",
-    "Mapper": "mapper",
+    "MapSnapshot": "mapping.map_snapshot",
+    "Mapper": "mapping.mapper",
     "Policy": "policies.policy",
     "RandomPolicy": "policies.simple_policies",
     "SlamObservation": "wrappers.single",

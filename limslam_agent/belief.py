@@ -31,8 +31,8 @@ class Guess:
 class Belief:
     """Everything that a policy may use to choose an action.
 
-    A :class:`~limslam_agent.mapper.Mapper` makes the belief of each robot. Only ``other_goals`` is added by the team,
-    because the goals come from the policies and not from the map.
+    A :class:`~limslam_agent.mapping.mapper.Mapper` makes the belief of each robot. Only ``other_goals`` is added by the
+    team, because the goals come from the policies and not from the map.
 
     Attributes
     ----------
@@ -53,8 +53,8 @@ class Belief:
     status
         Whether the estimate can be trusted.
     frame
-        Number of times that the frame of poses and map has changed (:class:`~limslam_agent.mapper.Mapper`). Plans that
-        were made in another frame mean nothing.
+        Number of times that the frame of poses and map has changed (:class:`~limslam_agent.mapping.mapper.Mapper`).
+        Plans that were made in another frame mean nothing.
     map_number
         Number of the map. In another frame with the same number, the map is the same, but was moved. What a policy has
         settled there, such as places that cannot be reached, remains so.

@@ -83,41 +83,18 @@ AGENT = {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("belief", "config", "slam", "slam.core", "grid", "kernels", "status", "safe_files"),
     },
-    "limslam_agent.renewal": {
-        *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "grid", "places", "status"),
-        *agent("slam", "slam.consistent", "slam.core", "slam.line_graph"),
-    },
-    "limslam_agent.frame_mapper": {
-        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid", "renewal", "slam", "slam.core", "status"),
-    },
-    "limslam_agent.map_snapshot": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "slam.core")},
-    "limslam_agent.frames": {
-        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "frame_mapper", "grid", "places", "slam", "status"),
-    },
-    "limslam_agent.mapper": {
-        *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("belief", "config", "frames", "slam", "slam.core", "grid", "map_snapshot", "status", "places"),
-    },
-    "limslam_agent.joining": {
-        *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("belief", "config", "grid", "mapper", "places", "slam", "slam.core", "status"),
-    },
     "limslam_agent.policies": {*WHAT_AN_AGENT_MAY_KNOW, *agent("belief", "config", "grid", "kernels")},
     "limslam_agent.policies.learned": {
         *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"),
         *agent("belief", "config", "grid", "kernels", "policies", "safe_files"),
     },
-    "limslam_agent.team": {
+    "limslam_agent.mapping": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "slam", "slam.core", "grid", "joining", "map_snapshot", "mapper", "places"),
-        *agent("policies", "status"),
-    },
-    "limslam_agent.agent": {
-        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam", "mapper", "policies", "status", "team"),
+        *agent("belief", "config", "grid", "places", "policies", "status"),
+        *agent("slam", "slam.consistent", "slam.core", "slam.line_graph"),
     },
     "limslam_agent.wrappers": {
-        *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("belief", "config", "grid", "mapper", "slam.batch"),
+        *WHAT_AN_AGENT_MAY_KNOW, *env("compilation"), *agent("belief", "config", "grid", "mapping", "slam.batch"),
     },
     "limslam_agent.logs": {*WHAT_AN_AGENT_MAY_KNOW, *agent("readings", "safe_files")},
     "limslam_agent.measurements": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output", "safe_files")},
@@ -125,7 +102,7 @@ AGENT = {
     "limslam_agent.output.formats": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "output", "places", "safe_files")},
     "limslam_agent.replay": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "logs", "mapper", "output", "places"),
+        *agent("config", "slam.core", "slam.graph", "slam.line_graph", "grid", "logs", "mapping", "output", "places"),
         *agent("slam.online_graph", "status"),
     },
     "limslam_agent.two_logs": {
@@ -134,7 +111,7 @@ AGENT = {
         *agent("replay", "status"),
     },
     "limslam_agent.live": {
-        *WHAT_AN_AGENT_MAY_KNOW, *agent("agent", "config", "logs", "output", "policies", "replay"),
+        *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "logs", "mapping", "output", "policies", "replay"),
     },
     "limslam_agent.live.ros2": {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid", "live", "logs", "output.formats", "policies"),
@@ -142,7 +119,7 @@ AGENT = {
     "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output", "slam.core")},
     "limslam_agent.inspect": {
         *WHAT_AN_AGENT_MAY_KNOW,
-        *agent("config", "grid", "joining", "mapper", "output", "policies", "slam", "slam.core", "status", "video"),
+        *agent("config", "grid", "mapping", "output", "policies", "slam", "slam.core", "status", "video"),
     },
 }  # fmt: skip
 # These put the simulator and the agent together. No other package of the agent may import them.

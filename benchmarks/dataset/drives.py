@@ -15,10 +15,10 @@ import limslam_env  # noqa: F401 (registers the environments)
 from benchmarks.suite.jobs import RANDOM, Job, Outcome, digest
 from benchmarks.suite.suite import Suite
 from limslam_agent.config import DEFAULT_PRESET
+from limslam_agent.mapping.team import LimSlamTeam
 from limslam_agent.runs.oracle import policies_by_belief
 from limslam_agent.runs.results import drive_scores
 from limslam_agent.status.status import LEVELS
-from limslam_agent.team import LimSlamTeam
 from limslam_agent.wrappers.single import SlamObservation, default_config, observed_belief
 
 FORMAT = 1

@@ -8,7 +8,8 @@ import limslam_agent
 
 ESTIMATOR = (
     "slam", "places", "status", "kernels",
-    "mapper.py", "frames.py", "frame_mapper.py", "renewal.py", "joining.py", "dropouts.py",
+    "mapping/mapper.py", "mapping/frames.py", "mapping/frame_mapper.py", "mapping/renewal.py", "mapping/joining.py",
+    "dropouts.py",
     "replay/calibration.py", "replay/filter_estimate.py", "replay/hand_over.py",
     "replay/local_views.py", "replay/loop_scores.py", "replay/plausibility.py", "replay/reversing.py",
     "replay/smoothing.py", "replay/trust.py", "two_logs/by_graph.py", "two_logs/by_lines.py", "two_logs/joining.py",

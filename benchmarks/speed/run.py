@@ -15,16 +15,16 @@ import numpy as np
 
 from limslam_agent.cli.main import collect_rarely
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.mapper import Mapper
+from limslam_agent.mapping.mapper import Mapper
+from limslam_agent.mapping.renewal import Renewal
+from limslam_agent.mapping.team import LimSlamTeam
 from limslam_agent.places.recovery import Recovery
 from limslam_agent.policies import frontier_policy
 from limslam_agent.policies.collision_guard import CollisionGuard
-from limslam_agent.renewal import Renewal
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.monitor import StatusMonitor
-from limslam_agent.team import LimSlamTeam
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 
 BAR = 200.0

@@ -15,8 +15,8 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 import limslam_env  # noqa: F401 (registers the environments)
+from limslam_agent.mapping.team import LimSlamTeam
 from limslam_agent.runs.oracle import policies_by_belief
-from limslam_agent.team import LimSlamTeam
 from limslam_agent.wrappers.single import default_config
 from limslam_agent.wrappers.vector import SlamVectorObservation
 

@@ -14,7 +14,7 @@ from limslam_agent.inspect.events import (
     loop_event,
     rounded,
 )
-from limslam_agent.mapper import Mapper
+from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Comparison, Extraction
 from limslam_agent.slam.core.hough import bin_size
 from limslam_agent.slam.slam import LineSlam

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from limslam_agent.inspect.columns import packed
 from limslam_agent.inspect.page import empty_page, told_to_page
 from limslam_agent.inspect.recorder import Recorder
-from limslam_agent.mapper import Mapper
+from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.policies.policy import Policy
 from limslam_env.geometry import FloatArray
 

@@ -12,8 +12,8 @@ from limslam_agent.inspect.event_log import EventLog
 from limslam_agent.inspect.events import Event, rounded
 from limslam_agent.inspect.frontiers import frontiers_of
 from limslam_agent.inspect.grid_changes import GridChanges
-from limslam_agent.joining import JoiningMapper
-from limslam_agent.mapper import Mapper
+from limslam_agent.mapping.joining import JoiningMapper
+from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.policies.policy import Policy, checked_plan
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.status import LEVELS, Status

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_agent.agent import LimSlamAgent
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.live.link import POLL, Connection
 from limslam_agent.live.protocol import VERSION, Command, Heartbeat, Hello, Message, Speeds, Stop, Telemetry, difference
 from limslam_agent.live.recording import MM, Recording, Row
 from limslam_agent.live.transports import SILENT_AFTER
+from limslam_agent.mapping.agent import LimSlamAgent
 from limslam_agent.policies.policy import Policy
 from limslam_env.interface import RobotSpec
 

@@ -4,7 +4,7 @@ import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.logs.recorded_log import RecordedLog
-from limslam_agent.mapper import Mapper
+from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray

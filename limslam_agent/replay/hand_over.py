@@ -11,7 +11,7 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.logs.recorded_log import RecordedLog
-from limslam_agent.mapper import Mapper
+from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.replay.filter_estimate import FilterEstimate, is_handed_over
 from limslam_agent.replay.smoothing import log_data

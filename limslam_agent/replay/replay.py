@@ -13,7 +13,7 @@ from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations, relation_errors, summary
-from limslam_agent.mapper import Mapper
+from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.output.cost import run_cost
 from limslam_agent.output.export import map_content, write_covariances, write_json, write_map
 from limslam_agent.output.finished_run import COVARIANCES, UNPLACED

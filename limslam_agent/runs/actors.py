@@ -8,9 +8,9 @@ import numpy as np
 
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent.mapping.team import LimSlamTeam
 from limslam_agent.runs.actor_checks import first_argument, is_policy
 from limslam_agent.runs.oracle import policies_by_belief
-from limslam_agent.team import LimSlamTeam
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import NominalNoise, RobotSpec
 

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from limslam_agent.joining import Joined, JoiningMapper
+from limslam_agent.mapping.joining import Joined, JoiningMapper
+from limslam_agent.mapping.team import LimSlamTeam, Snapshot
 from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.places.saved_map import read_saved_map
 from limslam_agent.policies.policy import NOT_EXPLORED, Policy
@@ -27,7 +28,6 @@ from limslam_agent.slam.core.motion import OdometryCalibration
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import AssociationRecord
 from limslam_agent.status.status import LEVELS
-from limslam_agent.team import LimSlamTeam, Snapshot
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import compose, turned

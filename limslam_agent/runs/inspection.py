@@ -17,7 +17,7 @@ from limslam_agent.config.presets import AgentConfig
 from limslam_agent.inspect.events import rounded
 from limslam_agent.inspect.recorder import Recorder
 from limslam_agent.logs.recorded_log import RecordedLog
-from limslam_agent.mapper import Mapper
+from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.output.finished_run import LOG, FinishedRun, FolderError
 from limslam_agent.output.formats.content import read_readings
 from limslam_agent.places.saved_map import SavedMap

@@ -9,9 +9,9 @@ import numpy as np
 
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.inspect.recorder import Recorder
+from limslam_agent.mapping.team import LimSlamTeam
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.status.status import worst
-from limslam_agent.team import LimSlamTeam
 from limslam_agent.video.belief_frame import BeliefFrame, Event, HoughView, hough_view
 from limslam_agent.video.film import FPS, Film
 from limslam_agent.video.video import video_file

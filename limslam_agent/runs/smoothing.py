@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from limslam_agent.grid.occupancy import GridView, drawn_grid
-from limslam_agent.joining import NOT_YET_CONFIRMED
+from limslam_agent.mapping.joining import NOT_YET_CONFIRMED
 from limslam_agent.output.export import finite
 from limslam_agent.places.revisions import revised
 from limslam_agent.readings import as_readings

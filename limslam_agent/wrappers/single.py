@@ -12,7 +12,7 @@ from limslam_agent.belief import Belief
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.mapper import Mapper
+from limslam_agent.mapping.mapper import Mapper
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import between
 from limslam_env.interface import NominalNoise, RobotSpec, largest_noise

@@ -8,7 +8,7 @@ from limslam_agent.config.presets import preset
 from limslam_agent.dropouts import Dropouts, without_dropouts
 from limslam_agent.grid.drawing import ReadingDrawer
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid, drawn_grid
-from limslam_agent.mapper import Mapper
+from limslam_agent.mapping.mapper import Mapper
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import NominalNoise, RobotSpec
 

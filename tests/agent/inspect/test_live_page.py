@@ -13,7 +13,7 @@ from limslam_agent.cli import main as cli
 from limslam_agent.config.presets import preset
 from limslam_agent.inspect import live_page as module
 from limslam_agent.inspect.live_page import Follower, live_page
-from limslam_agent.mapper import Mapper
+from limslam_agent.mapping.mapper import Mapper
 from limslam_env.interface import NominalNoise
 
 

@@ -11,12 +11,12 @@ from limslam_agent.cli.main import main
 from limslam_agent.config.consistent import ExtentConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.kernels.extents import pass_at
+from limslam_agent.mapping.team import Snapshot
 from limslam_agent.output.export import write_map
 from limslam_agent.output.finished_run import FinishedRun, read_run
 from limslam_agent.replay import replay as replay_module
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.wall_map import WallMap
-from limslam_agent.team import Snapshot
 from limslam_env.interface import RobotSpec
 from limslam_env.metrics import metrics
 from limslam_env.worlds.formats.loading import load_world

@@ -11,8 +11,9 @@ from support.halls import HALL, PART, ROBOT, SENSOR, WAY, drive, known, poses_al
 from limslam_agent import preset
 from limslam_agent.config.exploration import GridConfig
 from limslam_agent.grid.occupancy import GridView, drawn_grid
-from limslam_agent.joining import NOT_YET_CONFIRMED, NOT_YET_JOINED, JoiningMapper
-from limslam_agent.mapper import Mapper
+from limslam_agent.mapping.joining import NOT_YET_CONFIRMED, NOT_YET_JOINED, JoiningMapper
+from limslam_agent.mapping.mapper import Mapper
+from limslam_agent.mapping.team import LimSlamTeam
 from limslam_agent.output.summary import record_summary
 from limslam_agent.places.history import LoggedStep
 from limslam_agent.places.localisation import KnownPlaces
@@ -23,7 +24,6 @@ from limslam_agent.runs.results import write_episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.runs.smoothing import final_status
 from limslam_agent.status.status import LEVELS, Status
-from limslam_agent.team import LimSlamTeam
 from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
 

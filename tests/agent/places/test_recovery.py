@@ -203,7 +203,7 @@ def test_a_robot_that_is_lost_at_once_goes_on(episode, step):
 
 
 def test_a_robot_that_is_lost_before_its_map_has_walls_begins_a_new_map(episode, monkeypatch):
-    monkeypatch.setattr("limslam_agent.mapper.RESTART_WITHIN", 0)
+    monkeypatch.setattr("limslam_agent.mapping.mapper.RESTART_WITHIN", 0)
     mapper = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), episode.true[0, 0])
     for number in range(60):
         wheels = episode.wheels[number, 0] + (2.0 if number == 20 else 0.0)

@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from limslam_agent.agent import LimSlamAgent
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig, preset
 from limslam_agent.grid.occupancy import GridView
+from limslam_agent.mapping.agent import LimSlamAgent
 from limslam_agent.policies.simple_policies import WallFollower
 from limslam_agent.policies.way_home import WayHome
 from limslam_agent.status.status import Status

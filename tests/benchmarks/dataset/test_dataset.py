@@ -20,8 +20,8 @@ from benchmarks.dataset.make import DRIVES, make_dataset
 from benchmarks.dataset.minari_files import dataset_id, read_truth
 from benchmarks.suite.suite import FOLDER
 from limslam_agent.arena.tracks import plans_of
+from limslam_agent.mapping.team import LimSlamTeam
 from limslam_agent.measurements.processes import Failure
-from limslam_agent.team import LimSlamTeam
 
 SMALL = DatasetConfig(plans=2, policies=("learned", "random"), size=20, max_time=1.5)
 

@@ -12,10 +12,10 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from support.drives import FOUR_BEAMS, ROBOT, along, drive, laps_of_square, room, straight, turn
 
-from limslam_agent.agent import LimSlamAgent
 from limslam_agent.config.consistent import ConsistentConfig, RangeErrorConfig
 from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
 from limslam_agent.kernels.tables import MISSES
+from limslam_agent.mapping.agent import LimSlamAgent
 from limslam_agent.policies.simple_policies import WallFollower
 from limslam_agent.slam.batch.batch_slam import BatchSlam
 from limslam_agent.slam.batch.state import Capacity

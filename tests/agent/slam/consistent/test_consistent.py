@@ -25,13 +25,13 @@ from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import preset
 from limslam_agent.kernels.extents import add_wall, count_hits
 from limslam_agent.kernels.tables import IS_KNOWN
+from limslam_agent.mapping.team import LimSlamTeam
 from limslam_agent.slam.consistent.consistent import ConsistentEstimator
 from limslam_agent.slam.consistent.merging import closes_loop
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Comparison
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.team import LimSlamTeam
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import nearest_form, through

@@ -13,7 +13,7 @@ from support.readings import Readings, expected_ranges, expected_rows
 
 from limslam_agent.config.consistent import ConsistentConfig, RangeErrorConfig
 from limslam_agent.config.presets import AgentConfig, preset
-from limslam_agent.mapper import Mapper
+from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.output.summary import record_summary, turn_records
 from limslam_agent.slam.consistent.range_noise import RangeNoise
 from limslam_agent.slam.consistent.separate_bias import TURNS, by_range_errors

@@ -9,7 +9,7 @@ from support.readings import Readings, keep_clones, observe
 
 from limslam_agent.config.consistent import SelfCalibrationConfig
 from limslam_agent.config.presets import preset, self_calibrating
-from limslam_agent.mapper import Mapper
+from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.clone_filter import line_at
 from limslam_agent.slam.consistent.separate_bias import OdometryErrors

@@ -34,6 +34,8 @@ importlib.import_module = first_with_another_name
     ids=["first", "after scipy.stats", "after filterpy", "another filterpy"],
 )
 def test_filterpy_works_whatever_was_imported_before(before, loads):
-    code = f"{before}\nimport limslam_agent.mapper, sys\nassert ('scipy.stats' in sys.modules) == {loads}\n{USE}"
+    code = (
+        f"{before}\nimport limslam_agent.mapping.mapper, sys\nassert ('scipy.stats' in sys.modules) == {loads}\n{USE}"
+    )
     done = subprocess.run([sys.executable, "-c", code], check=False, capture_output=True, text=True)
     assert (done.returncode, done.stderr) == (0, "")

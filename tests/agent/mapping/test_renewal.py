@@ -11,7 +11,7 @@ from support.walls import wall_along
 from limslam_agent import LineSlam, Mapper, preset
 from limslam_agent.config.smoother import RenewalConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.renewal import Renewal
+from limslam_agent.mapping.renewal import Renewal
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.wall_map import NEW
 from limslam_env.geometry.se2 import compose, wrap_angle
@@ -115,7 +115,7 @@ def test_a_renewal_that_moves_the_path_far_begins_a_new_frame(monkeypatch):
     told, _ = rounds(2)
     frames = []
     for far in (0.3, 0.0):
-        monkeypatch.setattr("limslam_agent.renewal.LARGE_CORRECTION", far)
+        monkeypatch.setattr("limslam_agent.mapping.renewal.LARGE_CORRECTION", far)
         mapper = Mapper(ROBOT, config(ROUND_S), START)
         for observation in told:
             mapper.step(observation)

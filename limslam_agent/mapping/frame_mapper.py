@@ -8,7 +8,7 @@ import numpy as np
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.drawing import ReadingDrawer
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.renewal import Renewal
+from limslam_agent.mapping.renewal import Renewal
 from limslam_agent.slam.core.diagnostics import Extraction
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.known_map import KnownMap

@@ -3,11 +3,11 @@
 import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
-from limslam_agent.mapper import Mapper
+from limslam_agent.mapping.mapper import Mapper
+from limslam_agent.mapping.team import LimSlamTeam, Snapshot
 from limslam_agent.policies.policy import Policy
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.status import Level
-from limslam_agent.team import LimSlamTeam, Snapshot
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import Observation, RobotSpec
 

@@ -9,7 +9,7 @@ from limslam_agent.belief import Belief
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.mapper import Mapper
+from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.places.history import LoggedStep, copied
 from limslam_agent.places.localisation import KnownPlaces
 from limslam_agent.places.meeting import Meeting

@@ -6,8 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.config.presets import AgentConfig, self_calibrating
-from limslam_agent.frame_mapper import FrameMapper
 from limslam_agent.grid.occupancy import OccupancyGrid
+from limslam_agent.mapping.frame_mapper import FrameMapper
 from limslam_agent.places.absence import Placement
 from limslam_agent.places.history import LoggedStep, StepLog
 from limslam_agent.places.recovery import Recovery

@@ -1,7 +1,7 @@
 """Mapper: SLAM, the occupancy grid and pure odometry, without a policy.
 
-What a step does within a frame is in :mod:`limslam_agent.frame_mapper`, and how a lost robot changes frames in
-:mod:`limslam_agent.frames`. The mapper begins again when errors of odometry
+What a step does within a frame is in :mod:`limslam_agent.mapping.frame_mapper`, and how a lost robot changes frames in
+:mod:`limslam_agent.mapping.frames`. The mapper begins again when errors of odometry
 or sensor are found early, begins in the map of an earlier run, and goes on in other frames when the robot is lost.
 """
 
@@ -12,9 +12,9 @@ import numpy as np
 from limslam_agent.belief import Belief
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset
-from limslam_agent.frames import Frames
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
-from limslam_agent.map_snapshot import MapSnapshot
+from limslam_agent.mapping.frames import Frames
+from limslam_agent.mapping.map_snapshot import MapSnapshot
 from limslam_agent.places.history import LoggedStep, copied
 from limslam_agent.places.lookup import NOT_YET_FOUND, Lookup
 from limslam_agent.places.recovery import Recovery

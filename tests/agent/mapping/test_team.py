@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 
 from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent.mapping.team import _NEWS, LimSlamTeam
 from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.slam.core.ekf import LineEKF
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.core.teammates import may_hit_others
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.team import _NEWS, LimSlamTeam
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.geometry.line import to_frame
 from limslam_env.geometry.se2 import compose

@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from limslam_agent.agent import LimSlamAgent, Snapshot
 from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent.mapping.agent import LimSlamAgent, Snapshot
 from limslam_env.envs.env import LimSlamEnv
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import NominalNoise, Observation, RobotSpec
@@ -105,7 +105,7 @@ blocked = ["pymunk", "pygame", "mujoco", "Box2D", "gymnasium.envs.mujoco", "gymn
 for name in blocked:
     sys.modules[name] = None  # importing it now raises ImportError
 import numpy as np
-from limslam_agent.agent import LimSlamAgent
+from limslam_agent.mapping.agent import LimSlamAgent
 from limslam_agent.config.presets import preset
 from limslam_env.interface import NominalNoise, RobotSpec
 
