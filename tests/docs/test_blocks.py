@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import typer
 from support.arena import made_entry
-from support.markdown import ROOT, Block, all_blocks, blocks, code_spans, commands, pages
+from support.markdown import ROOT, Block, all_blocks, blocks, code_spans, commands, name_of, pages
 
 from limslam_agent.cli.main import app as limslam_app
 from limslam_agent.cli.settings import robot_named
@@ -28,7 +28,7 @@ from limslam_env.worlds.formats.loading import load_world
 DIAGRAMS = {
     "action -> physics": "the stages of one step of the loop",
     "limslam_env/": "the packages and what each is for; test_docs compares it with the folders",
-    "simulator    geometry, interface <-": "which package may import which; test_architecture has the rules themselves",
+    "simulator    geometry <-": "which package may import which; test_architecture has the rules themselves",
     "# t1   t2": "relations of a tape; a test below reads them",
     "H,1,": "lines of the live protocol; tests/agent/live/test_protocol.py reads them",
     "turned   ": "a line of the summary; a test below prints it",
@@ -42,7 +42,6 @@ NOT_RUN = {
 }
 # Commands that are not the project's own, by their first words.
 OTHERS = {
-    "ray": "Ray's own command line; a cluster is needed",
     "tensorboard": "TensorBoard's own command line; it serves until it is stopped",
     "evo_ape": "another project's command, for trajectories of a finished run",
     "git": "changes a checkout",
@@ -61,7 +60,7 @@ SHORT = {
     ("limslam", "worlds"): [],
     ("python -m benchmarks", "run"): ["--dry-run"],
 }
-NOT_SHORT = {"--engine": "needs a cluster", "explore": "its jobs name 100 floor plans, which take long to draw"}
+NOT_SHORT = {"explore": "its jobs name 100 floor plans, which take long to draw"}
 
 
 def apps() -> dict[str, typer.Typer]:
@@ -100,8 +99,8 @@ def parsed(app: typer.Typer, words: list[str]) -> None:
 
 @pytest.fixture
 def folder(tmp_path, monkeypatch):
-    """A folder of its own, with the world that the page about environments describes."""
-    page = blocks(ROOT / "docs" / "environments.md")
+    """A folder of its own, with the world that the page of public names describes."""
+    page = blocks(ROOT / "docs" / "api.md")
     world = next(block for block in page if block.language == "toml" and "walls" in block.text)
     (tmp_path / "bedroom.toml").write_text(world.text, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
@@ -145,7 +144,7 @@ def live_robot() -> dict:
     return {"robot": parts["FakeRobot"](in_real_time=False), "agent": agent, "spec": parts["SPEC"], "np": parts["np"]}
 
 
-NEEDS = {"live.md": live_robot}
+NEEDS = {"docs/live.md": live_robot}
 # test_readme runs the README and looks at what it prints.
 PYTHON_PAGES = [
     page for page in pages() if page.name != "README.md" and any(block.language == "python" for block in blocks(page))
@@ -153,9 +152,9 @@ PYTHON_PAGES = [
 
 
 @pytest.mark.usefixtures("folder")
-@pytest.mark.parametrize("page", PYTHON_PAGES, ids=lambda page: page.name)
+@pytest.mark.parametrize("page", PYTHON_PAGES, ids=name_of)
 def test_the_python_blocks_of_a_page_run_one_after_the_other(page):
-    namespace = {"__name__": "__main__"} | NEEDS.get(page.name, dict)()
+    namespace = {"__name__": "__main__"} | NEEDS.get(name_of(page), dict)()
     for block in blocks(page):
         if block.language == "python":
             if reason_for(block, NOT_RUN):
@@ -217,7 +216,7 @@ def options_of(command) -> set[str]:
     return own_options.union(*(options_of(part) for part in getattr(command, "commands", {}).values()))
 
 
-@pytest.mark.parametrize("page", pages(), ids=lambda page: page.name)
+@pytest.mark.parametrize("page", pages(), ids=name_of)
 def test_commands_within_the_prose_have_options_that_exist(page):
     for span in code_spans(page):
         words = span.split()

@@ -5,7 +5,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
-from support.markdown import ROOT, anchors, code_spans, links, pages
+from support.markdown import ROOT, anchors, code_spans, links, name_of, pages
 
 # Only what travels with the tests can be looked for outside of a checkout.
 IS_CHECKOUT = (ROOT / "CONTRIBUTING.md").is_file()
@@ -28,7 +28,7 @@ def problem_of(page, target: str) -> str | None:
     return None
 
 
-@pytest.mark.parametrize("page", pages(), ids=lambda page: page.name)
+@pytest.mark.parametrize("page", pages(), ids=name_of)
 def test_links_lead_somewhere(page):
     assert [problem for target in links(page) if (problem := problem_of(page, target))] == []
 
@@ -66,7 +66,7 @@ def has_name(module: str, name: str) -> bool:
     return re.search(words, Path(path).read_text(encoding="utf-8"), re.MULTILINE) is not None
 
 
-@pytest.mark.parametrize("page", pages(), ids=lambda page: page.name)
+@pytest.mark.parametrize("page", pages(), ids=name_of)
 def test_modules_that_a_page_names_exist(page):
     if not IS_CHECKOUT:
         pytest.skip("the sources do not travel with the tests: run them in a checkout")

@@ -14,7 +14,12 @@ _HEADING = re.compile(r"^#+ (.+)$", re.MULTILINE)
 def pages() -> list[Path]:
     """The pages that users read. CONTRIBUTING.md and RESULTS.md are absent where only a wheel is tested."""
     beside = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", ROOT / "benchmarks" / "RESULTS.md"]
-    return [page for page in [*beside, *sorted((ROOT / "docs").glob("*.md"))] if page.is_file()]
+    return [page for page in [*beside, *sorted((ROOT / "docs").rglob("*.md"))] if page.is_file()]
+
+
+def name_of(page: Path) -> str:
+    """The path of a page inside of the project; pages of several folders have the same name."""
+    return page.relative_to(ROOT).as_posix()
 
 
 @dataclass(frozen=True)
@@ -39,7 +44,7 @@ def blocks(page: Path) -> list[Block]:
     """The fenced blocks of a page in their order."""
     text = page.read_text(encoding="utf-8")
     return [
-        Block(page.name, text.count("\n", 0, match.start(3)) + 1, match[2].strip(), match[3])
+        Block(name_of(page), text.count("\n", 0, match.start(3)) + 1, match[2].strip(), match[3])
         for match in _FENCE.finditer(text)
     ]
 
