@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 RESULTS = Path(__file__).parents[2] / "benchmarks" / "RESULTS.md"
-RUNS, LOGS = "Beside odometry and the published method", "Logs of real robots"
+RUNS, LOGS = "This version", "Logs of real robots"
 # Columns of the table of explorations, with the colours of Okabe and Ito, which the colour-blind can tell apart.
 ESTIMATES = {
     "odometry": ("0.55", "X"),
