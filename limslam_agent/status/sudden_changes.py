@@ -27,7 +27,7 @@ WINDOW, LONGEST_SPACING = 3.0, 0.30
 PLACE = 0.3
 """Contradictions less far apart, m, may have one cause, as a short wall that is missing."""
 
-_CARRIED = 12.0  # evidence of a change after which the robot is lost: it is carried once in e^12 steps, 4.5 h, at most
+_CARRIED = 10.0  # evidence of a change after which the robot is lost: it outweighs that few robots are carried away
 _SUPPORTED = 15.0  # evidence of readings that clearly fit
 _EXPLAINED = 1.0  # evidence of a reading for the map: more than that of seeing nothing on free ground
 _MAPS = 4
@@ -152,8 +152,8 @@ class SuddenChanges:
         """Weigh the changes by the readings since then, and find the likeliest one that makes the robot doubtful.
 
         Both the evidence of the readings and the test of their contradictions can speak for a change. A doubt remains
-        until the readings since the last contradiction clearly fit. No robot is lost while all readings together do so,
-        since a body may have passed.
+        until the readings since the last contradiction clearly fit. No robot is lost whose change is outweighed by all
+        readings since then.
         """
         oldest, latest = self._candidates[0].change.step, first + len(sights) - 1
         rays, steps = numbered_rays_of(sights[oldest - first :], self._robot, known.sensor)
@@ -177,8 +177,9 @@ class SuddenChanges:
             if evidence >= most:
                 others = without_the_worst(change.by_beam + by_beam(later, by_ray, self._robot))
                 most, self.suspect = evidence, change
-                is_supported = here.evidence.sum() > _SUPPORTED
-                self.is_certain = evidence >= _CARRIED and others >= DECIDED and not is_supported
+                # The readings since a change must not speak for the place: bodies pass, and beams meet edges at once.
+                least = min(evidence, change.evidence - float(here.evidence.sum()))
+                self.is_certain = least >= _CARRIED and others >= DECIDED
             is_held = candidate.is_doubted and latest - change.step <= STEPS
             candidate.is_doubted = evidence >= DOUBTED or is_held
         self._candidates = [each for each in self._candidates if each.is_doubted or place - each.place <= WINDOW]
