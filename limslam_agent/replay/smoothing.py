@@ -59,9 +59,9 @@ class Smoothed:
     seconds
         CPU time of the smoothing, s.
     covariances
-        Covariances of the poses (n, 3, 3). None from the graph of local maps, which computes none.
+        Covariances of the poses (n, 3, 3). None from the graph of local maps.
     status
-        Whether the smoothed path and map can be trusted. None from the graph of local maps.
+        Whether the smoothed path and map can be trusted. None from the graph, whose status is in ``figures``.
     basis
         What two logs are joined from: the graph of local maps, or the run of the line smoother.
     data

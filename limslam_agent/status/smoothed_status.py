@@ -1,4 +1,4 @@
-"""The status of a finished run, by what its smoother found."""
+"""The status of a finished run, by what the line smoother found. That of the graph is in ``replay.trust``."""
 
 import math
 

@@ -246,12 +246,6 @@ class BatchSlam:
         """Number of readings of each robot that were skipped (n,): no readings (NaN), and negative numbers."""
         return self._states.filter.counts[:, REFUSED].copy()
 
-    @property
-    def bytes_per_env(self) -> int:
-        """Memory of one robot's arrays, bytes. The system provides it when it is first used."""
-        states = self._states
-        return sum(each.nbytes for each in (*states.filter[:-1], *states.walls, *states[2:])) // self.num_envs
-
     def _chosen(self, mask: ArrayLike | None) -> IntArray:
         if mask is None:
             return np.arange(self.num_envs)

@@ -89,13 +89,6 @@ def saying(where: str, report: Report) -> Report:
     return lambda stage: report(f"{where}, {stage}")
 
 
-def smooth_log(
-    data: LogData, start: FloatArray, config: GraphConfig | None = None, report: Report = lambda _: None
-) -> GraphResult:
-    """Smooth a log after its end, by the first of its :func:`rounds`."""
-    return next(rounds(data, start, config or GraphConfig(), report))
-
-
 def rounds(data: LogData, start: FloatArray, config: GraphConfig, report: Report) -> Iterator[GraphResult]:
     """Smooth a log after its end, and again without an end: each path gives better local maps for the next search.
 

@@ -119,7 +119,7 @@ def widened(ideal: Expected, angles: FloatArray, width: float) -> Expected:
 
     The beam of an infrared or ultrasonic sensor is a cone. A sensor that reports the nearest point inside the cone
     reads a wall under its border ray, or at the foot of the perpendicular if the cone contains it, as in
-    :mod:`limslam_agent.slam.consistent.beam_model`. With half the opening angle c, and the angle phi between the middle
+    :mod:`limslam_agent.kernels.measurement`. With half the opening angle c, and the angle phi between the middle
     ray and the wall's normal, a wall at distance r along the middle ray reads r cos(phi) / cos(max(|phi| - c, 0)). The
     error grows with the range and with the slant, up to centimetres, and it never averages out.
 

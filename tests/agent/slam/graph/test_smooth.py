@@ -13,7 +13,7 @@ from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.relations import read_relations, relation_errors, summary
 from limslam_agent.replay.smoothing import log_data
 from limslam_agent.slam.graph.key_poses import delayed
-from limslam_agent.slam.graph.smooth import smooth_log
+from limslam_agent.slam.graph.smooth import rounds
 from limslam_env.geometry import se2
 
 LAP = 345  # events, about
@@ -22,6 +22,10 @@ CONFIG = GraphConfig()
 
 def first_events(log, count):
     return replace(log, **{name: getattr(log, name)[:count] for name in ("time", "odometry", "ranges", "hit")})
+
+
+def smooth_log(log, start, config=None, report=lambda _: None):
+    return next(rounds(log, start, config or GraphConfig(), report))
 
 
 @pytest.fixture(scope="module")
