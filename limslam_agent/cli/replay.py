@@ -143,7 +143,9 @@ def _carry_out_both(options: ReplayOptions, agent: "AgentConfig", robot: "RobotS
     name = "-".join(map(_stem, paths))
     with _folder(options, name, sum(map(len, logs))) as (folder, advance, report):
         joint = replay_logs(logs, agent, advance, report)
-        own = [_scores_of(*each) for each in zip(jobs, joint.replays, files, strict=True)]
+        # Relations that both logs share may all lie in one of them, or between them.
+        asked = (None, None) if options.other_relations is None else files
+        own = [_scores_of(*each) for each in zip(jobs, joint.replays, asked, strict=True)]
         relations = jobs[0].relations, jobs[0 if options.other_relations is None else 1].relations
         scores = own[0], own[1], _scores_of_both(joint, relations)
         content = write_joint_replay(folder.beside, joint, (jobs[0].source, jobs[1].source), scores, versions())
@@ -270,7 +272,7 @@ def _scores_of(job: Job, result: "Replay", relations: Path | None) -> dict[str, 
             scores |= path_scores(job.log.true_pose, result.smoothed.poses, result.smoothed.covariances)
     if job.relations is not None:
         scores |= relation_scores(result, job.relations)
-        if not scores["relations"]:
+        if not scores["relations"] and relations is not None:
             raise ValueError(f"{relations}: none of its relations is in the log's time")
     return scores
 

@@ -30,6 +30,12 @@ _OUTPUT = {"out", "force", "video", "watch"}
 # The true noise of wheels, which the kind of range sensors does not change.
 _WHEELS = {"wheel_variance", "encoder_resolution", "wheel_mismatch", "axle_mismatch", "slip_rate", "slip_share"}
 # The settings of an agent that belong to its preset.
+_GONE = {
+    *("film_speed", "scan_topic", "range_topics", "odometry_topic", "max_events", "max_beams"),
+    *("calibrate_until", "calibrate_log"),
+}
+"""Options of earlier versions. A file that a run has written may have them, and a warning names them."""
+
 _OF_PRESET = ("estimator", "smoothing", "smooths_runs", "renewal")
 
 
@@ -81,14 +87,14 @@ class Given:
 
     def of_file(self, defaults: Options, tables: tuple[str, ...]) -> Options:
         """The options that the file has, and the defaults of the others; its paths are relative to the file."""
-        unknown = set(self.table) - {field.name for field in fields(defaults)} - set(tables)
+        unknown = set(self.table) - {field.name for field in fields(defaults)} - set(tables) - _GONE
         if unknown:
             known = ", ".join([*(field.name for field in fields(defaults)), *(f"[{name}]" for name in tables)])
             raise SettingsError(
                 f"{self.path}: {min(unknown)}: there is no such setting{self._hint(unknown)}; there are {known}"
             )
         options = updated(
-            defaults, {name: self.table[name] for name in self.table if name not in tables}, str(self.path)
+            defaults, {name: self.table[name] for name in self.table if name not in {*tables, *_GONE}}, str(self.path)
         )
         paths: dict[str, Any] = {
             name: self.beside_file(value) for name, value in asdict(options).items() if isinstance(value, Path)
@@ -132,6 +138,7 @@ class Given:
 
         in_file, table = self.table.get("preset", preset), self.table.get("agent", {})
         old = known_settings(self._preset_in_file(in_file, AgentConfig()), table)[1] if table else []
+        old = [*(name for name in self.table if name in _GONE), *old]
         names = ", ".join(old[:_MOST_NAMED]) + (f" and {len(old) - _MOST_NAMED} more" if old[_MOST_NAMED:] else "")
         lacking = [f"{self.path}: left out, since this version has no such settings: {names}"] if old else []
         unused = ", ".join(f"agent.{name}" for name in _OF_PRESET if name in table)

@@ -46,7 +46,7 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
     Raises
     ------
     ValueError
-        If the size is below 1, an environment has no `robot`, its observation has another form, or the estimator is not
+        If the size is below 1, the environments are on a GPU, one of them has no `robot`, its observation has another form, or the estimator is not
         the consistent one.
     """
 
@@ -61,6 +61,8 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
         super().__init__(env)
         if size < 1:
             raise ValueError(f"a grid needs at least one cell, not {size}")
+        if hasattr(env.unwrapped, "to_device"):
+            raise ValueError("beliefs are computed by the processor: make the environments without device='cuda'")
         robot = _robot_of(env)
         ranges = ranges_space(env.single_observation_space, robot)
         self._spaces = dict(env.single_observation_space.items())  # type: ignore[attr-defined]

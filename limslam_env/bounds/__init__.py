@@ -1,1 +1,1 @@
-"""Bounds for comparison: the offline optimum of a log, and exploration tours planned with the true map."""
+"""Bounds for comparison: exploration tours that are planned with the true map."""

@@ -134,7 +134,8 @@ class CloneEKF:
         lever = anchor[1] * np.cos(theta) - anchor[0] * np.sin(theta)
         sign = 1.0 if self._about_origin()[index, 0] >= 0.0 else -1.0
         by_line = np.array([[sign, sign * lever], [0.0, 1.0]])
-        return np.asarray(by_line @ self.P[part, part] @ by_line.T)
+        lower = np.tril(self.arrays.P[part, part])  # all that is kept
+        return np.asarray(by_line @ (lower + np.tril(lower, -1).T) @ by_line.T)
 
     def calibration(self, robot: int = 0) -> tuple[FloatArray, FloatArray] | None:
         """A robot's odometry calibration (3,) and its covariance (3, 3); None if it is not part of the state."""

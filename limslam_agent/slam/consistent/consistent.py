@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from limslam_agent.config.consistent import ConsistentConfig
-from limslam_agent.kernels.tables import Walls
+from limslam_agent.kernels.tables import FEWEST, Walls
 from limslam_agent.slam.consistent import limits
 from limslam_agent.slam.consistent.assumed_sensor import AssumedSensor
 from limslam_agent.slam.consistent.map_state import MapState
@@ -288,7 +288,7 @@ class ConsistentEstimator(Estimator):
         from limslam_agent.slam.consistent.association import process
 
         row = number * len(SIDES) + side
-        lines = 1 + int(self._fill[row, WAITING]) // self.settings.min_votes
+        lines = 1 + int(self._fill[row, WAITING]) // min(self.settings.min_votes, FEWEST)
         self._map.make_room(lines)
         self._filter.make_room(lines=lines)
         process(

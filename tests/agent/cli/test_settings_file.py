@@ -182,6 +182,15 @@ def test_a_table_is_checked_although_another_preset_is_asked_for(kind, text, wor
         config_of(asked) if kind is RunOptions else replay_agent(asked, asked.merged(ReplayOptions(), ("agent",)))
 
 
+def test_options_of_an_earlier_version_are_left_out_with_a_warning(tmp_path):
+    path = tmp_path / "run.toml"
+    path.write_text('log = "drive.clf"\nmax_beams = 1000\nmax_events = 10\nnoise = 0.03\n')
+    given = Given.read(path, {})
+    assert given.merged(ReplayOptions(), ("agent", "robot")).noise == 0.03
+    (warning,) = given.warnings("graph")
+    assert warning == f"{path}: left out, since this version has no such settings: max_beams, max_events"
+
+
 def test_settings_of_an_earlier_version_are_left_out_of_a_table_of_all_settings(tmp_path):
     table = table_of(config_of(given(tmp_path)).agent)
     del table["preset"], table["policy"]["until"]
