@@ -46,8 +46,8 @@ class SlamVectorObservation(VectorWrapper):  # type: ignore[type-arg, misc, unus
     Raises
     ------
     ValueError
-        If the size is below 1, the environments are on a GPU, one of them has no `robot`, its observation has another form, or the estimator is not
-        the consistent one.
+        If the size is below 1, the environments are on a GPU, one of them has no `robot`, its observation has another
+        form, or the estimator is not the consistent one.
     """
 
     def __init__(
