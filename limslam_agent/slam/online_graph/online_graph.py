@@ -18,7 +18,7 @@ from limslam_agent.config.graph import GraphConfig, LocalMapConfig
 from limslam_agent.slam.graph.chunk_graph import inflated
 from limslam_agent.slam.graph.key_poses import KEY_DISTANCE, KEY_TURN, calibrated_motion, motion_variances
 from limslam_agent.slam.graph.local_maps import cut_chunks
-from limslam_agent.slam.graph.loop_search import ChunkGraph
+from limslam_agent.slam.graph.loop_search import SCORES_WHILE_DRIVING, ChunkGraph
 from limslam_agent.slam.online_graph.local_frame import LocalFrame, OdometryErrors, smooth_window
 from limslam_agent.slam.online_graph.recent_events import RecentEvents
 from limslam_env.geometry import BoolArray, FloatArray
@@ -193,7 +193,7 @@ class OnlineGraph:
         if self.places is None:
             motion = between(frame.poses[0], pose)
             self._first_covariance = moved_covariance(self._start, np.zeros((3, 3)), motion, own)
-            self.places, self._middles = ChunkGraph(chunk, compose(self._start, motion)), []
+            self.places, self._middles = ChunkGraph(chunk, compose(self._start, motion), SCORES_WHILE_DRIVING), []
         else:
             path = np.vstack((frame.poses[np.array(before) - recent.first], pose))
             self.places.add(chunk, between(path[:-1], path[1:]), own)
