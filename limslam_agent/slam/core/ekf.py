@@ -38,8 +38,7 @@ class LineEKF(ExtendedKalmanFilter):
     def __init__(self, pose: FloatArray, covariance: FloatArray | None = None) -> None:
         super().__init__(dim_x=np.size(pose), dim_z=2)
         self.x = np.array(pose, dtype=float).ravel()
-        # Where the poses end in the state, and the lines begin.
-        self._poses_end = self._first = len(self.x)
+        self._first = len(self.x)  # where the poses end in the state, and the lines begin
         self.P = np.zeros((self._first,) * 2) if covariance is None else np.array(covariance, dtype=float, order="C")
 
     @property
@@ -50,7 +49,7 @@ class LineEKF(ExtendedKalmanFilter):
     @property
     def poses(self) -> FloatArray:
         """The poses (n, 3), a copy."""
-        return np.array(self.x[: self._poses_end].reshape(-1, POSE))
+        return np.array(self.x[: self._first].reshape(-1, POSE))
 
     @property
     def pose(self) -> FloatArray:
@@ -60,7 +59,7 @@ class LineEKF(ExtendedKalmanFilter):
     @property
     def joint_pose_covariance(self) -> FloatArray:
         """Covariance of all poses together (3 n, 3 n), a copy."""
-        return np.array(self.P[: self._poses_end, : self._poses_end])
+        return np.array(self.P[: self._first, : self._first])
 
     def relocate(
         self, pose: FloatArray, covariance: FloatArray, robot: int = 0, by_lines: FloatArray | None = None
@@ -80,13 +79,6 @@ class LineEKF(ExtendedKalmanFilter):
         by_state = np.zeros((POSE, len(self.x)))
         if by_lines is not None:
             by_state[:, self._first : self._first + by_lines.shape[1]] = by_lines
-        self._put(robot, pose, covariance, by_state)
-
-    def _put(self, robot: int, pose: FloatArray, covariance: FloatArray, by_state: FloatArray) -> None:
-        """Replace a robot's pose by a pose (3,) that has the derivative (3, n) by the state so far.
-
-        The covariance (3, 3) is that of the pose's own error.
-        """
         part, joint = slice(POSE * robot, POSE * robot + POSE), by_state @ self.P
         own = joint @ by_state.T + covariance
         self.x[part], self.P[part], self.P[:, part] = pose, joint, joint.T
@@ -105,8 +97,13 @@ class LineEKF(ExtendedKalmanFilter):
     def predict(self, increment: FloatArray, covariance: FloatArray, robot: int = 0) -> None:
         """Move a robot by an increment (3,) in its frame, with its covariance (3, 3)."""
         moved = slice(POSE * robot, POSE * robot + POSE)
-        by_pose, by_increment = compose_jacobians(self.x[moved], increment)
-        self._move(moved, increment, by_pose, by_increment @ covariance @ by_increment.T, moved)
+        self.F, by_increment = compose_jacobians(self.x[moved], increment)
+        self.Q = by_increment @ covariance @ by_increment.T
+        self.x[moved] = compose(self.x[moved], increment)
+        rows = self.F @ self.P[moved]
+        rows[:, moved] = rows[:, moved] @ self.F.T + self.Q
+        self.P[moved] = rows
+        self.P[:, moved] = rows.T
 
     def update(
         self,
@@ -211,23 +208,8 @@ class LineEKF(ExtendedKalmanFilter):
         self.dim_x = old + 2
         return self.num_lines - 1
 
-    def _move(
-        self, moved: slice, increment: FloatArray, F: FloatArray, Q: FloatArray, columns: slice | IntArray
-    ) -> None:
-        """Move a pose by an increment (3,), with Jacobian F (3, k) by ``columns`` of the state, and noise Q (3, 3)."""
-        self.F, self.Q = F, Q
-        self.x[moved] = compose(self.x[moved], increment)
-        rows = F @ self.P[columns]
-        rows[:, moved] = rows[:, columns] @ F.T + Q
-        self.P[moved] = rows
-        self.P[:, moved] = rows.T
-
     def _subtract_square(self, W: FloatArray) -> None:
-        """P -= W^T W, in place."""
-        self._add_product(W, W, -1.0)
-
-    def _add_product(self, left: FloatArray, right: FloatArray, scale: float = 1.0) -> None:
-        """P += scale left^T right, in place, by a product that leaves P symmetric.
+        """P -= W^T W, in place.
 
         P is symmetric and stored by rows, so the transpose of some of its rows is in the column order that BLAS can
         change in place. Blocks are smaller than the size from which BLAS uses threads, because starting the threads
@@ -236,7 +218,7 @@ class LineEKF(ExtendedKalmanFilter):
         rows = max(1, _BLOCK // self.P.shape[0])
         for first in range(0, self.P.shape[0], rows):
             part = slice(first, first + rows)
-            dgemm(scale, right.T, left[:, part].T, beta=1.0, c=self.P[part].T, trans_b=1, overwrite_c=1)
+            dgemm(-1.0, W.T, W[:, part].T, beta=1.0, c=self.P[part].T, trans_b=1, overwrite_c=1)
 
     def _part(self, index: int) -> slice:
         first = self._first + 2 * index
@@ -252,7 +234,7 @@ class LineEKF(ExtendedKalmanFilter):
 
     def _restore_angles(self) -> None:
         """Wrap the angles, and normalise lines that crossed the origin to r >= 0, P included."""
-        for heading in range(2, self._poses_end, POSE):
+        for heading in range(2, self._first, POSE):
             self.x[heading] = wrap_angle(float(self.x[heading]))
         r, theta = self.x[self._first :: 2], self.x[self._first + 1 :: 2]
         for index in np.nonzero(r < 0.0)[0]:
