@@ -20,6 +20,7 @@ from limslam_agent.kernels.tables import (
     LINES_FROM,
     LOW,
     OVERFLOWS,
+    POSE,
     POSES_END,
     READINGS,
     TOO_FAR,
@@ -58,7 +59,6 @@ from limslam_agent.slam.batch.state import (
 from limslam_agent.slam.consistent.limits import MAX_GAP, THROUGH_TOLERANCE, WALL_END
 from limslam_agent.slam.consistent.pending_readings import DRIVEN, DRIVEN_AT, FRESH, SIDES, TURNED, TURNED_AT
 from limslam_agent.slam.consistent.wall_map import WallExtent
-from limslam_agent.slam.core.ekf import POSE
 from limslam_env.compilation import next_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.line import at

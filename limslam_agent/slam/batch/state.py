@@ -8,11 +8,10 @@ from numpy.typing import NDArray
 
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig
-from limslam_agent.kernels.tables import Filter, Walls, empty_walls
+from limslam_agent.kernels.tables import POSE, Filter, Walls, empty_walls
 from limslam_agent.slam.consistent.pending_readings import SIDES, most_clones, sides_of
 from limslam_agent.slam.consistent.step_settings import step_settings
 from limslam_agent.slam.core.contact import new_memory
-from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.interface import RobotSpec

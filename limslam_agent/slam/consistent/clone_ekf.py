@@ -15,11 +15,10 @@ Bonnabel, "An EKF-SLAM algorithm with consistency properties", 2015), and P is t
 import numpy as np
 
 from limslam_agent.kernels.covariance import correct_state, mirror, move_pose
-from limslam_agent.kernels.tables import CLONES, LINES, LINES_FROM, POSES_END, Filter
+from limslam_agent.kernels.tables import CLONES, LINES, LINES_FROM, POSE, POSES_END, Filter
 from limslam_agent.slam.consistent import clone_filter
 from limslam_agent.slam.consistent.clone_filter import begins_of, clones_from, equality, line_at, num_lines, size_of
 from limslam_agent.slam.consistent.separate_bias import TURNS, ConstantErrors, OdometryErrors, RangeErrors
-from limslam_agent.slam.core.ekf import POSE
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import normalise
 from limslam_env.geometry.se2 import wrap_angle

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from limslam_agent.config.consistent import ConsistentConfig
-from limslam_agent.kernels.tables import FEWEST, Walls
+from limslam_agent.kernels.tables import FEWEST, POSE, Walls
 from limslam_agent.slam.consistent import limits
 from limslam_agent.slam.consistent.assumed_sensor import AssumedSensor
 from limslam_agent.slam.consistent.map_state import MapState
@@ -35,7 +35,6 @@ from limslam_agent.slam.consistent.reports import StepReports
 from limslam_agent.slam.consistent.step_settings import step_settings
 from limslam_agent.slam.consistent.wall_map import NEW, WallMap
 from limslam_agent.slam.core.diagnostics import PendingPoints
-from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_map import Landmark

@@ -4,9 +4,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from limslam_agent.kernels.tables import POSE
 from limslam_agent.slam.consistent.limits import ONE_WALL_GATE
 from limslam_agent.slam.consistent.wall_map import Wall
-from limslam_agent.slam.core.ekf import POSE
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import direction, normal
 from limslam_env.geometry.se2 import wrap_angle

@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from limslam_agent.kernels.tables import FLATTEST, LEAST_COSINE
-from limslam_agent.slam.core.ekf import POSE
+from limslam_agent.kernels.tables import FLATTEST, LEAST_COSINE, POSE
 from limslam_agent.slam.core.triangular import solve_lower
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import angle_between

@@ -1,1 +1,1 @@
-"""What the estimators share: motion, readings, the Hough transform, line fits, and the Kalman filter."""
+"""What the estimators share: motion, readings, lines and their fits; and the Kalman filter of the published method."""

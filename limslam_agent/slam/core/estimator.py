@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from limslam_agent.kernels.tables import POSE
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Comparison, Extraction, PendingPoints
-from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import Motion, OdometryCalibration

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from limslam_agent.slam.core.ekf import POSE
+from limslam_agent.kernels.tables import POSE
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec

@@ -15,9 +15,9 @@ from dataclasses import replace
 import numpy as np
 
 from limslam_agent.config.smoother import SmootherConfig
+from limslam_agent.kernels.tables import POSE
 from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with, poses_moved_with
 from limslam_agent.slam.consistent.wall_map import NEW, Wall
-from limslam_agent.slam.core.ekf import POSE
 from limslam_agent.slam.line_graph.line_smoother import pose_columns
 from limslam_agent.slam.line_graph.reassociation import Association, seen_ends
 from limslam_agent.slam.line_graph.smoothed_map import contradictions, drawn_pieces, wall_extents

@@ -43,6 +43,7 @@ from limslam_agent.kernels.tables import (
     MIDDLE_X,
     MIDDLE_Y,
     MIN_KINK,
+    POSE,
     THETA,
 )
 from limslam_agent.kernels.updates import involved as clones_of
@@ -50,7 +51,6 @@ from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.clone_filter import begins_of, clones_from, line_at
 from limslam_agent.slam.consistent.consistent import ConsistentEstimator
 from limslam_agent.slam.consistent.pending_readings import SIDES, places_of
-from limslam_agent.slam.core.ekf import POSE
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import direction, normal
 
