@@ -27,7 +27,10 @@ THREAD_VARIABLES = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"
 """Numbers of threads of linear algebra. Each is read once, when numpy or scipy is loaded."""
 
 app = typer.Typer(
-    no_args_is_help=True, pretty_exceptions_enable=False, help="Exploration and SLAM with almost no sensing."
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Exploration and SLAM with almost no sensing.",
 )
 app.command()(run)
 app.command()(replay)

@@ -18,7 +18,6 @@ from typer.models import OptionInfo
 
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.bounds import Bounded, Bounds, CountOrNone
-from limslam_agent.logs.limits import MAX_BYTES
 
 _WORLD, _AGENT, _RESULTS = "World and robots", "Agent", "Settings and results"
 _FAULTS = "Errors that the simulated robot has"
@@ -236,22 +235,10 @@ class ReplayOptions(Bounded):
             "0,1",
         ),
     ] = None
-    self_calibrate: Annotated[
-        bool | None,
-        told(
-            _ODOMETRY,
-            "Let the filter always, or never, estimate the constant errors of the odometry (presets graph and "
-            "consistent).",
-            "where needed",
-        ),
-    ] = None
     calibrate: Annotated[Path | None, told(_ODOMETRY, "File of known relative poses to estimate the bias from.")] = None
     topics: Annotated[
         str | None, told(_LOG, "Topics of a ROS bag: A,B,... of scans, of ranges (TOPIC:DEG), and of an odometry.")
     ] = None
-    max_size: Annotated[float, Bounds(1e-3, 1e6), told(_LOG, "Largest log that is read, unpacked, MB.")] = (
-        MAX_BYTES / 1e6
-    )
     relations: Path | None = None
     other_relations: Path | None = None
     out: _Out = None

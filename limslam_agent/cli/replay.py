@@ -204,12 +204,11 @@ def job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "Robo
         raise ValueError("--odometry-bias and --calibrate both set the bias: use only one of them")
     if options.calibrate and options.calibrate == options.relations:
         raise ValueError("--calibrate and --relations name one file: relations that calibrate do not score")
-    max_bytes = round(1e6 * options.max_size)
-    known = read_relations(options.relations, max_bytes) if options.relations else None
+    known = read_relations(options.relations) if options.relations else None
     angles = None if options.beams is None else numbers("--beams", options.beams)
     table = _table_options(options, robot)
 
-    recorded = read_log(log, angles, options.max_range, chosen_topics(options.topics), max_bytes, table)
+    recorded = read_log(log, angles, options.max_range, chosen_topics(options.topics), table)
     _check_options(log, options, recorded)
     # Relations of two logs lie in one of them, or between them.
     if known is not None and options.other_log is None and (share := float(known.within(recorded.time).mean())) < 0.5:

@@ -32,7 +32,7 @@ _WHEELS = {"wheel_variance", "encoder_resolution", "wheel_mismatch", "axle_misma
 # The settings of an agent that belong to its preset.
 _GONE = {
     *("film_speed", "scan_topic", "range_topics", "odometry_topic", "max_events", "max_beams"),
-    *("calibrate_until", "calibrate_log"),
+    *("calibrate_until", "calibrate_log", "max_size"),
 }
 """Options of earlier versions. A file that a run has written may have them, and a warning names them."""
 
@@ -348,22 +348,21 @@ def replay_agent(given: Given, options: ReplayOptions) -> "AgentConfig":
     ValueError
         If they cannot be used.
     """
-    from limslam_agent.replay.options import odometry_config, replay_config, with_self_calibration
+    from limslam_agent.replay.options import odometry_config, replay_config
 
-    told, wanted = given.options, options.self_calibrate
+    told = given.options
     base = replay_config(options.preset, options.noise, options.odometry_noise, options.odometry_bias)
     agent = given.agent(base)
     # An option wins over the file's table of the same settings.
     odometry = odometry_config(told.get("odometry_noise"), told.get("odometry_bias"), agent.odometry)
-    agent = replace(agent, odometry=odometry)
-    return agent if wanted is None else with_self_calibration(agent, enabled=wanted)
+    return replace(agent, odometry=odometry)
 
 
 def write_replay_settings(
     folder: Path, options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None" = None
 ) -> None:
     """Write the file that repeats a replay: all settings as they were in effect, before the calibration."""
-    in_agent = ("odometry_noise", "odometry_bias", "self_calibrate")
+    in_agent = ("odometry_noise", "odometry_bias")
     table = {name: value for name, value in _option_table(options).items() if name not in in_agent}
     table["agent"] = _agent_table(agent, options.noise)
     if robot is not None:

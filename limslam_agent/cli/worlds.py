@@ -19,25 +19,15 @@ _HEADINGS = ("name", "size, m", "walls", "obstacles", "doors", "starts", "loop",
 
 
 @worlds.callback(invoke_without_command=True)
-def list_worlds(
-    context: typer.Context,
-    thumbnails: Annotated[Path | None, typer.Option(help="Folder for a small picture of each world.")] = None,
-) -> None:
+def list_worlds(context: typer.Context) -> None:
     """List the shipped worlds."""
     if context.invoked_subcommand is not None:
-        if thumbnails is not None:
-            raise ValueError(f"--thumbnails goes with the list of worlds, not with {context.invoked_subcommand}")
         return
-    from limslam_env.messages import printable
     from limslam_env.worlds.formats.loading import load_world, shipped_worlds
 
     places = {name: load_world(name) for name in shipped_worlds()}
     ids = _gym_ids()
     print_table([_HEADINGS, *(_row(name, place, ids.get(name, "")) for name, place in places.items())])
-    if thumbnails is not None:
-        for name, place in places.items():
-            _write_thumbnail(thumbnails / f"{name}.png", place)
-        typer.echo(printable(f"pictures    {thumbnails}"))
 
 
 @worlds.command()
@@ -107,13 +97,3 @@ def _row(name: str, world: "World", gym_id: str) -> tuple[str, ...]:
     counts = (str(len(things)) for things in (world.walls, world.obstacles, world.doors, world.starts))
     loop = "yes" if len(world.loop) else "no"
     return (name, f"{world.size[0]:g} x {world.size[1]:g}", *counts, loop, gym_id)
-
-
-def _write_thumbnail(path: Path, world: "World") -> None:
-    import cv2
-
-    from limslam_env.rendering.rendering import thumbnail
-
-    path.parent.mkdir(parents=True, exist_ok=True)
-    _, encoded = cv2.imencode(".png", cv2.cvtColor(thumbnail(world), cv2.COLOR_RGB2BGR))
-    path.write_bytes(encoded.tobytes())

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from limslam_agent.logs.limits import MAX_BYTES
 from limslam_agent.logs.pose_log import BODY_RADIUS, MIN_RANGE, check_max_range, median_spacing, nearest_beams
 from limslam_agent.logs.recorded_log import (
     FilePath,
@@ -41,9 +40,7 @@ _ODOM_FIELDS = 10
 _STEADY = np.array([0.05, 0.05, 0.035])
 
 
-def read_carmen(
-    path: FilePath, beams_deg: Sequence[float], max_range: float, max_bytes: int = MAX_BYTES
-) -> RecordedLog:
+def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) -> RecordedLog:
     """Read a CARMEN log, plain or gzip, and keep the beams nearest to the given angles.
 
     The parameters are those of `limslam_agent.logs.log_reader.read_log`. Lines other than ODOM and FLASER are skipped.
@@ -56,15 +53,15 @@ def read_carmen(
     Raises
     ------
     LogError
-        If the file is too large, cannot be read, is cut short, has something other than a number where one
-        is needed, has no scan or no odometry, or has no beam within 1 degree of a given angle.
+        If the file cannot be read, is cut short, has something other than a number where one is needed, has no scan or
+        no odometry, or has no beam within 1 degree of a given angle.
     """
     with naming(path):
         check_max_range(max_range)
         if not len(beams_deg):
             raise ValueError("at least one beam must be chosen")
         events = _Events(beams_deg)
-        read_lines(path, max_bytes, events.add)
+        read_lines(path, events.add)
         if not events.time:
             # Any text that is no table is read here, so the message names both.
             table = "nor, as a table, a header that begins with t,x,y,theta or t,left,right"

@@ -23,8 +23,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from limslam_agent.logs.directions import direction_of
-from limslam_agent.logs.limits import MAX_BYTES, MOST_BEAMS, check_beams
+from limslam_agent.logs.directions import degrees_of
 from limslam_agent.logs.pose_log import (
     DEFAULT_MAX_RANGE,
     LARGEST_STEP_BACK,
@@ -36,8 +35,10 @@ from limslam_agent.logs.pose_log import (
     pose_log,
 )
 from limslam_agent.logs.recorded_log import (
+    MOST_BEAMS,
     FilePath,
     RecordedLog,
+    check_beams,
     is_number,
     naming,
     numbered_lines,
@@ -91,7 +92,6 @@ def read_csv(
     path: FilePath,
     beams_deg: Sequence[float] | None,
     max_range: float | None,
-    max_bytes: int = MAX_BYTES,
     options: TableOptions | None = None,
 ) -> RecordedLog:
     """Read a text file with the header ``t,x,y,theta,r_<deg>,...`` or ``t,left,right,r_<deg>,...``, plain or gzip.
@@ -101,13 +101,12 @@ def read_csv(
     Raises
     ------
     LogError
-        If the file is too large, cannot be read, is cut short, has another header, has a row whose columns
-        do not match the header or that holds something other than numbers, or has no row with ranges; if a table of
-        wheel travel comes without a robot, the robot has no beam in a direction of the header, or a wheel travels
-        farther than the robot can drive.
+        If the file cannot be read, is cut short, has another header, has a row whose columns do not match the header or
+        that holds something other than numbers, or has no row with ranges; if a table of wheel travel comes without a
+        robot, the robot has no beam in a direction of the header, or a wheel travels farther than the robot can drive.
     """
     rows = _Rows(beams_deg, max_range, options or TableOptions())
-    read_lines(path, max_bytes, rows.add)
+    read_lines(path, rows.add)
     with naming(path):
         return rows.log()
 
@@ -360,15 +359,9 @@ def _direction(name: str) -> float:
     if inner is None:
         raise ValueError(f"the column {name[:40]!r} is not a range: r_<deg>")
     try:
-        degrees = float(inner[1])
-    except ValueError:
-        named = direction_of(inner[1])
-        if named is None:
-            raise ValueError(f"the column {name[:40]!r} names no direction: r_<deg>") from None
-        return named
-    if not -360.0 <= degrees <= 360.0:
-        raise ValueError(f"the column {name[:40]!r} is not within 360 deg")
-    return degrees
+        return degrees_of(inner[1])
+    except ValueError as error:
+        raise ValueError(f"the column {name[:40]!r}: {error}") from None
 
 
 def _between(before: list[float], after: list[str]) -> list[float]:

@@ -35,6 +35,26 @@ def direction_of(name: str) -> float | None:
     return round(math.degrees(math.atan2(y, x)), 6) if math.hypot(x, y) > 0.5 else None
 
 
+def degrees_of(text: str) -> float:
+    """Direction that a text gives, deg, left positive: a number of degrees, or a word like ``left``.
+
+    Raises
+    ------
+    ValueError
+        If it gives none, or is not within 360 deg.
+    """
+    try:
+        degrees = float(text)
+    except ValueError:
+        named = direction_of(text)
+        if named is None:
+            raise ValueError(f"{text[:40]!r} is no direction: degrees, or a word like left") from None
+        return named
+    if not -360.0 <= degrees <= 360.0:
+        raise ValueError(f"{text[:40]} is not within 360 deg")
+    return degrees
+
+
 def is_vertical(name: str) -> bool:
     """Whether a name describes a sensor that looks up or down, which is useless for a map of walls."""
     return bool(_VERTICAL & set(words_of(name)))

@@ -6,7 +6,6 @@ from pathlib import PurePath
 
 from limslam_agent.logs.carmen import read_carmen
 from limslam_agent.logs.csv_log import is_csv, read_csv
-from limslam_agent.logs.limits import MAX_BYTES
 from limslam_agent.logs.pose_log import DEFAULT_BEAMS_DEG, DEFAULT_MAX_RANGE
 from limslam_agent.logs.recorded_log import ZIP_MAGIC, FilePath, LogError, RecordedLog, first_bytes, read_npz
 from limslam_agent.logs.ros_bag import is_bag
@@ -24,7 +23,6 @@ def read_log(
     beams_deg: Sequence[float] | None = None,
     max_range: float | None = None,
     topics: Topics | None = None,
-    max_bytes: int = MAX_BYTES,
     table: TableOptions | None = None,
 ) -> RecordedLog:
     """Read a log. The format is recognised by content: ``log.npz``, a ROS bag, a text table, or a CARMEN log.
@@ -41,8 +39,6 @@ def read_log(
         ranges of a ``log.npz`` are fixed.
     topics
         Topics of a bag, if they cannot be found by their types.
-    max_bytes
-        Largest log that is read, unpacked. A line or a message counts for 256 bytes at least.
     table
         The robot that recorded a table, and the units of its columns. Other logs take no such options.
 
@@ -54,12 +50,12 @@ def read_log(
     Raises
     ------
     LogError
-        If the file is too large or cannot be used, or a choice does not apply to its format.
+        If the file cannot be used, or a choice does not apply to its format.
     """
     reach = DEFAULT_MAX_RANGE if max_range is None else max_range
     if is_bag(path):
         _refuse_options(path, table)
-        return read_ros(path, beams_deg, reach, topics, max_bytes)
+        return read_ros(path, beams_deg, reach, topics)
     # Programs also give these endings to plain text.
     if PurePath(path).suffix.lower() in _SPREADSHEETS and first_bytes(path, 4) in _SPREADSHEET_MAGICS:
         raise LogError(f"{fspath(path)}: is a spreadsheet, which must be saved as CSV in UTF-8")
@@ -70,11 +66,11 @@ def read_log(
             chosen = "beams" if beams_deg is not None else "largest range"
             raise LogError(f"{fspath(path)}: the log fixes its {chosen}, which cannot be chosen")
         _refuse_options(path, table)
-        return read_npz(path, max_bytes)
+        return read_npz(path)
     if fspath(path).endswith(_TEXT_ENDINGS) or (table is not None and table.columns) or is_csv(path):
-        return read_csv(path, beams_deg, max_range, max_bytes, table)
+        return read_csv(path, beams_deg, max_range, table)
     _refuse_options(path, table)
-    return read_carmen(path, DEFAULT_BEAMS_DEG if beams_deg is None else beams_deg, reach, max_bytes)
+    return read_carmen(path, DEFAULT_BEAMS_DEG if beams_deg is None else beams_deg, reach)
 
 
 def _refuse_options(path: FilePath, table: TableOptions | None) -> None:

@@ -14,9 +14,8 @@ from typing import IO, Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.logs.limits import MAX_BYTES, Counted, check_beams
 from limslam_agent.readings import as_readings
-from limslam_agent.safe_files import TooLargeError, load_arrays, open_regular
+from limslam_agent.safe_files import load_arrays, open_regular
 from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.interface import Observation, RobotSpec
 from limslam_env.messages import one_line
@@ -27,6 +26,9 @@ GZIP_MAGIC = b"\x1f\x8b"
 ZIP_MAGIC = b"PK\x03\x04"
 # The longest known CARMEN line has about 4 kB. Without a limit, one "line" of a binary file could fill the memory.
 LONGEST_LINE = 1 << 20
+
+MOST_BEAMS = 4096
+"""Most beams of a scan or columns of a table."""
 
 # m between two events. A longer motion is an error of the log.
 LONGEST_JUMP = 50.0
@@ -156,7 +158,7 @@ class RecordedLog:
             yield observation
 
 
-def read_npz(path: FilePath, max_bytes: int = MAX_BYTES) -> RecordedLog:
+def read_npz(path: FilePath) -> RecordedLog:
     """Read the ``log.npz`` of a run's folder. A row is a step, and row 0 is the observation at the reset.
 
     Parameters
@@ -165,18 +167,16 @@ def read_npz(path: FilePath, max_bytes: int = MAX_BYTES) -> RecordedLog:
         A zip file of ``time`` (n,), s, ``ranges`` (n, n_beams), m, ``wheels`` (n, 2), m, ``action`` (n, 2),
         ``start_pose`` (3,), and ``robot``, the text of :meth:`RobotSpec.to_json`. The log of a simulated run also has
         the truth: ``true_pose`` (n, 3) after each step, and ``wall_seen`` (n, n_beams). Pickled objects are refused.
-    max_bytes
-        Largest log that is read.
 
     Raises
     ------
     LogError
-        If the file is too large or cannot be read, is cut short or is not such a zip file; if an array is
+        If the file cannot be read, has more than 256 MB, is cut short or is not such a zip file; if an array is
         missing, or one of the two arrays of the truth; or if an array has a wrong shape or holds something other than
         finite numbers. Ranges may be infinite, NaN or negative, as `limslam_agent.readings` defines.
     """
     with naming(path):
-        arrays = _load_arrays(path, max_bytes)
+        arrays = _load_arrays(path)
         robot = _robot_of(arrays["robot"])
         check_beams(len(robot.beams))
         count, beams = arrays["time"].size, len(robot.beams)
@@ -198,6 +198,18 @@ def read_npz(path: FilePath, max_bytes: int = MAX_BYTES) -> RecordedLog:
         )
 
 
+def check_beams(count: int) -> None:
+    """Refuse too many beams.
+
+    Raises
+    ------
+    ValueError
+        If there are more than ``MOST_BEAMS``.
+    """
+    if count > MOST_BEAMS:
+        raise ValueError(f"a scan has {count} beams, more than {MOST_BEAMS}")
+
+
 def first_bytes(path: FilePath, count: int) -> bytes:
     """The first ``count`` bytes of a file. Fewer if the file is shorter.
 
@@ -213,7 +225,7 @@ def first_bytes(path: FilePath, count: int) -> bytes:
         raise _unreadable(path, error) from error
 
 
-def numbered_lines(path: FilePath, max_bytes: int = MAX_BYTES) -> Iterator[tuple[int, bytes]]:
+def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
     """The lines of a text file one at a time. A gzip file is recognised by its first bytes.
 
     Yields
@@ -224,9 +236,9 @@ def numbered_lines(path: FilePath, max_bytes: int = MAX_BYTES) -> Iterator[tuple
     Raises
     ------
     LogError
-        If the file cannot be read, its gzip stream is cut short or damaged, it is not a text file, or it is too large.
+        If the file cannot be read, its gzip stream is cut short or damaged, or it is not a text file.
     """
-    number, size = 0, Counted(max_bytes)
+    number = 0
     try:
         with naming(path), open_regular(Path(path)) as raw:
             packed = raw.read(len(GZIP_MAGIC)) == GZIP_MAGIC
@@ -234,7 +246,6 @@ def numbered_lines(path: FilePath, max_bytes: int = MAX_BYTES) -> Iterator[tuple
             file: IO[bytes] | gzip.GzipFile = gzip.GzipFile(fileobj=raw) if packed else raw
             while line := file.readline(LONGEST_LINE):
                 number += 1
-                size.add(len(line))
                 if number == 1 and line.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
                     raise ValueError("this is a text in UTF-16: it must be saved as UTF-8")
                 if b"\0" in line or len(line) == LONGEST_LINE:
@@ -248,7 +259,7 @@ def numbered_lines(path: FilePath, max_bytes: int = MAX_BYTES) -> Iterator[tuple
         raise _unreadable(path, error) from error
 
 
-def read_lines(path: FilePath, max_bytes: int, take: Callable[[bytes], None]) -> None:
+def read_lines(path: FilePath, take: Callable[[bytes], None]) -> None:
     """Hand the lines of a text file to a function, one after the other.
 
     Raises
@@ -257,7 +268,7 @@ def read_lines(path: FilePath, max_bytes: int, take: Callable[[bytes], None]) ->
         As :func:`numbered_lines` does; and where the function raises a ValueError, with the number of the line, and
         whether the file ends within it.
     """
-    for number, line in numbered_lines(path, max_bytes):
+    for number, line in numbered_lines(path):
         try:
             take(line)
         except ValueError as error:
@@ -306,15 +317,13 @@ _TRUTH = ("true_pose", "wall_seen")
 _ARRAYS = ("time", "ranges", "wheels", "action", *_TRUTH, "robot", "start_pose")
 
 
-def _load_arrays(path: FilePath, max_bytes: int) -> dict[str, NDArray[Any]]:
+def _load_arrays(path: FilePath) -> dict[str, NDArray[Any]]:
     if first_bytes(path, len(ZIP_MAGIC)) != ZIP_MAGIC:
         raise ValueError("is not an .npz file")
     try:
-        arrays = load_arrays(Path(path), _ARRAYS, max_bytes)
+        arrays = load_arrays(Path(path), _ARRAYS)
     except OSError as error:
         raise _unreadable(path, error) from error
-    except TooLargeError as error:
-        raise ValueError(f"{error}: --max-size raises this limit") from error
     missing = [name for name in _ARRAYS if name not in arrays]
     # The log of a live robot has no truth at all.
     if missing and missing != list(_TRUTH):

@@ -10,7 +10,6 @@ from os import fspath
 
 import numpy as np
 
-from limslam_agent.logs.limits import MAX_BYTES
 from limslam_agent.logs.recorded_log import FilePath, LogError, parse_number, read_lines
 from limslam_env.geometry import BoolArray, FloatArray, se2
 
@@ -67,14 +66,13 @@ class RelationErrors:
     unmatched: int
 
 
-def read_relations(path: FilePath, max_bytes: int = MAX_BYTES) -> Relations:
+def read_relations(path: FilePath) -> Relations:
     """Read relations, plain or gzip: lines ``t1 t2 x y z roll pitch yaw`` (s, m, rad), with comments after ``#``.
 
     Raises
     ------
     LogError
-        If the file is too large, cannot be read, is cut short, has a line with other fields, or has no
-        relations.
+        If the file cannot be read, is cut short, has a line with other fields, or has no relations.
     """
     rows: list[list[float]] = []
 
@@ -85,7 +83,7 @@ def read_relations(path: FilePath, max_bytes: int = MAX_BYTES) -> Relations:
         if fields:
             rows.append([parse_number(field, name) for field, name in zip(fields, _FIELDS, strict=True)])
 
-    read_lines(path, max_bytes, add)
+    read_lines(path, add)
     if not rows:
         raise LogError(f"{fspath(path)}: has no relations")
     table = np.array(rows)

@@ -10,8 +10,7 @@ from os import fspath
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from limslam_agent.logs.limits import MAX_BYTES, Counted
-from limslam_agent.logs.recorded_log import FilePath, LogError, first_bytes, naming
+from limslam_agent.logs.recorded_log import FilePath, LogError, first_bytes
 
 if TYPE_CHECKING:
     from rosbags.highlevel import AnyReader
@@ -56,8 +55,8 @@ class Bag:
         Number of messages of each topic.
     """
 
-    def __init__(self, path: FilePath, reader: "AnyReader", max_bytes: int = MAX_BYTES) -> None:
-        self.path, self._reader, self._max_bytes = path, reader, max_bytes
+    def __init__(self, path: FilePath, reader: "AnyReader") -> None:
+        self.path, self._reader = path, reader
         self.types: dict[str, str] = {}
         self.counts: dict[str, int] = {}
         for connection in reader.connections:
@@ -72,21 +71,18 @@ class Bag:
         Raises
         ------
         LogError
-            If the bag is cut short or damaged, or too large.
+            If the bag is cut short or damaged.
         """
         connections = [each for each in self._reader.connections if each.topic in topics]
         if not connections:
             return
         stream = self._reader.messages(connections)
-        size = Counted(self._max_bytes)
         while True:
             with _one_line(self.path):
                 item = next(stream, None)
                 if item is None:
                     return
                 connection, nanoseconds, raw = item
-                with naming(self.path):
-                    size.add(len(raw))
                 content = self._reader.deserialize(raw, connection.msgtype)
             yield Message(connection.topic, 1e-9 * nanoseconds, content)
 
@@ -97,7 +93,7 @@ class Bag:
 
 
 @contextmanager
-def open_bag(path: FilePath, max_bytes: int = MAX_BYTES) -> Iterator[Bag]:
+def open_bag(path: FilePath) -> Iterator[Bag]:
     """Open a ROS 1 bag, a ROS 2 bag (a folder), or a single ``.mcap`` or ``.db3`` file.
 
     Raises
@@ -118,7 +114,7 @@ def open_bag(path: FilePath, max_bytes: int = MAX_BYTES) -> Iterator[Bag]:
         reader.open()
     try:
         with _one_line(path):
-            bag = Bag(path, reader, max_bytes)
+            bag = Bag(path, reader)
         yield bag
     finally:
         with _one_line(path):

@@ -7,7 +7,6 @@ from typing import Any
 
 import numpy as np
 
-from limslam_agent.logs.limits import MAX_BYTES
 from limslam_agent.logs.pose_log import LARGEST_STEP_BACK, check_max_range, pose_log
 from limslam_agent.logs.recorded_log import FilePath, LogError, RecordedLog
 from limslam_agent.logs.ros_bag import Bag, Message, open_bag
@@ -34,7 +33,6 @@ def read_ros(
     beams_deg: Sequence[float] | None,
     max_range: float,
     topics: Topics | None = None,
-    max_bytes: int = MAX_BYTES,
 ) -> RecordedLog:
     """Read a bag. Each scan becomes one event with the odometry at the time of the scan.
 
@@ -48,11 +46,11 @@ def read_ros(
     Raises
     ------
     LogError
-        If the bag is too large, cannot be read, is cut short or damaged; if it is unclear which topics to
+        If the bag cannot be read, is cut short or damaged; if it is unclear which topics to
         use; if a topic holds something other than a number where one is needed, its times step back, or the times of
         the topics do not overlap.
     """
-    with open_bag(path, max_bytes) as bag:
+    with open_bag(path) as bag:
         try:
             check_max_range(max_range)
             plan = plan_for(bag, topics or {}, beams_deg, max_range)

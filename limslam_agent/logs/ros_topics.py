@@ -8,8 +8,8 @@ import numpy as np
 
 from limslam_agent.logs import crazyflie
 from limslam_agent.logs.directions import direction_of, is_vertical
-from limslam_agent.logs.limits import check_beams
 from limslam_agent.logs.pose_log import beam, choose_beams
+from limslam_agent.logs.recorded_log import check_beams
 from limslam_agent.logs.ros_bag import Bag
 from limslam_agent.logs.ros_messages import (
     LASER_SCAN,

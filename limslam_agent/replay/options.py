@@ -3,8 +3,8 @@
 import math
 from dataclasses import replace
 
-from limslam_agent.config.presets import AgentConfig, ConsistentConfig, OdometryConfig, preset, self_calibrating
-from limslam_agent.logs.directions import direction_of
+from limslam_agent.config.presets import AgentConfig, OdometryConfig, preset
+from limslam_agent.logs.directions import degrees_of
 from limslam_agent.logs.ros_topics import Topics
 from limslam_env.interface import NominalNoise
 
@@ -72,21 +72,6 @@ def replay_config(name: str, noise: float, odometry_noise: str | None, odometry_
     return replace(config, odometry=odometry_config(odometry_noise, odometry_bias))
 
 
-def with_self_calibration(config: AgentConfig, *, enabled: bool) -> AgentConfig:
-    """The settings with what ``--self-calibrate`` says.
-
-    Raises
-    ------
-    ValueError
-        If the preset's estimator cannot calibrate by itself.
-    """
-    if isinstance(config.estimator, ConsistentConfig):
-        return self_calibrating(config, "always" if enabled else "never")
-    if enabled:
-        raise ValueError(f"--self-calibrate goes with the presets graph and consistent, not with {config.preset}")
-    return config
-
-
 def chosen_topics(text: str | None) -> Topics:
     """The topics in ``--topics``, each with the direction (deg) after its colon: a number or a word like ``left``.
 
@@ -108,12 +93,7 @@ def _topic(text: str) -> tuple[str, float | None]:
     if not colon:
         return topic, None
     try:
-        degrees = float(direction)
-    except ValueError:
-        named = direction_of(direction)
-        if named is None:
-            raise ValueError(f"--topics: {direction!r} is no direction: degrees, or a word like left") from None
-        return topic, named
-    if not -360.0 <= degrees <= 360.0:
-        raise ValueError(f"--topics: {direction} is not within 360 deg")
+        degrees = degrees_of(direction)
+    except ValueError as error:
+        raise ValueError(f"--topics: {error}") from None
     return topic, degrees

@@ -190,17 +190,6 @@ def render(state: RenderState, *, background: Background | None = None) -> Image
     return canvas.image
 
 
-def thumbnail(world: World, height: int = 240) -> Image:
-    """A world alone as a small picture (height, width, 3), RGB, with its doors and starts."""
-    canvas = _new_canvas(world, height, 10, least_width=height // 2, most_width=_WIDEST)
-    _draw_floor(canvas, world, _SEEN)
-    canvas.lines(world.doors, _DOOR, 1)
-    _draw_walls(canvas, world)
-    for start in world.starts:
-        canvas.arrow(start, 13.0, _ROBOTS[0])
-    return canvas.image
-
-
 @functools.lru_cache(maxsize=8)
 def _fitting_background(world: World) -> Background:
     """The background of a picture that is as wide as its world needs it."""

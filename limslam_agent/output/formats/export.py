@@ -3,36 +3,18 @@
 import shutil
 import tempfile
 from collections.abc import Collection
-from enum import StrEnum
 from pathlib import Path
 
 from limslam_agent.output.formats.content import read_exported
 from limslam_agent.output.formats.csv_tables import write_csv
 from limslam_agent.output.formats.dxf import write_dxf
-from limslam_agent.output.formats.geojson import write_geojson
-from limslam_agent.output.formats.rerun_recording import write_rerun
 from limslam_agent.output.formats.ros_bag import write_bag, write_mcap
 
-
-class Format(StrEnum):
-    """A format of other programs."""
-
-    CSV = "csv"
-    GEOJSON = "geojson"
-    DXF = "dxf"
-    BAG = "bag"
-    MCAP = "mcap"
-    RERUN = "rerun"
+FORMATS = {"csv": write_csv, "dxf": write_dxf, "bag": write_bag, "mcap": write_mcap}
+"""What writes each format."""
 
 
-def export_run(
-    folder: Path,
-    target: Path,
-    formats: Collection[Format],
-    origin: tuple[float, float] | None = None,
-    *,
-    force: bool = False,
-) -> list[Path]:
+def export_run(folder: Path, target: Path, formats: Collection[str], *, force: bool = False) -> list[Path]:
     """Write a finished run in some formats and return what was written.
 
     Parameters
@@ -42,9 +24,7 @@ def export_run(
     target
         Folder for the files; it is made if it is missing.
     formats
-        The formats.
-    origin
-        Latitude and longitude, deg, of the point (0, 0), for GeoJSON.
+        Names of formats, as in ``FORMATS``.
     force
         Replace files of the same names.
 
@@ -56,15 +36,7 @@ def export_run(
     exported = read_exported(folder)
     target.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=target, prefix=".export-") as beside:
-        place, made = Path(beside), []
-        for name, write in (
-            (Format.CSV, write_csv), (Format.DXF, write_dxf), (Format.BAG, write_bag), (Format.MCAP, write_mcap),
-            (Format.RERUN, write_rerun),
-        ):  # fmt: skip
-            if name in formats:
-                made += write(place, exported)
-        if Format.GEOJSON in formats:
-            made += write_geojson(place, exported, origin)
+        made = [path for name in formats for path in FORMATS[name](Path(beside), exported)]
         finals = [target / path.name for path in made]
         in_the_way = [path for path in finals if path.exists()]
         if in_the_way and not force:

@@ -105,7 +105,7 @@ def test_the_file_of_a_replay_repeats_it(tmp_path):
     rows = [f"{0.1 * step:.1f},{0.025 * step:.3f},0,0,0.8,0.9" for step in range(120)]
     table.write_text("\n".join(["t,x,y,theta,r_-90,r_90", *rows]) + "\n")
     first, second = tmp_path / "first", tmp_path / "second"
-    options = ("--preset", "consistent", "--self-calibrate", "--odometry-noise", "0.04,1,3", "--odometry-bias", "0.1")
+    options = ("--preset", "consistent", "--odometry-noise", "0.04,1,3", "--odometry-bias", "0.1")
     assert limslam("replay", table, *options, "--out", first).exit_code == 0
     assert limslam("replay", "--config", first / "run.toml", "--out", second).exit_code == 0
     assert_same(first, second, SAME - {"log.npz"})

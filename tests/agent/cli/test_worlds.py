@@ -2,7 +2,6 @@
 
 import sys
 
-import cv2
 import pytest
 
 from limslam_env.worlds.formats.loading import load_world, shipped_worlds
@@ -41,19 +40,6 @@ def test_the_list_names_every_shipped_world_and_its_id(limslam):
     assert env1.split() == ["env1", "7", "x", "7", "12", "1", "0", "2", "yes", "LimSlam-Env1-v0"]
     square = next(row for row in rows if row.startswith("square "))
     assert square.split()[-1] == "yes"
-
-
-def test_thumbnails_are_written_one_a_world(limslam, tmp_path):
-    code, out, _ = limslam("worlds", "--thumbnails", tmp_path / "deep" / "pictures")
-    assert code == 0
-    files = sorted((tmp_path / "deep" / "pictures").iterdir())
-    assert [file.name for file in files] == [f"{name}.png" for name in shipped_worlds()]
-    for file in files:
-        picture = cv2.imread(str(file))
-        assert abs(picture.shape[0] - 240) <= 1
-        # The starts are blue: red, green and blue are in their places.
-        assert ((picture[..., 0].astype(int) - picture[..., 2]) > 80).any()
-    assert str(tmp_path / "deep" / "pictures") in out
 
 
 def test_a_good_file_is_summed_up_in_a_line(limslam, good):
@@ -105,7 +91,6 @@ def test_a_bad_file_is_refused_with_the_reason(limslam, good, damage, words):
         (("worlds", "check", "env1", "--radius", "2"), "starts[0]"),
         (("worlds", "check", "env1", "--radius", "0"), "--radius"),
         (("worlds", "convert", "env1"), "target"),
-        (("worlds", "--thumbnails", "there", "check", "env1"), "--thumbnails"),
         (("play", "--world", "atlantis"), "atlantis"),
     ],
 )

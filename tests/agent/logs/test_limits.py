@@ -1,6 +1,5 @@
-"""Bounds of the readers: bytes, events and beams, regular files only, and messages of one short line."""
+"""Bounds of the readers: beams, regular files only, and messages of one short line."""
 
-import gzip
 import os
 import zipfile
 
@@ -13,15 +12,12 @@ from support.data import refusal
 
 from limslam_agent.cli.main import main
 from limslam_agent.logs.log_reader import read_log
-from limslam_agent.logs.recorded_log import LogError, read_npz
-from limslam_agent.logs.relations import read_relations
 from limslam_agent.policies.learned.network import load_network
 from limslam_env.interface import RobotSpec
 from limslam_env.messages import LONGEST_MESSAGE, described, one_line, printable
 
 HEAD = "t,x,y,theta,r_-90,r_0,r_90\n"
 ROW = "0,0,0,0,1,1,1\n"
-SMALL = 25_600  # bytes
 
 
 @pytest.fixture
@@ -34,37 +30,12 @@ def write(tmp_path):
     return _write
 
 
-def too_large(path, max_bytes=SMALL):
-    with pytest.raises(LogError) as caught:
-        read_log(path, max_bytes=max_bytes)
-    return str(caught.value)
-
-
-def test_a_small_file_that_unpacks_to_gigabytes_is_refused_at_the_limit(write):
-    packed = gzip.compress(HEAD.encode() + b"# " + b"a" * 100_000 + b"\n" + ROW.encode())
-    assert "larger than 0.0256 MB: --max-size raises" in too_large(write(packed))
-    assert len(read_log(write(packed))) == 1
-
-
-@pytest.mark.parametrize("line", [ROW, "\n", "# remark\n"])
-def test_too_many_short_lines_are_refused_at_the_limit(write, line):
-    assert "--max-size raises" in too_large(write((HEAD + line * 100).encode()))
-    relations = write(b"1 2 0 0 0 0 0 0\n" * 101, "some.relations")
-    with pytest.raises(LogError, match="--max-size raises"):
-        read_relations(relations, SMALL)
-
-
 def test_too_many_columns_are_refused_and_only_chosen_columns_are_stored(write):
     names = ",".join(f"r_{degrees / 100}" for degrees in range(4097))
     path = write(f"t,x,y,theta,{names}\n0,0,0,0{',1' * 4097}\n".encode())
     assert "has 4097 beams, more than 4096" in refusal(path)
     path = write(f"t,x,y,theta,{names.rpartition(',')[0]}\n0,0,0,0{',1' * 4096}\n".encode())
     assert read_log(path, (3.0, 5.0)).ranges.shape == (1, 2)
-
-
-def test_a_bag_is_bounded_by_its_messages(tmp_path):
-    messages = [each for step in range(101) for each in (odometry(step, 0.0), scan(step, [1.0, 2.0, 1.0]))]
-    assert "--max-size raises" in too_large(write_bag(tmp_path, messages))
 
 
 def npz_with(path, **changes):
@@ -75,13 +46,6 @@ def npz_with(path, **changes):
     } | changes  # fmt: skip
     np.savez_compressed(path, **arrays)
     return path
-
-
-def test_an_npz_is_bounded_by_the_bytes_of_its_arrays(tmp_path):
-    path = npz_with(tmp_path / "log.npz", wall_seen=np.zeros(10_000_000))
-    assert path.stat().st_size < 200_000
-    with pytest.raises(LogError, match=r"80 MB.*1 MB are read: --max-size raises"):
-        read_npz(path, 1_000_000)
 
 
 def test_a_header_that_promises_more_than_the_file_holds_is_refused_before_memory_is_reserved(tmp_path):
@@ -106,13 +70,6 @@ def test_a_pipe_is_refused_without_being_opened(tmp_path, name):
         assert "not a regular file" in finished.stderr
     with pytest.raises(ValueError, match="not a regular file"):
         load_network(path)
-
-
-def test_the_command_raises_the_limit(write, tmp_path):
-    path = write((HEAD + ROW * 30).encode())
-    finished = call(main, "replay", path, "--max-size", 0.007, cwd=tmp_path)
-    assert (finished.returncode, "larger than 0.007 MB: --max-size" in finished.stderr) == (2, True)
-    assert call(main, "replay", path, "--max-size", 0.01, cwd=tmp_path).returncode == 0
 
 
 @pytest.mark.parametrize("count", [[], "many", None, {}, 1.5])
@@ -152,9 +109,3 @@ def test_text_for_messages():
     assert one_line("head " + "x" * 10**6 + " tail").endswith("x tail")
     assert described(10**6000) == "a very large int"
     assert len(described(["x"] * 1000)) == 200
-
-
-def _config():
-    from limslam_agent.config.presets import preset
-
-    return preset("paper")

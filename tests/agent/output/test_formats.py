@@ -1,7 +1,5 @@
 """``limslam export``: each format is read back by the library that other programs read it with."""
 
-import json
-import math
 import sys
 
 import numpy as np
@@ -11,7 +9,7 @@ from support.command_line import invoke
 from limslam_agent import read_log
 from limslam_agent.cli.export import export
 from limslam_agent.logs.table_options import TableOptions
-from limslam_agent.output.finished_run import position_error, read_run
+from limslam_agent.output.finished_run import read_run
 from limslam_agent.output.formats.content import read_exported
 from limslam_agent.output.formats.ros_builder import cells_of
 from limslam_agent.runs.episode import run_episode
@@ -56,29 +54,6 @@ def test_tables_of_poses_and_walls(folder, tmp_path):
     )
     walls = np.loadtxt(tmp_path / "walls.csv", delimiter=",", skiprows=1, ndmin=2)
     np.testing.assert_allclose(walls, run.segments, rtol=1e-8)
-
-
-def test_geojson_in_metres(folder, tmp_path):
-    run_export(folder, "--geojson", "--out", tmp_path)
-    content, run = json.loads((tmp_path / "map.geojson").read_text()), read_run(folder)
-    walls = [each for each in content["features"] if each["properties"]["kind"] == "wall"]
-    lines = [np.ravel(each["geometry"]["coordinates"]) for each in walls]
-    np.testing.assert_allclose(lines, run.segments, atol=1e-6)
-    assert content["frame"] == "local, m"
-    assert {each["properties"].get("path") for each in content["features"]} >= {"true", "estimated", "smoothed"}
-
-
-@pytest.mark.parametrize(("latitude", "longitude"), [(52.52, 13.4), (-33.9, 151.2), (0.0, -180.0)])
-def test_geojson_on_the_globe_keeps_lengths(folder, tmp_path, latitude, longitude):
-    run_export(folder, "--geojson", "--origin", f"{latitude},{longitude}", "--out", tmp_path)
-    content = json.loads((tmp_path / "map.geojson").read_text())
-    assert "frame" not in content
-    wall = next(each for each in content["features"] if each["properties"]["kind"] == "wall")
-    (x1, y1), (x2, y2) = np.radians(wall["geometry"]["coordinates"])
-    # The haversine formula on the sphere of GeoJSON's datum.
-    part = math.sin((y2 - y1) / 2.0) ** 2 + math.cos(y1) * math.cos(y2) * math.sin((x2 - x1) / 2.0) ** 2
-    length = 2.0 * 6_378_137.0 * math.asin(math.sqrt(part))
-    assert length == pytest.approx(wall["properties"]["length_m"], abs=1e-3)
 
 
 def test_dxf_is_read_by_ezdxf(folder, tmp_path):
@@ -141,7 +116,7 @@ def test_the_grid_lies_where_the_map_says(folder):
 
 def test_each_robot_of_a_team_has_tables_and_topics_of_its_own(team_folder, tmp_path):
     pytest.importorskip("rosbags")
-    written = run_export(team_folder, "--csv", "--dxf", "--geojson", "--bag", "--out", tmp_path)
+    written = run_export(team_folder, "--csv", "--dxf", "--bag", "--out", tmp_path)
     assert {"log_0.csv", "log_1.csv", "trajectories_1.csv"} <= {path.rpartition("/")[2] for path in written}
     original = np.load(team_folder / "log.npz")["ranges"]
     log = np.loadtxt(tmp_path / "log_1.csv", delimiter=",", skiprows=1)
@@ -159,73 +134,22 @@ def test_a_folder_without_readings_gives_the_rest(folder, tmp_path):
     assert (bare / "export" / "bag" / "metadata.yaml").is_file()
 
 
-class TestRerun:
-    """The official library reads the recordings back."""
-
-    @pytest.fixture
-    def chunks(self):
-        return pytest.importorskip("rerun.chunk", reason="needs the extra rerun (rerun-sdk)")
-
-    def columns(self, chunks, path, entity, component):
-        """The values of a component of an entity at all times."""
-        found = []
-        for chunk in chunks.RrdReader(path).stream():
-            batch = chunk.to_record_batch()
-            if chunk.entity_path == entity and not chunk.is_static and component in batch.schema.names:
-                found += batch.column(component).to_pylist()
-        return found
-
-    def test_poses_errors_and_beams(self, chunks, folder, tmp_path):
-        run_export(folder, "--rerun", "--out", tmp_path)
-        run, readings, path = read_run(folder), read_exported(folder).readings, tmp_path / "run.rrd"
-        places = self.columns(chunks, path, "/map/robot/smoothed", "Transform3D:translation")
-        np.testing.assert_allclose(np.reshape(places, (-1, 3))[:, :2], run.smoothed[0][:, :2], atol=1e-6)
-        errors = self.columns(chunks, path, "/plots/robot/position_error/estimated", "Scalars:scalars")
-        np.testing.assert_allclose(np.ravel(errors), position_error(run.estimated[0], run.true[0]), atol=1e-9)
-        seen = readings.ranges[:, 0] < np.array([beam.max_range for beam in readings.robot.beams], dtype=np.float32)
-        beams = self.columns(chunks, path, "/map/robot/estimated/beams", "LineStrips3D:strips")
-        assert [len(step or []) for step in beams] == seen.sum(axis=1).tolist()
-        lengths = [math.dist(*strip) for step in beams for strip in step or []]
-        np.testing.assert_allclose(lengths, readings.ranges[:, 0][seen], atol=1e-6)
-
-    def test_the_viewer_has_a_layout(self, chunks, folder, tmp_path):
-        run_export(folder, "--rerun", "--out", tmp_path)
-        reader = chunks.RrdReader(tmp_path / "run.rrd")
-        (layout,) = reader.blueprints()
-        names = [chunk.entity_path for chunk in reader.stream(store=layout)]
-        # The map, and the errors of position and heading beside the ranges.
-        assert sum(name.startswith("/view/") and name.count("/") == 2 for name in names) == 4
-
-    def test_a_team(self, chunks, team_folder, tmp_path):
-        run_export(team_folder, "--rerun", "--out", tmp_path)
-        names = {chunk.entity_path for chunk in chunks.RrdReader(tmp_path / "run.rrd").stream()}
-        assert {"/map/walls", "/map/grid", "/map/robot_0/estimated", "/plots/robot_1/ranges/beam_5"} <= names
-
-
 class TestRefusals:
     def test_nothing_is_replaced_by_accident_and_nothing_is_lost(self, folder, tmp_path):
-        (tmp_path / "map.geojson").write_text("mine")
-        with pytest.raises(ValueError, match=r"map\.geojson: already exists"):
-            run_export(folder, "--geojson", "--csv", "--out", tmp_path)
-        assert [path.name for path in tmp_path.iterdir()] == ["map.geojson"]
-        run_export(folder, "--geojson", "--out", tmp_path, "--force")
-        assert json.loads((tmp_path / "map.geojson").read_text())["type"] == "FeatureCollection"
+        (tmp_path / "walls.csv").write_text("mine")
+        with pytest.raises(ValueError, match=r"walls\.csv: already exists"):
+            run_export(folder, "--csv", "--out", tmp_path)
+        assert [path.name for path in tmp_path.iterdir()] == ["walls.csv"]
+        run_export(folder, "--csv", "--out", tmp_path, "--force")
+        assert (tmp_path / "walls.csv").read_text().startswith("x1,y1,x2,y2")
 
-    @pytest.mark.parametrize(
-        ("options", "reason"),
-        [
-            ((), "a format is needed"),
-            (("--geojson", "--origin", "north"), "--origin: two numbers"),
-            (("--geojson", "--origin", "95,0"), "not a latitude"),
-        ],
-    )
-    def test_one_line_says_why(self, folder, tmp_path, options, reason):
-        with pytest.raises(ValueError, match=reason):
-            run_export(folder, *options, "--out", tmp_path / "new")
+    def test_a_format_is_needed(self, folder, tmp_path):
+        with pytest.raises(ValueError, match="a format is needed"):
+            run_export(folder, "--out", tmp_path / "new")
 
     @pytest.mark.parametrize(
         ("option", "package", "extra"),
-        [("--dxf", "ezdxf", "export"), ("--mcap", "rosbags", "ros"), ("--rerun", "rerun", "rerun")],
+        [("--dxf", "ezdxf", "export"), ("--mcap", "rosbags", "ros")],
     )
     def test_a_missing_package_is_named(self, folder, tmp_path, monkeypatch, option, package, extra):
         for name in [name for name in sys.modules if name.partition(".")[0] == package]:

@@ -10,7 +10,7 @@ from limslam_env.envs.env import LimSlamEnv
 from limslam_env.interface import RobotSpec, SensorSpec
 from limslam_env.rendering import rendering
 from limslam_env.rendering.overlay import Overlay
-from limslam_env.rendering.rendering import RenderState, render, thumbnail
+from limslam_env.rendering.rendering import RenderState, render
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.world import World
 
@@ -381,38 +381,8 @@ def test_the_outside_of_a_building_is_no_floor():
     corners = [(0, 0), (4, 0), (4, 2), (2, 2), (2, 4), (0, 4)]
     # The doorway is no hole: beyond it lies the outside all the same.
     world = World("ell", (4.0, 4.0), outline(*corners)[1:], doors=np.array([[0.0, 0.0, 4.0, 0.0]]))
-    for picture, floor in (
-        (render(state_of((1.0, 1.0, 0.0), world=world)), rendering._UNSEEN),
-        (thumbnail(world), rendering._SEEN),
-    ):
-        height, width = picture.shape[:2]
-        assert tuple(picture[int(0.3 * height), int(0.7 * width)]) == rendering._PAPER
-        assert tuple(picture[int(0.7 * height), int(0.7 * width)]) == floor
-        assert tuple(picture[int(0.3 * height), int(0.25 * width)]) == floor
-
-
-def test_a_thumbnail_shows_a_world_with_its_doors_and_starts():
-    walls = outline((0, 0), (6, 0), (6, 4), (0, 4))
-    bare = thumbnail(World("hall", (6.0, 4.0), walls))
-    assert bare.shape[0] == 240
-    assert bare.shape[1] == pytest.approx(360, abs=15)
-    top, bottom, left, right = wall_box(bare)
-    assert (right - left) / (bottom - top) == pytest.approx(1.5, rel=0.02)
-    furnished = World(
-        "hall", (6.0, 4.0), walls, doors=[[3.0, 1.0, 3.0, 2.0]], starts=[[1.0, 3.0, 0.0], [5.0, 1.0, 2.0]]
-    )
-    changed = (thumbnail(furnished) != bare).any(axis=2)
-
-    def near(x: float, y: float) -> np.ndarray:
-        column, row = round(left + x / 6.0 * (right - left)), round(bottom - y / 4.0 * (bottom - top))
-        return changed[row - 30 : row + 31, column - 30 : column + 31]
-
-    for place in ((3.0, 1.5), (1.0, 3.0), (5.0, 1.0)):
-        assert near(*place).sum() > 10
-        near(*place)[:] = False
-    assert not changed.any()
-
-
-@pytest.mark.parametrize("height", [120, 241, 480])
-def test_a_thumbnail_is_as_high_as_asked(height):
-    assert thumbnail(load_world("env1"), height).shape[0] == pytest.approx(height, abs=1)
+    picture = render(state_of((1.0, 1.0, 0.0), world=world))
+    height, width = picture.shape[:2]
+    assert tuple(picture[int(0.3 * height), int(0.7 * width)]) == rendering._PAPER
+    assert tuple(picture[int(0.7 * height), int(0.7 * width)]) == rendering._UNSEEN
+    assert tuple(picture[int(0.3 * height), int(0.25 * width)]) == rendering._UNSEEN

@@ -14,7 +14,6 @@ from limslam_agent.cli.main import app
 from limslam_agent.config.consistent import SelfCalibrationConfig
 from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
 from limslam_agent.logs.log_reader import read_log
-from limslam_agent.replay.options import with_self_calibration
 from limslam_agent.replay.replay import replay_log
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
@@ -91,13 +90,10 @@ def test_replay_tells_what_it_found(tmp_path: Path) -> None:
     table = tmp_path / "corridor.csv"
     rows = [f"{0.1 * step:.1f},{0.025 * step:.3f},0,0,0.8,0.9" for step in range(200)]
     table.write_text("\n".join(["t,x,y,theta,r_-90,r_90", *rows]) + "\n")
-    arguments = ["replay", str(table), "--preset", "consistent", "--self-calibrate", "--out", str(tmp_path / "out")]
+    (tmp_path / "settings.toml").write_text('[agent.estimator.self_calibration]\ncalibrate = "always"\n')
+    config = ["--preset", "consistent", "--config", str(tmp_path / "settings.toml")]
+    arguments = ["replay", str(table), *config, "--out", str(tmp_path / "out")]
     assert CliRunner().invoke(app, arguments).exit_code == 0
     metrics = json.loads((tmp_path / "out" / "result.json").read_text())["metrics"]
     assert abs(metrics["self_calibration_turn_deg_per_m"]) < 0.5
     assert 0.0 < metrics["self_calibration_turn_std_deg_per_m"] < 1.0
-
-
-def test_replay_refuses_to_calibrate_by_the_published_method() -> None:
-    with pytest.raises(ValueError, match="--self-calibrate goes with the presets graph and consistent, not with paper"):
-        with_self_calibration(preset("paper"), enabled=True)
