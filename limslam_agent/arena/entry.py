@@ -15,7 +15,6 @@ from limslam_agent.runs.policy_file import file_and_name
 MANIFEST = "entry.toml"
 KINDS = {EXPLORATION: ("shipped", "python", "model", "command"), MAPPING: ("estimator", "command")}
 USES = ("belief", "readings", "truth")
-MODELS = (".zip", ".onnx")
 MOST_ROBOTS = 2
 _NOT_IN_DIGEST = "hidden files, __pycache__ and files outside of the folder are not part of the entry's digest"
 _LONGEST_NAME, _MOST_FILES, _MOST_BYTES = 60, 1000, 500_000_000
@@ -101,8 +100,8 @@ class Manifest:
             _check_choice("run", self.run, tuple(name for name in POLICIES if name != "tour"))
         if self.kind == "estimator":
             preset(self.run)
-        if self.kind == "model" and Path(self.run).suffix not in MODELS:
-            raise ValueError(f"run: a model ends in {' or '.join(MODELS)}, not {self.run!r}")
+        if self.kind == "model" and Path(self.run).suffix != ".zip":
+            raise ValueError(f"run: a model of Stable-Baselines3 ends in .zip, not {self.run!r}")
         if self.kind in {"model", "python"} and (Path(self.run).is_absolute() or ".." in Path(self.run).parts):
             raise ValueError(f"run: {self.run!r} is not in the folder of the entry")
         if self.kind in {"model", "python"} and not _counts(Path(self.run)):

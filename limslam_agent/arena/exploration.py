@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from limslam_agent.arena.command import CommandActor
 from limslam_agent.arena.entry import Entry
-from limslam_agent.arena.models import load_model
+from limslam_agent.arena.models import Model
 from limslam_agent.arena.scoring import correct_coverage, exploration_scores
 from limslam_agent.arena.tracks import Plan
 from limslam_agent.policies.policy import Policy
@@ -77,7 +77,7 @@ def _policies(entry: Entry, config: RunConfig) -> list[Policy] | None:
     if manifest.kind == "command":
         return [ActorPolicy(CommandActor(manifest.command, entry.folder, config.robot)) for _ in robots]
     if manifest.kind == "model":
-        return [ActorPolicy(load_model(Path(entry.run), manifest.algorithm, config.robot)) for _ in robots]
+        return [ActorPolicy(Model(Path(entry.run), manifest.algorithm)) for _ in robots]
     made = made_by_file(entry.run, config.robot, config.agent.policy, robots=config.robots, seed=config.seed)
     with naming_lines_of(entry.run):
         return [_policy(each, manifest.uses) for each in made]

@@ -32,7 +32,7 @@ def show(
 ) -> None:
     """Show a finished run: its metrics, its map, and its errors over time."""
     from limslam_agent.output.atomic_write import check_target
-    from limslam_agent.output.finished_run import PICTURE, read_run
+    from limslam_agent.output.finished_run import PICTURE, part_of, read_run
     from limslam_agent.output.run_picture import SIZE, draw_run
     from limslam_agent.output.summary import record_summary, replay_summary, run_summary
     from limslam_env.messages import printable
@@ -40,7 +40,7 @@ def show(
     if out is not None:
         check_target(out, "a picture", SUFFIXES, force=force)
     run = read_run(folder)
-    metrics, cost = (_numbers(run, part) for part in ("metrics", "cost"))
+    metrics, cost = (part_of(run.result, part) for part in ("metrics", "cost"))
     lines = record_summary(run.result) + (replay_summary(metrics) if run.is_replay else run_summary(metrics, cost))
     for line in (f"run         {run.title}", *lines):
         typer.echo(printable(line))
@@ -117,16 +117,6 @@ def open_window(title: str, size: tuple[float, float], draw: "Draw") -> bool:
     finally:
         plt.close(figure)
     return True
-
-
-def _numbers(run: "FinishedRun", part: str) -> dict[str, object]:
-    content = run.result.get(part)
-    if not isinstance(content, dict):
-        from limslam_agent.output.finished_run import FolderError
-        from limslam_agent.output.run_folder import RESULT_FILE
-
-        raise FolderError(f"{run.folder / RESULT_FILE}: has no {part}")
-    return content
 
 
 def compare(

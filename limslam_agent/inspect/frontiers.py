@@ -1,7 +1,7 @@
 """The frontiers of a moment, and what it costs each robot to drive there."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from scipy import ndimage
@@ -15,25 +15,14 @@ from limslam_env.interface import RobotSpec
 MOST_GROUPS = 24
 """Only so many frontiers are kept, the largest ones."""
 
-
-@dataclass(frozen=True, eq=False)
-class Frontier:
-    """A connected group of free cells beside unknown ones.
-
-    Attributes
-    ----------
-    cells
-        Centres of its cells (n, 2), m.
-    costs
-        Cost of the cheapest path of each robot, m, increased near walls. None where there is no path.
-    """
-
-    cells: FloatArray
-    costs: list[float | None]
+Frontiers: TypeAlias = list[tuple[FloatArray, list[float | None]]]
+"""Of each connected group of free cells beside unknown ones the centres of its cells (n, 2), m, and the cost of the
+cheapest path of each robot, m, increased near walls; None where there is no path.
+"""
 
 
-def frontiers_of(grid: GridView, poses: Sequence[FloatArray], robot: RobotSpec, config: PolicyConfig) -> list[Frontier]:
-    """All frontiers of a grid, the largest first, with the costs for robots at poses (3,).
+def frontiers_of(grid: GridView, poses: Sequence[FloatArray], robot: RobotSpec, config: PolicyConfig) -> Frontiers:
+    """All frontiers of a grid, the largest first, for robots at poses (3,).
 
     Frontiers that the policy ignores, because it could not see anything new there, are among them.
     """
@@ -44,7 +33,7 @@ def frontiers_of(grid: GridView, poses: Sequence[FloatArray], robot: RobotSpec, 
     costs = [ways_from(pose[:2], grid, robot, config).cost for pose in poses]
     groups = sorted((np.argwhere(labels == label) for label in range(1, count + 1)), key=len, reverse=True)
     return [
-        Frontier(grid.centres(group), [_finite(float(each[tuple(group.T)].min())) for each in costs])
+        (grid.centres(group), [_finite(float(each[tuple(group.T)].min())) for each in costs])
         for group in groups[:MOST_GROUPS]
     ]
 

@@ -266,9 +266,9 @@ class Recorder:
         self._last_goals, self._frontiers_at = goals, self._row
         mapper, found = self._mapper, []
         shown = slice(1) if isinstance(mapper, JoiningMapper) and mapper.is_apart else slice(None)
-        for frontier in frontiers_of(mapper.grid, list(mapper.poses[shown]), mapper.robot, mapper.config.policy):
-            self._cells.add(frontier.cells)
-            found.append({"cells": len(self._cells) - 1, "costs": frontier.costs})
+        for cells, costs in frontiers_of(mapper.grid, list(mapper.poses[shown]), mapper.robot, mapper.config.policy):
+            self._cells.add(cells)
+            found.append({"cells": len(self._cells) - 1, "costs": costs})
         self._frontiers.append(found)
 
     def _owners(self, rows: NDArray[Any]) -> dict[str, NDArray[Any]]:

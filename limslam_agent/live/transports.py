@@ -4,7 +4,7 @@ import select
 import socket
 import time
 from contextlib import suppress
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING, TypeAlias
 
 from limslam_agent.live.protocol import LONGEST_LINE
 
@@ -20,22 +20,6 @@ SILENT_AFTER = 1.0
 LAST_PORT = 65535
 
 _MOST_BYTES = 65536
-
-
-class Transport(Protocol):
-    """A connection to a robot. A lost connection is no error: nothing arrives until it is back."""
-
-    def receive(self, timeout: float) -> list[bytes]:
-        """The lines that have arrived. Waits for the first one, at most ``timeout`` s."""
-        ...
-
-    def send(self, line: bytes) -> None:
-        """Send a line. It is lost if there is no connection."""
-        ...
-
-    def close(self) -> None:
-        """Free the port."""
-        ...
 
 
 class LineBuffer:
@@ -185,3 +169,7 @@ class SerialTransport:
                 return True
         time.sleep(timeout)
         return False
+
+
+Transport: TypeAlias = UdpTransport | SerialTransport
+"""A connection to a robot. A lost connection is no error: nothing arrives until it is back."""

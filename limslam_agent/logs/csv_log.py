@@ -46,7 +46,7 @@ from limslam_agent.logs.recorded_log import (
     parse_range,
     read_lines,
 )
-from limslam_agent.logs.table_options import CLOCK_COUNTS, TableOptions, check_travel, started_again
+from limslam_agent.logs.table_options import CLOCK_COUNTS, TableOptions, check_travel
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec, SensorSpec
@@ -128,7 +128,6 @@ class _Rows:
         self.ranges = array("d")
         self.has_scan = bytearray()
         self.time_before = 0.0
-        self.restarts: list[int] = []
 
     def add(self, line: bytes) -> None:
         """Process one line. The first line that is neither blank nor a remark is the header."""
@@ -181,7 +180,7 @@ class _Rows:
             raise ValueError(f"{len(fields)} columns where the header names {count}: {hint}")
         names = ("t", "left", "right") if self.leading == len(_WHEELS) else ("t", "x", "y", "theta")
         move = [parse_number(field, name) for field, name in zip(fields, names, strict=False)]
-        move[0] = self._take_time(move)
+        move[0] = self._take_time(move[0])
         values = [math.nan] * len(self.directions) if is_silent else [_reading(field) for field in readings]
         if self.options.zero_is_nothing:
             values = [math.inf if value <= 0.0 else value for value in values]
@@ -208,34 +207,27 @@ class _Rows:
             raise ValueError(f"{len(fields)} columns where --columns names {named}: {NO_ROW}")
         return [fields[place] for place in self.used]
 
-    def _take_time(self, move: list[float]) -> float:
+    def _take_time(self, time: float) -> float:
         """The time of a row, s, on the clock of the log.
 
-        A clock that is full begins again. A late row after that is still from before. The clock of a robot that was
-        switched on again begins again, too, and its row is added to ``restarts``.
+        A clock that is full begins again. A late row after that is still from before.
 
         Raises
         ------
         ValueError
             If the time steps back for another reason.
         """
-        move = [move[0] * self.options.seconds, *move[1:]]
-        before = list(self.moves[-self.leading :]) or list(move)
-        last, before[0] = before[0], before[0] - self.time_before
+        time *= self.options.seconds
+        before = self.moves[-self.leading] - self.time_before if self.moves else time
         turn = CLOCK_COUNTS * self.options.seconds
-        if move[0] < before[0] - LARGEST_STEP_BACK:
-            if self.options.is_clock_full(move[0], before[0]):
-                self.time_before += turn
-                return move[0] + self.time_before
-            if self.leading == len(_POSE) or not self.options.is_switched_on_again(move, before):
-                back = f"the time steps back by {before[0] - move[0]:.1f} s"
+        if time < before - LARGEST_STEP_BACK:
+            if not self.options.is_clock_full(time, before):
+                back = f"the time steps back by {before - time:.1f} s"
                 raise ValueError(f"{back}: if the robot was switched on again, replay the parts as logs of their own")
-            # The clock of a robot that was switched on again counts on from the row before.
-            self.restarts.append(len(self.has_scan))
-            self.time_before = last
-        elif move[0] < turn and abs(move[0] - turn - before[0]) <= LARGEST_STEP_BACK:
-            return move[0] + self.time_before - turn
-        return move[0] + self.time_before
+            self.time_before += turn
+        elif time < turn and abs(time - turn - before) <= LARGEST_STEP_BACK:
+            return time + self.time_before - turn
+        return time + self.time_before
 
     def log(self) -> RecordedLog:
         """The rows as a log."""
@@ -255,12 +247,6 @@ class _Rows:
     def _wheel_log(self, robot: RobotSpec, moves: FloatArray, ranges: FloatArray, has_scan: BoolArray) -> RecordedLog:
         robot = replace(robot, beams=tuple(self.beams), control_period=median_spacing(moves[:, 0]))
         wheels = self.options.wheel_travel(moves[:, 1:], robot)
-        again = np.zeros(len(moves), dtype=np.bool_)
-        if self.options.accumulated:
-            counted = moves[:, 1:] * self.options.metres_per_tick
-            again = started_again(wheels, counted, moves[:, 0], robot)
-            again[self.restarts] = True
-            wheels[again] = counted[again]
         check_travel(wheels, moves[:, 0], robot, self.options)
         return RecordedLog(
             robot=robot,
@@ -269,7 +255,6 @@ class _Rows:
             has_scan=has_scan,
             start_pose=np.zeros(3),
             wheels=wheels,
-            restarts=tuple(moves[again, 0].tolist()),
             zone_axes=self.options.zone_axes,
         )
 

@@ -75,8 +75,6 @@ class RecordedLog:
         Left and right wheel travel since the previous event (n, 2), m, or None. A log has either odometry or wheels.
     true_pose
         True poses (n, 3), m, m, rad, for scoring only, or None.
-    restarts
-        Times at which the robot was switched on again, as its encoder counters show, s.
     shifted, untimed
         How much was added to all times because they began below 0, s; and the number of lines that were left out
         because their times are impossible.
@@ -99,7 +97,6 @@ class RecordedLog:
     odometry: FloatArray | None = None
     wheels: FloatArray | None = None
     true_pose: FloatArray | None = None
-    restarts: tuple[float, ...] = ()
     shifted: float = 0.0
     untimed: int = 0
     zone_axes: tuple[float, ...] | None = None

@@ -1,12 +1,11 @@
 """What a table of a log does not say itself: the robot that recorded it, and what its columns mean."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_env.geometry import BoolArray, FloatArray, se2
+from limslam_env.geometry import FloatArray, se2
 from limslam_env.interface import RobotSpec
 
 LENGTHS = {"m": 1.0, "cm": 0.01, "mm": 0.001}
@@ -27,11 +26,10 @@ LONGEST_PAUSE = 10.0
 FEWEST_COUNTER_BITS = 8
 """Counters that begin again have at least so many bits."""
 
-RESTARTED = 2.0
-"""Counters near 0 have begun again if a wheel travelled more than this many times what its largest speed allows."""
-
-MOST_KEPT = 0.5
-"""A clock that begins again shows at most this share of the time before. Otherwise it was set back."""
+SPARE = 2.0
+"""Without the jump of a counter that begins again, a wheel travels at most this many times what its largest speed
+allows.
+"""
 
 TOO_FAST = 10.0
 """A wheel cannot travel farther than this many times its largest speed allows. A longer travel has another unit."""
@@ -129,20 +127,6 @@ class TableOptions:
         """Whether a clock that steps back between two rows of time, s, was full, and so began again at 0."""
         return 0.0 <= time - before + CLOCK_COUNTS * self.seconds < LONGEST_PAUSE
 
-    def is_switched_on_again(self, row: Sequence[float], before: Sequence[float]) -> bool:
-        """Whether a clock that steps back between two rows of time, s, left and right began again with the robot.
-
-        The clock must then have lost most of its time, and both counters must be near 0. Counters that hardly differ
-        from those of the row before went on, so that only the clock was set back.
-        """
-        if not self.accumulated or self.robot is None or row[0] > MOST_KEPT * before[0]:
-            return False
-        speed = self.robot.max_wheel_speed / self.metres_per_tick
-        counted = max(map(abs, row[1:]))
-        moved = max(abs(new - old) for new, old in zip(row[1:], before[1:], strict=True))
-        period = self.robot.control_period
-        return counted <= RESTARTED * speed * max(row[0], period) and moved > TOO_FAST * speed * period
-
     def wheel_travel(self, columns: FloatArray, robot: RobotSpec) -> FloatArray:
         """Travel of both wheels (n, 2), m, since the row before, from the columns ``left`` and ``right`` (n, 2).
 
@@ -159,7 +143,7 @@ class TableOptions:
         travel = np.diff(columns, axis=0, prepend=columns[:1]) if self.accumulated else columns.copy()
         travel[0] = 0.0
         if self.accumulated:
-            farthest = RESTARTED * robot.max_wheel_speed * robot.control_period / self.metres_per_tick
+            farthest = SPARE * robot.max_wheel_speed * robot.control_period / self.metres_per_tick
             travel = _continued(travel, columns, farthest)
         return travel * self.metres_per_tick
 
@@ -180,30 +164,6 @@ def _continued(travel: FloatArray, columns: FloatArray, farthest: float) -> Floa
     return continued if is_proof.any() and (columns == np.round(columns)).all() else travel
 
 
-def started_again(wheels: FloatArray, counted: FloatArray, time: FloatArray, robot: RobotSpec) -> BoolArray:
-    """Rows (n,) in which a robot was switched on again, so that its encoders count from 0.
-
-    Both counters are then near 0, and at least one of them differs from the row before by more than the robot can drive
-    meanwhile. A counter that begins again because it is full has travelled no farther than usual.
-
-    Parameters
-    ----------
-    wheels
-        Travel of both wheels since the row before (n, 2), m.
-    counted
-        What both counters say (n, 2), m.
-    time
-        Times (n,), s.
-    robot
-        The robot.
-    """
-    lasted = np.maximum(np.diff(time, prepend=time[0]), robot.control_period)
-    # A robot often takes seconds to begin, and then stands.
-    lasted[(counted == 0.0).all(axis=1)] = robot.control_period
-    farthest = (RESTARTED * robot.max_wheel_speed * lasted)[:, None]
-    return np.asarray((np.abs(counted) <= farthest).all(axis=1) & (np.abs(wheels) > farthest).any(axis=1))
-
-
 def check_travel(wheels: FloatArray, time: FloatArray, robot: RobotSpec, options: TableOptions) -> None:
     """Refuse wheel travel (n, 2), m, that the robot cannot drive between two rows with the times (n,), s.
 
@@ -221,7 +181,7 @@ def check_travel(wheels: FloatArray, time: FloatArray, robot: RobotSpec, options
         return
     row = int(np.argmax(is_too_far))
     question = (
-        f"Is --metres-per-tick {options.metres_per_tick:g} right? Counters may begin again at 0 or after a power of two"
+        f"Is --metres-per-tick {options.metres_per_tick:g} right? Counters may begin again after a power of two"
         if options.accumulated
         else "Are left and right metres since the row before? --metres-per-tick converts ticks, and --accumulated says "
         "that they count from the start"

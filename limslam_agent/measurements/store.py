@@ -13,7 +13,7 @@ from typing import Any, Generic, Protocol, TypeVar, Union, get_args, get_origin,
 
 from limslam_agent.output.atomic_write import append_line, mend_lines, replace_content
 from limslam_agent.output.claims import clear_up, locked
-from limslam_agent.output.provenance import changes
+from limslam_agent.output.provenance import Provenance, changes
 from limslam_agent.safe_files import read_limited
 from limslam_env.messages import one_line
 
@@ -21,16 +21,8 @@ RESULTS = "results.jsonl"
 _LOCK, _MAX_BYTES, _LARGEST = ".lock", 256_000_000, 1e100
 
 
-class StampLike(Protocol):
+class StampLike(Provenance, Protocol):
     """What a stamp says: which results a folder holds, and where they come from."""
-
-    @property
-    def versions(self) -> dict[str, str]:
-        """Versions of packages by their names."""
-
-    @property
-    def commit(self) -> str:
-        """The commit of the checkout."""
 
     @property
     def identity(self) -> Mapping[str, Hashable]:

@@ -8,7 +8,7 @@ from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from limslam_agent.output.claims import OutputError, claimed, hidden, sync_file, sync_folder
+from limslam_agent.output.claims import OutputError, claimed, hidden
 
 
 @contextmanager
@@ -36,9 +36,7 @@ def atomic_write(path: Path) -> Iterator[Path]:
         beside.write_bytes(b"")
         try:
             yield beside
-            sync_file(beside)
             beside.replace(path)
-            sync_folder(path.parent)
         finally:
             beside.unlink(missing_ok=True)
 

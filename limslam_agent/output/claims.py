@@ -4,8 +4,7 @@ Beside a place ``NAME`` there are hidden files while a process writes there:
 
 - ``.NAME.limslam-lock``: held by the process, and free when the process has died;
 - ``.NAME.limslam-new``: what is being written, with the suffix of a file;
-- ``.NAME.limslam-old``: the earlier result, while the new one takes its place;
-- ``.NAME.limslam-waste``: an earlier result that is being removed.
+- ``.NAME.limslam-old``: the earlier result, until the new one is in its place.
 
 Whoever next gets the lock of the place finds out from them how far a dead process had come.
 """
@@ -23,7 +22,7 @@ from filelock import FileLock, Timeout
 PATIENCE = 0.5
 """Time, s, to wait for another process that only looks after a dead process's files."""
 
-_HIDDEN = re.compile(r"\.(?P<name>.+)\.limslam-(?:lock|new|old|waste)(?:\.\w+)?")
+_HIDDEN = re.compile(r"\.(?P<name>.+)\.limslam-(?:lock|new|old)(?:\.\w+)?")
 
 
 class OutputError(ValueError):
@@ -35,7 +34,7 @@ class ClaimedError(OutputError):
 
 
 def hidden(path: Path, kind: str, suffix: str = "") -> Path:
-    """The hidden file of a kind (``lock``, ``new``, ``old`` or ``waste``) beside a place."""
+    """The hidden file of a kind (``lock``, ``new`` or ``old``) beside a place."""
     return path.with_name(f".{path.name}.limslam-{kind}{suffix}")
 
 
@@ -128,53 +127,12 @@ def recover(path: Path) -> None:
     old = hidden(path, "old")
     if os.path.lexists(old):
         if os.path.lexists(path):
-            discard(old, path)
+            _remove(old)
         else:
             old.rename(path)
-            sync_folder(path.parent)
     for name in _hidden_names(path.parent):
-        if name.startswith((hidden(path, "new").name, hidden(path, "waste").name)):
+        if name.startswith(hidden(path, "new").name):
             _remove(path.with_name(name))
-
-
-def discard(old: Path, path: Path) -> None:
-    """Remove an earlier result of a place for good.
-
-    It gets another name first, so that a kill in the middle leaves nothing that could be taken for a whole result.
-    """
-    waste = hidden(path, "waste")
-    _remove(waste)
-    old.rename(waste)
-    _remove(waste)
-
-
-def sync_folder(folder: Path) -> None:
-    """Make the names in a folder survive a loss of power. Windows has no such call and needs none."""
-    if os.name == "nt":
-        return
-    _sync(folder, os.O_RDONLY)
-
-
-def sync_tree(folder: Path) -> None:
-    """Make a folder with all its files survive a loss of power."""
-    for parent, _, files in os.walk(folder):
-        for name in files:
-            sync_file(Path(parent) / name)
-        sync_folder(Path(parent))
-
-
-def sync_file(path: Path) -> None:
-    """Make the content of a file survive a loss of power."""
-    # Windows only syncs files that are open for writing.
-    _sync(path, os.O_RDWR if os.name == "nt" else os.O_RDONLY)
-
-
-def _sync(path: Path, flags: int) -> None:
-    handle = os.open(path, flags)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def _hidden_names(folder: Path) -> list[str]:

@@ -14,7 +14,7 @@ from limslam_agent.output.run_folder import RESULT_FILE
 from limslam_agent.output.tum import TrajectoryError, read_tum
 from limslam_agent.safe_files import load_arrays, read_limited
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import driven, wrap_angle
+from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.messages import counted, one_line
 
 MOST_WALLS = 20_000
@@ -144,8 +144,6 @@ def read_run(folder: Path) -> FinishedRun:
     time = tables["est"][0][:, 0]
     times = [table[:, 0] for table in tables["est"]] if has_own_times else []
     estimated, true, odometry, smoothed = ([table[:, 1:] for table in found] for found in tables.values())
-    if not odometry and (folder / LOG).is_file():
-        odometry = _odometry_from_wheels(folder / LOG, result, true or estimated)
     covariances, smoothed_covariances = _covariances(folder / COVARIANCES, len(estimated), len(time))
     return FinishedRun(
         folder=folder,
@@ -279,21 +277,3 @@ def _covariances(path: Path, robots: int, steps: int) -> tuple[list[FloatArray],
         raise FolderError(f"{path}: its covariances do not fit the trajectories")
     estimated, smoothed = ([*kind.swapaxes(0, 1)] for kind in (*kinds, np.empty((0, 0, 3, 3)))[:2])
     return estimated, smoothed
-
-
-def _odometry_from_wheels(path: Path, result: dict[str, Any], poses: list[FloatArray]) -> list[FloatArray]:
-    """Poses (n, 3) of each robot by wheel travel alone, from the first of its ``poses``."""
-    axle = part_of(part_of(result, "config"), "robot").get("axle")
-    if not isinstance(axle, int | float) or not axle > 0.0:
-        return []
-    try:
-        arrays = load_arrays(path, ("wheels",))
-        wheels = np.asarray(arrays["wheels"], dtype=float) if "wheels" in arrays else None
-    except (OSError, ValueError) as error:
-        raise FolderError(f"{path}: is damaged: {error}") from error
-    if wheels is None:
-        return []
-    wheels = wheels[:, None] if wheels.ndim == 2 else wheels
-    if wheels.shape != (len(poses[0]), len(poses), 2) or not np.isfinite(wheels).all():
-        raise FolderError(f"{path}: its wheel travel does not fit the trajectories")
-    return [driven(wheels[:, number], float(axle), start[0]) for number, start in enumerate(poses)]

@@ -6,16 +6,7 @@ from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 
-from limslam_agent.output.claims import (
-    ClaimedError,
-    OutputError,
-    claimed,
-    discard,
-    hidden,
-    recover,
-    sync_folder,
-    sync_tree,
-)
+from limslam_agent.output.claims import ClaimedError, OutputError, claimed, hidden, recover
 
 RESULT_FILE = "result.json"
 
@@ -67,7 +58,6 @@ def new_folder(target: Path, *, force: bool = False, numbered: bool = False) -> 
             raise OutputError(f"{target}: cannot be written: {error.strerror or error}") from error
         try:
             yield NewFolder(beside, place)
-            sync_tree(beside)
             _put_in_place(beside, place, force=force)
         finally:
             recover(place.absolute())
@@ -122,12 +112,7 @@ def _put_in_place(beside: Path, target: Path, *, force: bool) -> None:
     except OutputError as error:
         spare = next(path for n in count(2) if not (path := place.with_name(f"{place.name}-{n}")).exists())
         beside.rename(spare)
-        sync_folder(place.parent)
         raise OutputError(f"{error}; these results are in {target.with_name(spare.name)}") from error
-    old = hidden(place, "old")
     if place.is_dir():
-        place.rename(old)
+        place.rename(hidden(place, "old"))
     beside.rename(place)
-    sync_folder(place.parent)
-    if old.exists():
-        discard(old, place)

@@ -1,6 +1,7 @@
 """Reads and writes trajectories as text, in the format of the TUM RGB-D benchmark: lines ``t x y z qx qy qz qw``."""
 
 import math
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -23,6 +24,16 @@ def write_tum(path: Path, time: FloatArray, poses: FloatArray) -> None:
     zero = np.zeros(len(poses))
     table = np.column_stack((time, poses[:, 0], poses[:, 1], zero, zero, zero, np.sin(half), np.cos(half)))
     np.savetxt(path, table, fmt="%.6f %.6f %.6f %.0f %.0f %.0f %.9f %.9f")
+
+
+def write_paths(folder: Path, time: FloatArray, paths: Mapping[str, Sequence[FloatArray]]) -> None:
+    """Write the paths (n, 3) of each robot, by their kinds: ``trajectory_est.tum``, or ``trajectory_est_0.tum`` and so
+    on of several robots.
+    """
+    for kind, each in paths.items():
+        for number, poses in enumerate(each):
+            suffix = f"_{number}" if len(each) > 1 else ""
+            write_tum(folder / f"trajectory_{kind}{suffix}.tum", time, poses)
 
 
 def read_tum(path: Path) -> tuple[FloatArray, FloatArray]:

@@ -75,7 +75,7 @@ def log_warnings(log: RecordedLog) -> list[str]:
     about_clock = _about_clock(log)
     about_odometry = [] if about_clock else _about_odometry(log)
     about_ranges = [*_about_ranges(log), *_about_zeros(log), *_about_negatives(log), *_about_beams(log)]
-    about = [*_about_restarts(log), *_about_times(log), *about_clock, *_about_gaps(log), *about_ranges, *about_odometry]
+    about = [*_about_times(log), *about_clock, *_about_gaps(log), *about_ranges, *about_odometry]
     return [*about, *_about_zones(log)]
 
 
@@ -84,15 +84,6 @@ def map_warnings(replay: Replay) -> list[str]:
     if len(replay.segments):
         return []
     return [f"the map has 0 walls: {_why_no_walls(replay)}"]
-
-
-def _about_restarts(log: RecordedLog) -> list[str]:
-    if not log.restarts:
-        return []
-    more = ", ..." if len(log.restarts) > MOST_NAMED else ""
-    times = ", ".join(f"{time:.1f}" for time in log.restarts[:MOST_NAMED]) + more
-    consequence = "the map goes on from where it was; if it was moved meanwhile, replay the parts as logs of their own"
-    return [f"the encoders begin to count again at {times} s, as of a robot that was switched on again: {consequence}"]
 
 
 def _about_times(log: RecordedLog) -> list[str]:

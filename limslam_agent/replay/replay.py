@@ -18,7 +18,7 @@ from limslam_agent.output.cost import run_cost
 from limslam_agent.output.export import map_content, write_covariances, write_json, write_map
 from limslam_agent.output.finished_run import COVARIANCES, UNPLACED
 from limslam_agent.output.summary import place_records, record_of, turn_records
-from limslam_agent.output.tum import write_tum
+from limslam_agent.output.tum import write_paths
 from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.replay.filter_estimate import FilterEstimate
@@ -318,13 +318,10 @@ def write_replay(
 
 def _write_trajectories(folder: Path, replay: Replay) -> None:
     """Write the paths of a replay with their covariances, and the true path if it is known."""
-    time, smoothed = replay.log.time, replay.smoothed
-    write_tum(folder / "trajectory_est.tum", time, replay.estimated)
-    write_tum(folder / "trajectory_odometry.tum", time, replay.odometry)
-    if smoothed is not None:
-        write_tum(folder / "trajectory_smoothed.tum", time, smoothed.poses)
-    if replay.log.true_pose is not None:
-        write_tum(folder / "trajectory_true.tum", time, replay.log.true_pose)
+    smoothed = replay.smoothed
+    paths = {"est": replay.estimated, "odometry": replay.odometry, "true": replay.log.true_pose}
+    paths["smoothed"] = None if smoothed is None else smoothed.poses
+    write_paths(folder, replay.log.time, {kind: [poses] for kind, poses in paths.items() if poses is not None})
     of_smoothed = None if smoothed is None or smoothed.covariances is None else smoothed.covariances[:, None]
     write_covariances(folder / COVARIANCES, replay.covariances[:, None], of_smoothed)
 

@@ -212,16 +212,7 @@ class _ModelActor:
         # Models without a recurrent state need not accept these arguments.
         state = self._states.get(name)
         memory = {} if state is None else {"state": state, "episode_start": np.zeros(1, dtype=bool)}
-        try:
-            action, self._states[name] = self._model.predict(observation, deterministic=True, **memory)
-        except KeyError as error:
-            if isinstance(observation, Mapping) and error.args and error.args[0] not in observation:
-                raise ValueError(
-                    f"{type(self._model).__name__} looks for {error} in an observation that holds "
-                    f"{', '.join(observation)}: pass the wrappers of its training by wrap=, for example "
-                    "wrap=SlamObservation"
-                ) from error
-            raise
+        action, self._states[name] = self._model.predict(observation, deterministic=True, **memory)
         return action
 
 

@@ -15,7 +15,7 @@ from limslam_agent.output.cost import run_cost
 from limslam_agent.output.export import WallsAndGrid, finite, map_content, write_covariances, write_json, write_map
 from limslam_agent.output.finished_run import COVARIANCES, UNPLACED, WORLD, run_title
 from limslam_agent.output.summary import calibration_record, place_records, record_of, turn_records
-from limslam_agent.output.tum import write_tum
+from limslam_agent.output.tum import write_paths
 from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.episode import Episode
 from limslam_agent.runs.optimum import offline_optimum
@@ -193,7 +193,10 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
     """Write a run's folder and return the content of its ``result.json``."""
     smoothed = episode.smoothed
     _write_log(folder / "log.npz", episode)
-    _write_trajectories(folder, episode)
+    paths = {"true": episode.true, "est": episode.estimated, "odometry": episode.odometry}
+    if smoothed is not None:
+        paths["smoothed"] = smoothed.poses
+    write_paths(folder, episode.time, {kind: [*poses.swapaxes(0, 1)] for kind, poses in paths.items()})
     write_covariances(folder / COVARIANCES, episode.covariances, None if smoothed is None else smoothed.covariances)
     write_world(episode.world, folder / WORLD)
     write_map(folder, episode.final_map)
@@ -210,17 +213,6 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
     }  # fmt: skip
     write_json(folder / "result.json", result)
     return result
-
-
-def _write_trajectories(folder: Path, episode: Episode) -> None:
-    """A file for each robot and each kind of path."""
-    paths = {"true": episode.true, "est": episode.estimated, "odometry": episode.odometry}
-    if episode.smoothed is not None:
-        paths["smoothed"] = episode.smoothed.poses
-    for kind, poses in paths.items():
-        for number in range(episode.config.robots):
-            suffix = f"_{number}" if episode.config.robots > 1 else ""
-            write_tum(folder / f"trajectory_{kind}{suffix}.tum", episode.time, poses[:, number])
 
 
 def _config(episode: Episode) -> dict[str, Any]:

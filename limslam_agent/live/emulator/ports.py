@@ -4,25 +4,11 @@ import os
 import select
 import socket
 from contextlib import suppress
-from typing import Protocol
+from typing import TypeAlias
 
 from limslam_agent.live.transports import LineBuffer
 
 _MOST_BYTES = 65536
-
-
-class Port(Protocol):
-    """The robot's end of a connection."""
-
-    name: str
-
-    def receive(self, timeout: float) -> list[bytes]:
-        """The lines that the host has sent. Waits for the first one, at most ``timeout`` s."""
-        ...
-
-    def send(self, line: bytes) -> None:
-        """Send a line to the host. It is lost if there is none."""
-        ...
 
 
 class UdpPort:
@@ -87,3 +73,7 @@ class PtyPort:
         """Send a line. It is lost if nobody reads and the buffer is full."""
         with suppress(BlockingIOError):
             os.write(self._robot_end, line)
+
+
+Port: TypeAlias = UdpPort | PtyPort
+"""The robot's end of a connection."""

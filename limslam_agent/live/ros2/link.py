@@ -14,7 +14,7 @@ from limslam_agent.live.protocol import VERSION, Command, Heartbeat, Hello, Mess
 from limslam_agent.live.recording import MM
 from limslam_agent.live.ros2.odometer import Sample
 from limslam_agent.live.ros2.parameters import Parameters
-from limslam_agent.live.ros2.sensors import RangeSensors, ScanSensors, Sensors
+from limslam_agent.live.ros2.sensors import RangeSensors, ScanSensors
 from limslam_agent.live.ros2.synchroniser import Measurement, Synchroniser
 from limslam_agent.logs.ros_messages import pose_of
 from limslam_env.geometry.se2 import wheels_to_arc
@@ -110,8 +110,9 @@ class RosLink:
         self.newest: Sample | None = None
         self.frames = ("odom", "base_link")
         self._ports, self._robot, self._parameters = ports, robot, parameters
-        topics = parameters.range_topics
-        self._sensors: Sensors = RangeSensors(robot) if topics else ScanSensors(robot, parameters.mount)
+        self._sensors: RangeSensors | ScanSensors = (
+            RangeSensors(robot) if parameters.range_topics else ScanSensors(robot, parameters.mount)
+        )
         self._synchroniser = Synchroniser(robot, parameters.period)
         self._acknowledgement = _Acknowledgement()
         self._seq = self._row = self._stops = 0

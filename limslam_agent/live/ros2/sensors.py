@@ -4,7 +4,7 @@ import math
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,32 +32,6 @@ class Reading(NamedTuple):
     ranges: Ranges
 
 
-class Sensors(Protocol):
-    """What turns messages into the readings of a robot's beams.
-
-    Attributes
-    ----------
-    robot
-        The robot, with the beams as the messages describe them. None until each topic has had a message.
-    late, doubled
-        Numbers of messages that came after a later one, and that came twice. They are not used.
-    """
-
-    robot: RobotSpec | None
-    late: int
-    doubled: int
-
-    def add(self, number: int, time: float, message: Any) -> list[Reading]:
-        """Take the message of a topic, by its number. The readings that are complete now.
-
-        Raises
-        ------
-        ValueError
-            If the message cannot be used.
-        """
-        ...
-
-
 class ScanSensors:
     """Picks the beams of a robot from LaserScans, by their directions.
 
@@ -67,6 +41,11 @@ class ScanSensors:
         The robot, whose beams say which directions are wanted, and how far to look.
     mount
         Pose (3,) of the laser on the robot, m, m, rad. The beams begin there.
+
+    Attributes
+    ----------
+    robot
+        The robot, with the beams as the messages describe them. None until there was a scan.
     """
 
     def __init__(self, robot: RobotSpec, mount: FloatArray) -> None:
@@ -145,6 +124,13 @@ class RangeSensors:
     ----------
     robot
         The robot. Its beams are in the order of the topics.
+
+    Attributes
+    ----------
+    robot
+        The robot, with the beams as the messages describe them. None until each topic has had a message.
+    late, doubled
+        Numbers of messages that came after a later one, and that came twice. They are not used.
     """
 
     def __init__(self, robot: RobotSpec) -> None:

@@ -50,7 +50,7 @@ def test_learned_explorers_that_share_nothing_have_a_map_each(examples):
         (
             'kind = "shipped"\nrun = "random"\nuses = "belief"',
             'kind = "model"\nrun = "m.h5"\nuses = "readings"',
-            ".onnx",
+            r"ends in \.zip",
         ),
         ('kind = "shipped"\nrun = "random"', 'kind = "command"\ncommand = ["x"]', "acts on readings"),
         ('name = "Mine"', "name = ", "is not TOML"),

@@ -9,7 +9,6 @@ from support.data import refusal
 
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.table_options import TableOptions
-from limslam_agent.replay.plausibility import log_warnings
 from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim
 
 ROBOT = RobotSpec(radius=0.06, axle=0.115, beams=beams_on_rim((90.0, 54.0, -54.0, -90.0), 0.06, max_range=2.0))
@@ -87,7 +86,6 @@ def test_a_clock_of_32_bits_is_continued_where_it_begins_again(write, unit, begi
     rows = "".join(f"{(begin + row * step) % 2**32},0,0,1,1,1\n" for row in range(5))
     log = read_log(write(HEAD + rows), table=TableOptions(ROBOT, time_unit=unit))
     np.testing.assert_allclose(np.diff(log.time), 0.1, atol=1e-6)
-    assert log.restarts == ()
 
 
 @pytest.mark.parametrize(("bits", "has_sign"), [(16, False), (16, True), (12, False), (32, True)])
@@ -107,17 +105,6 @@ def test_a_counter_that_begins_again_elsewhere_may_begin_again_in_a_pause(write)
     rows += f"{150},{10500 % 4096},{10500 % 4096},1,1,1\n"
     log = read_log(write(HEAD + rows), table=TableOptions(ROBOT, 1e-3, accumulated=True))
     np.testing.assert_allclose(log.wheels[-2:, 0], [0.09, 1.59])
-
-
-@pytest.mark.parametrize(("gap", "first"), [(0.1, 0), (0.1, 7), (2.0, 30), (30.0, 0)])
-@pytest.mark.parametrize("before", [3000, 40000])
-def test_a_robot_may_be_switched_on_again_after_a_gap_or_within_the_span_of_its_counters(write, gap, first, before):
-    counts = [(0.1 * row, before + 20 * row) for row in range(5)]
-    counts += [(0.4 + gap + 0.1 * row, first + 20 * row) for row in range(5)]
-    rows = "".join(f"{time:.1f},{count},{count + 1000 * (count >= before)},1,1,1\n" for time, count in counts)
-    log = read_log(write(HEAD + rows), table=TableOptions(ROBOT, 1e-3, accumulated=True))
-    np.testing.assert_allclose(log.wheels[:, 0], [0.0, *[0.02] * 4, 1e-3 * first, *[0.02] * 4], atol=1e-9)
-    assert log.restarts == (pytest.approx(0.4 + gap),)
 
 
 def test_counters_that_pass_0_in_a_gap_are_read(write):
@@ -157,23 +144,6 @@ def test_columns_that_do_not_fit_are_refused(write):
     assert "--columns names a beam at 0 deg" in refusal(write(HEAD + TICKS), table=options)
     options = replace(TICK_OPTIONS, columns=("t", "left", "right", "r_90", "r_54"))
     assert "line 2: 6 columns where --columns names 5" in refusal(write(HEAD + TICKS), table=options)
-
-
-def test_a_robot_that_is_switched_on_again_counts_on(write):
-    whole = [f"{100 * row},{40 * row},{50 * row},900,800,700" for row in range(30)]
-    again = [f"{100 * row},{40 * row},{50 * row},900,800,700" for row in range(1, 10)]
-    one = read_log(write(HEAD + "\n".join([*whole, *again])), table=TICK_OPTIONS)
-    np.testing.assert_allclose(one.wheels[1:], np.tile([0.04, 0.05], (38, 1)))
-    np.testing.assert_allclose(np.diff(one.time), 0.1)
-    assert one.restarts == (pytest.approx(3.0),)
-    # A logger that writes its header again, and a clock that goes on.
-    again = [f"{2900 + 100 * row},{40 * row},{50 * row},900,800,700" for row in range(1, 10)]
-    text = HEAD + "\n".join([*whole, HEAD.strip(), *again])
-    two = read_log(write(text), table=TICK_OPTIONS)
-    np.testing.assert_allclose(two.wheels, one.wheels)
-    assert two.restarts == one.restarts
-    warning = log_warnings(two)[0]
-    assert "begin to count again at 3.0 s" in warning
 
 
 def test_a_clock_that_steps_back_without_its_counters_is_refused(write):
