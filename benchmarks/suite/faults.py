@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from benchmarks.suite.jobs import FAULTS, Job, Metric
-from limslam_agent.runs.episode import Episode
+from limslam_agent.runs.record import Episode
 from limslam_agent.status.status import LEVELS
 from limslam_env.geometry import BoolArray, FloatArray, ReadingArray
 from limslam_env.geometry.se2 import wrap_angle

@@ -16,7 +16,8 @@ from limslam_agent.config.ablations import ablated
 from limslam_agent.config.presets import OdometryConfig, preset
 from limslam_agent.output.export import plain
 from limslam_agent.replay.options import odometry_config
-from limslam_agent.runs.episode import Episode, run_episode
+from limslam_agent.runs.episode import run_episode
+from limslam_agent.runs.record import Episode
 from limslam_agent.runs.results import cost, score, trajectory_scores
 from limslam_agent.runs.run_config import RunConfig
 from limslam_env.geometry import FloatArray

@@ -12,8 +12,9 @@ from limslam_agent.arena.tracks import Plan
 from limslam_agent.policies.policy import Policy
 from limslam_agent.runs.actor_checks import is_policy
 from limslam_agent.runs.actor_policy import ActorPolicy
-from limslam_agent.runs.episode import Episode, run_episode
+from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.policy_file import made_by_file, naming_lines_of
+from limslam_agent.runs.record import Episode
 from limslam_agent.runs.results import cost, score
 from limslam_agent.runs.run_config import RunConfig
 

@@ -25,7 +25,8 @@ from limslam_agent.output.finished_run import COVARIANCES
 from limslam_agent.output.run_folder import RESULT_FILE, new_folder
 from limslam_agent.output.tum import write_tum
 from limslam_agent.replay.replay import replay_log, write_replay
-from limslam_agent.runs.episode import Episode, run_episode
+from limslam_agent.runs.episode import run_episode
+from limslam_agent.runs.record import Episode
 from limslam_agent.runs.results import versions
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.runs.score_files import ScoredFiles

@@ -13,7 +13,7 @@ from limslam_agent.cli.terminal import print_table, progress_bar, warn
 
 if TYPE_CHECKING:
     from limslam_agent.arena.leaderboard import Board
-    from limslam_agent.runs.episode import Episode
+    from limslam_agent.runs.record import Episode
 
 arena = typer.Typer(name="arena", no_args_is_help=True, help="A benchmark that anybody can enter: run, verify, page.")
 

@@ -15,7 +15,7 @@ from limslam_agent.cli.terminal import Advance, progress_bar, warn
 
 if TYPE_CHECKING:
     from limslam_agent.mapping.team import LimSlamTeam
-    from limslam_agent.runs.episode import Episode
+    from limslam_agent.runs.record import Episode
     from limslam_agent.runs.run_config import RunConfig
     from limslam_env.envs.parallel_env import LimSlamParallelEnv
 

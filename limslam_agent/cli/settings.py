@@ -348,11 +348,12 @@ def replay_agent(given: Given, options: ReplayOptions) -> "AgentConfig":
     ValueError
         If they cannot be used.
     """
-    from limslam_agent.replay.options import odometry_config, replay_config
+    from limslam_agent.config.presets import preset
+    from limslam_agent.replay.options import odometry_config
+    from limslam_env.interface import NominalNoise
 
-    told = given.options
-    base = replay_config(options.preset, options.noise, options.odometry_noise, options.odometry_bias)
-    agent = given.agent(base)
+    told, in_file = given.options, odometry_config(options.odometry_noise, options.odometry_bias)
+    agent = given.agent(replace(preset(options.preset, NominalNoise(options.noise)), odometry=in_file))
     # An option wins over the file's table of the same settings.
     odometry = odometry_config(told.get("odometry_noise"), told.get("odometry_bias"), agent.odometry)
     return replace(agent, odometry=odometry)

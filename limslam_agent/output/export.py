@@ -37,11 +37,6 @@ def plain(values: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def finite(scores: dict[str, float | None]) -> dict[str, float | None]:
-    """The scores with None for numbers that are not finite, because JSON cannot hold them."""
-    return {name: value if value is not None and math.isfinite(value) else None for name, value in scores.items()}
-
-
 class WallsAndGrid(Protocol):
     """The final map of a run or a replay, from which every file of the map, its picture and its scores are made."""
 

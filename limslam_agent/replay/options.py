@@ -3,10 +3,9 @@
 import math
 from dataclasses import replace
 
-from limslam_agent.config.presets import AgentConfig, OdometryConfig, preset
+from limslam_agent.config.presets import OdometryConfig
 from limslam_agent.logs.directions import degrees_of
 from limslam_agent.logs.ros_topics import Topics
-from limslam_env.interface import NominalNoise
 
 
 def numbers(option: str, text: str, count: int | None = None, low: float = -1e6) -> list[float]:
@@ -58,18 +57,6 @@ def odometry_config(noise: str | None, bias: str | None, odometry: OdometryConfi
             raise ValueError(f"--odometry-bias: the scale must lie between 0.01 and 100, not {scale:g}")
         odometry = replace(odometry, turn_bias=math.radians(turn), distance_scale=scale)
     return odometry
-
-
-def replay_config(name: str, noise: float, odometry_noise: str | None, odometry_bias: str | None) -> AgentConfig:
-    """The settings of a preset with what ``--noise``, ``--odometry-noise`` and ``--odometry-bias`` say.
-
-    Raises
-    ------
-    ValueError
-        If one of them is not what it should be.
-    """
-    config = preset(name, NominalNoise(noise))
-    return replace(config, odometry=odometry_config(odometry_noise, odometry_bias))
 
 
 def chosen_topics(text: str | None) -> Topics:

@@ -1,8 +1,9 @@
 """One interface for anything that can act: from the observations of all robots to the actions of all robots."""
 
 import copy
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -18,8 +19,8 @@ Observations = Mapping[str, Any]
 Actions = Mapping[str, Any]
 
 
-class Driver(Protocol):
-    """Drives the robots of an episode.
+class Driver(ABC):
+    """Drives the robots of an episode. This one never says that it is done, and believes nothing.
 
     Attributes
     ----------
@@ -29,28 +30,28 @@ class Driver(Protocol):
         Object with a ``snapshot()`` of what is believed, or None if there is no such object.
     """
 
-    can_stop: bool
-    snapshot_source: Any
+    can_stop = False
+    snapshot_source: Any = None
 
+    @abstractmethod
     def reset(self, start_poses: Mapping[str, FloatArray], seed: int) -> None:
         """Start again. ``start_poses`` are known poses (3,) of the robots by their names: x (m), y (m), heading
         (rad).
         """
-        ...
 
+    @abstractmethod
     def act(self, observations: Observations) -> Actions:
         """Wheel speeds (2,) of each robot by its name."""
-        ...
 
     @property
     def done(self) -> bool:
         """Whether there is nothing left to do."""
-        ...
+        return False
 
     @property
     def stop_reason(self) -> str | None:
         """Why there is nothing left to do, in words. None if that is unknown."""
-        ...
+        return None
 
 
 def driver_of(
@@ -112,7 +113,7 @@ def _function_driver(actor: Any, *, is_team: bool) -> Driver:
     return _SingleActor(actor, actor, is_team=is_team)
 
 
-class _AgentDriver:
+class _AgentDriver(Driver):
     """Drives robots by an agent, which gets new policies in each episode.
 
     Parameters
@@ -159,7 +160,7 @@ def _copied(policy: Any) -> Any:
         ) from error
 
 
-class _SingleActor:
+class _SingleActor(Driver):
     """One actor for all robots. In a team it answers all observations at once. Otherwise it answers those of one
     robot.
     """
@@ -192,10 +193,8 @@ class _SingleActor:
         return getattr(self._actor, "stop_reason", None)
 
 
-class _ModelActor:
+class _ModelActor(Driver):
     """A model in the style of Stable-Baselines3. The state of a recurrent model is kept for each robot."""
-
-    can_stop, snapshot_source, done, stop_reason = False, None, False, None
 
     def __init__(self, model: Any) -> None:
         self._model = model
@@ -216,10 +215,8 @@ class _ModelActor:
         return action
 
 
-class _ActorPerRobot:
+class _ActorPerRobot(Driver):
     """A separate actor for each robot."""
-
-    snapshot_source = None
 
     def __init__(self, drivers: Mapping[str, Driver]) -> None:
         self._drivers = drivers

@@ -6,14 +6,13 @@ record of the run.
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from limslam_agent.mapping.joining import Joined, JoiningMapper
-from limslam_agent.mapping.team import LimSlamTeam, Snapshot
+from limslam_agent.mapping.team import LimSlamTeam
 from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.places.saved_map import read_saved_map
 from limslam_agent.policies.policy import NOT_EXPLORED, Policy
@@ -21,131 +20,18 @@ from limslam_agent.runs.actor_policy import ActorPolicy
 from limslam_agent.runs.kidnapping import another_place
 from limslam_agent.runs.oracle import Oracle, TruePoseExplorer, policies_for
 from limslam_agent.runs.policy_file import naming_lines_of
+from limslam_agent.runs.record import Episode
 from limslam_agent.runs.run_config import RunConfig
-from limslam_agent.runs.smoothing import FinalMap, final_map, smooth_episode
-from limslam_agent.slam.core.diagnostics import Closure
-from limslam_agent.slam.core.motion import OdometryCalibration
-from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.slam import AssociationRecord
 from limslam_agent.status.status import LEVELS
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, turned
 from limslam_env.interface import Observation
-from limslam_env.simulation.coverage import CoverageGrid
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.regions import start_region
 from limslam_env.worlds.world import World
 
-if TYPE_CHECKING:
-    from limslam_agent.slam.line_graph.smoother import SmoothedRun
-
 OUT_OF_TIME = "time: the run's longest time is over"
-
-
-@dataclass(frozen=True, eq=False)
-class Episode:
-    """The record of a run, with one row for each step. Row 0 is the moment of the reset.
-
-    Attributes
-    ----------
-    config, world
-        Settings and world of the run.
-    time
-        (t,), s.
-    ranges, wheels
-        Observations of the n robots: (t, n, n_beams), m, and (t, n, 2), m.
-    actions
-        Answer to each observation (t, n, 2). The action of a row leads to the next row.
-    true, estimated, odometry
-        Poses (t, n, 3): the truth, the estimate, and odometry alone.
-    covariances
-        Covariances of the estimated poses (t, n, 3, 3).
-    levels
-        Status of each robot's estimate (t, n), as an index into ``status.LEVELS``: 0 ok, 1 unsure, 2 lost.
-    wall_seen
-        What each beam truly hit (t, n, n_beams).
-    dropped
-        Beams that were ignored because they may have hit another robot (t, n, n_beams).
-    coverage, contact
-        True coverage by all robots together (t,), and whether each robot touches something (t, n).
-    associations, closures
-        The association of each observed line, and the loops that were closed.
-    calibrations
-        Each robot's odometry calibration and its covariance (3, 3) at the end; None where none was needed.
-    sensor
-        How the range sensors measure, as the SLAM takes it at the end. None if it estimates nothing of the kind.
-    beam_turns
-        By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad, as the SLAM takes it at
-        the end; None if it takes no beam to be turned.
-    snapshot
-        What is believed at the end.
-    coverage_grid
-        The cells that count for coverage.
-    places
-        What happened when the robot was lost.
-    in_prior_map
-        Whether the robot's place in an earlier map was found. The poses are in the frame of that map then.
-    stop_reason, is_finished
-        Why the run ended, and whether the agent itself said so.
-    slam_ms, decide_ms, wall_clock
-        Cost of a step: the SLAM alone (t,), ms, and the grid with the policies (t,), ms. Cost of the whole loop, s.
-    joined
-        The poses in the shared frame until two robots with unknown starts were joined; None without it.
-    """
-
-    config: RunConfig
-    world: World
-    time: FloatArray
-    ranges: FloatArray
-    wheels: FloatArray
-    actions: FloatArray
-    true: FloatArray
-    estimated: FloatArray
-    odometry: FloatArray
-    covariances: FloatArray
-    levels: IntArray
-    wall_seen: IntArray
-    dropped: BoolArray
-    coverage: FloatArray
-    contact: BoolArray
-    associations: list[AssociationRecord]
-    closures: list[Closure]
-    calibrations: list[tuple[OdometryCalibration, FloatArray] | None]
-    places: PlaceHistory
-    in_prior_map: bool
-    snapshot: Snapshot
-    coverage_grid: CoverageGrid
-    stop_reason: str
-    is_finished: bool
-    slam_ms: FloatArray
-    decide_ms: FloatArray
-    wall_clock: float
-    joined: Joined | None = None
-    sensor: RangeSensor | None = None
-    beam_turns: FloatArray | None = None
-
-    @property
-    def placed_steps(self) -> slice:
-        """The steps in which the poses are known in the frame of the map. A lost robot may end in another one."""
-        known = self.places.placed
-        return known if self.config.robots == 1 and known.stop != 0 else slice(None)
-
-    @property
-    def placed_robots(self) -> int:
-        """Number of robots whose place in the map is known at the end: the first ones."""
-        return 1 if self.config.unknown_starts and self.joined is None else self.config.robots
-
-    @cached_property
-    def smoothed(self) -> "SmoothedRun | None":
-        """All poses and walls by what was known at the end; None if the run was not smoothed."""
-        return smooth_episode(self)
-
-    @cached_property
-    def final_map(self) -> FinalMap:
-        """The map by what was known at the end. It is drawn from the smoothed poses if the run was smoothed."""
-        return final_map(self)
-
 
 Watcher = Callable[[LimSlamTeam, LimSlamParallelEnv, float, float], None]
 """Called at each step, after the team has decided, with team, env, simulated time (s) and true coverage (0 to 1)."""

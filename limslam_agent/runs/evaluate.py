@@ -66,9 +66,8 @@ def evaluate(
     wrap
         Wraps the bare environment into the one that the actor sees.
     **arguments
-        Arguments of the environment, such as ``sensor_noise=0.02`` or ``num_robots=3``. A number as ``noise`` is the
-        ``sensor_noise``. ``coverage_goal`` is by default None for an actor that says itself when it is ``done``, else
-        0.99.
+        Arguments of the environment, such as ``sensor_noise=0.02`` or ``num_robots=3``. ``coverage_goal`` is by default
+        None for an actor that says itself when it is ``done``, else 0.99.
 
     Returns
     -------
@@ -84,7 +83,7 @@ def evaluate(
         trained on other observations, for example), or an answer of the actor is not an action.
     """
     _check(actor, env_id, max_time, preset)
-    seeds, arguments = _seeds(seeds), _with_plain_noise(arguments)
+    seeds = _seeds(seeds)
     is_team = env_id.startswith(_TEAMS)
     robot = robot_of(arguments.get("robot"))
     driver = driver_of(actor, is_team=is_team, robot=robot, noise=_nominal_noise(arguments), preset_name=preset)
@@ -125,18 +124,6 @@ def _seeds(seeds: Any) -> list[int]:
     if not found or not all(isinstance(seed, int | np.integer) and seed >= 0 for seed in found):
         raise ValueError(f"seeds must be whole numbers from 0, at least one of them, not {seeds!r}")
     return [int(seed) for seed in found]
-
-
-def _with_plain_noise(arguments: dict[str, Any]) -> dict[str, Any]:
-    """The arguments of the environment, with a number that was given as ``noise`` as ``sensor_noise``."""
-    noise = arguments.get("noise")
-    if noise is None or isinstance(noise, NoiseConfig):
-        return arguments
-    if not isinstance(noise, int | float) or isinstance(noise, bool):
-        raise ValueError(f"noise must be a NoiseConfig or a standard deviation of the ranges, m, not {noise!r}")  # noqa: TRY004
-    if "sensor_noise" in arguments:
-        raise ValueError("noise as a number and sensor_noise are the same: give only one of them")
-    return {name: value for name, value in arguments.items() if name != "noise"} | {"sensor_noise": noise}
 
 
 def _nominal_noise(arguments: dict[str, Any]) -> NominalNoise:

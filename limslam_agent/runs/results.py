@@ -12,17 +12,17 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.output.cost import run_cost
-from limslam_agent.output.export import WallsAndGrid, finite, map_content, write_covariances, write_json, write_map
+from limslam_agent.output.export import WallsAndGrid, map_content, plain, write_covariances, write_json, write_map
 from limslam_agent.output.finished_run import COVARIANCES, UNPLACED, WORLD, run_title
 from limslam_agent.output.summary import calibration_record, place_records, record_of, turn_records
 from limslam_agent.output.tum import write_paths
 from limslam_agent.policies.policy import NOT_EXPLORED
-from limslam_agent.runs.episode import Episode
 from limslam_agent.runs.optimum import offline_optimum
 from limslam_agent.runs.oracle import explores
 from limslam_agent.runs.policy_file import short_name
+from limslam_agent.runs.record import Episode, FinalMap
 from limslam_agent.runs.run_config import RunConfig
-from limslam_agent.runs.smoothing import FinalMap, final_status, mean_scores, online_map, smoothed_scores
+from limslam_agent.runs.smoothing import final_status, mean_scores, smoothed_scores
 from limslam_agent.status.status import status_scores, worst
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
@@ -55,7 +55,7 @@ def trajectory_scores(
     return {
         **metrics.trajectory_metrics(true, estimated),
         **{f"odometry_{name}": by_odometry[name] for name in ("ate_m", "heading_rmse_deg")},
-        **finite(metrics.consistency_metrics(true, estimated, covariances)),
+        **plain(metrics.consistency_metrics(true, estimated, covariances)),
     }
 
 
@@ -64,7 +64,7 @@ def score(episode: Episode) -> dict[str, Any]:
     config = episode.config
     events, closed = _events(episode), [(closure.older, closure.younger) for closure in episode.closures]
     placed = slice(episode.placed_robots)  # the poses of a robot that was not placed are in a frame of its own
-    known, online = episode.placed_steps, None if episode.smoothed is None else online_map(episode)
+    known, online = episode.placed_steps, None if episode.smoothed is None else episode.online_map
     columns = (episode.true, episode.estimated, episode.odometry, episode.covariances)
     trajectory = team_scores(*(rows[:, placed] for rows in columns))
     limit = offline_optimum_scores(episode, trajectory["ate_m"]) if config.limit else {}
@@ -201,7 +201,7 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
     write_world(episode.world, folder / WORLD)
     write_map(folder, episode.final_map)
     if smoothed is not None:
-        write_json(folder / "map_online.json", map_content(online_map(episode)))
+        write_json(folder / "map_online.json", map_content(episode.online_map))
     if episode.places.unplaced is not None:
         write_json(folder / UNPLACED, map_content(episode.places.unplaced, "local"))
     _draw(folder / "map.png", episode)

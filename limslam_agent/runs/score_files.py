@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from limslam_agent.logs.relations import read_relations, relation_errors, summary
-from limslam_agent.output.export import finite
+from limslam_agent.output.export import plain
 from limslam_agent.output.finished_run import read_walls
 from limslam_agent.output.tum import TrajectoryError, read_rows, read_tum
 from limslam_agent.safe_files import load_arrays
@@ -213,7 +213,7 @@ def trajectory_scores(pairs: Pairs) -> dict[str, float | int | None]:
         **metrics.trajectory_metrics(pairs.true, pairs.estimated),
     }
     if pairs.covariances is not None:
-        scores |= finite(metrics.consistency_metrics(pairs.true, pairs.estimated, pairs.covariances))
+        scores |= plain(metrics.consistency_metrics(pairs.true, pairs.estimated, pairs.covariances))
     return scores
 
 

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 from PIL import Image as Pictures
 
-from limslam_agent.output.atomic_write import atomic_write
+from limslam_agent.output.atomic_write import atomic_write, check_target
 from limslam_agent.output.style import PALETTE, Image
 
 SUFFIXES = (".mp4", ".gif")
@@ -86,19 +86,15 @@ def video_file(path: str | Path, fps: float, *, force: bool = False) -> Iterator
 
     Raises
     ------
+    OutputError
+        If the suffix is another one, or something exists at the path.
     VideoError
-        Before the first frame: if the suffix is another one, something exists at the path, or the encoder for .mp4 is
-        missing. At the end: if there was no frame.
+        Before the first frame: if the encoder for .mp4 is missing. At the end: if there was no frame.
     OSError
         If the file cannot be written there.
     """
     target = Path(path).absolute()
-    if target.suffix.lower() not in SUFFIXES:
-        raise VideoError(f"{path}: a video ends in {' or '.join(SUFFIXES)}")
-    if target.is_dir():
-        raise VideoError(f"{path}: is a folder")
-    if target.exists() and not force:
-        raise VideoError(f"{path}: already exists; --force replaces it")
+    check_target(target, "a video", SUFFIXES, force=force)
     program = _ffmpeg() if target.suffix.lower() == ".mp4" else None
     with atomic_write(target) as beside:
         writer = VideoWriter(

@@ -127,16 +127,6 @@ def test_the_page_shows_entries_runs_and_curves(opened):
     assert opened.run("plot.data[2].at(-1)") == 0.75
 
 
-def test_a_heading_sorts_and_sorts_the_other_way(opened):
-    opened.click("#entries th:nth-child(3) button")
-    assert column_of(opened, "entries", 1)[0] == "Oracle"
-    opened.click("#entries th:nth-child(3) button")
-    assert column_of(opened, "entries", 1)[0] == "Slow"
-    assert opened.run("document.querySelector('#entries th:nth-child(3)').ariaSort") == "descending"
-    opened.click("#entries th:nth-child(1) button")
-    assert column_of(opened, "entries", 0) == ["1", "2", "3", "-"]  # what has no place is last
-
-
 def test_a_name_shows_the_runs_of_its_entry_and_a_run_opens_in_the_inspector(opened):
     opened.click("#entries tbody tr:nth-child(2) td:nth-child(2) button")
     assert opened.run("document.getElementById('runs-title').textContent") == "Runs of Wrong <b>"

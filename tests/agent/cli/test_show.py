@@ -3,7 +3,6 @@
 import json
 import shutil
 
-import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 from PIL import Image as Pictures
@@ -13,8 +12,6 @@ from limslam_agent import Mapper, save_map
 from limslam_agent.cli.show import show, true_edges
 from limslam_agent.output.export import write_json
 from limslam_agent.output.finished_run import FolderError, read_run
-from limslam_agent.output.run_picture import draw_run
-from limslam_agent.output.summary import replay_summary, run_summary
 from limslam_agent.output.tum import write_tum
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import write_episode
@@ -110,52 +107,8 @@ def test_replays_and_several_robots_are_drawn(tmp_path, config, robots, truth, l
     assert run.is_replay == ("log" in config)
 
 
-def test_a_summary_leaves_out_what_is_not_known():
-    full = run_summary(METRICS, {"speed_x_real_time": 80.0})
-    assert full == [
-        "stopped     explored: no frontier is left",
-        "            after 20.0 s and 3.2 m",
-        "covered     98.0% of what can be seen, 1 collision",
-        "error       0.050 m rms; by odometry alone 0.210 m",
-        "map         2 walls, F1 0.90 at 10 cm when aligned",
-        "speed       80 x real time",
-    ]
-    assert len(run_summary({**METRICS, "exploration_time_s": None}, {})) == 4
-    assert run_summary({}, {}) == ["stopped     for an unknown reason"]
-    lost = {"status": "lost", "status_reason": "9 of 90 readings contradict the map", "lost_s": 12.3}
-    assert replay_summary(lost) == ["status      lost: 9 of 90 readings contradict the map; lost for 12 s"]
-    assert run_summary({**METRICS, "status": "ok", "status_reason": "", "lost_s": 0.0}, {})[3] == "status      ok"
-    smoothed = {**METRICS, "status": "ok", "status_reason": "", "ate_smoothed_m": 0.1}
-    assert run_summary(smoothed, {})[3] == "status      ok while driving"
-    times = {"ok_s": 812.4, "unsure_s": 120.0, "lost_s": 0.0}
-    assert run_summary({**smoothed, **times}, {})[3] == "status      while driving ok for 812 s, unsure for 120 s"
-    ended = {**smoothed, **times, "status": "unsure", "status_reason": "why"}
-    assert run_summary(ended, {})[3].endswith("unsure for 120 s; at its end unsure: why")
-    noted = {**smoothed, "lost_s": 9.0, "status_note": "lost while driving, from 1 s to 10 s"}
-    assert run_summary(noted, {})[3] == "status      ok; lost while driving, from 1 s to 10 s"
-    assert run_summary({**noted, "status_note": ""}, {})[3] == "status      ok"
-    relations = {
-        f"{prefix}relation_error_{unit}": 0.5 for prefix in ("", "loop_", "odometry_") for unit in ("m", "deg")
-    }
-    told = replay_summary({**relations, "landmarks": 5})
-    assert len(told) == 3
-    assert "loops" in told[0]
-    assert "loops" not in told[1]
-    assert told[0].startswith("relations   filter, while driving  0.500 m")
-    assert replay_summary({}) == []
-    same = {f"raw_{name}": value for name, value in relations.items() if name.startswith("odometry_")}
-    names = [line[12:].split("  ")[0] for line in replay_summary({**relations, **same})]
-    assert names == ["filter, while driving", "odometry, raw"]
-    other = dict.fromkeys(same, 0.6)
-    assert sum("odometry" in line for line in replay_summary({**relations, **other})) == 2
-
-
 def spoil_json(folder):
     (folder / "result.json").write_text('{"metrics": ')
-
-
-def drop_metrics(folder):
-    write_json(folder / "result.json", {"config": {}, "cost": {}})
 
 
 def drop(name):
@@ -171,15 +124,10 @@ def write(name, words):
     [
         (drop("result.json"), "no result.json"),
         (spoil_json, "is not JSON"),
-        (drop_metrics, "no metrics"),
-        (lambda folder: (folder / "result.json").write_bytes(b"\xff\xfe{}"), "is not JSON"),
-        (drop("map.json"), "map.json"),
         (write("map.json", '{"segments": [[1, 2, 3]]}'), "four numbers"),
         (drop("trajectory_est.tum"), "no trajectory_est.tum"),
-        (write("trajectory_est.tum", "# nothing\n"), "is empty"),
         (write("trajectory_est.tum", "0 1 2 3\n"), "line 1 is not t x y z"),
         (write("trajectory_true.tum", "0 0 0 0 0 0 0 1\n"), "have other robots or times"),
-        (lambda folder: (folder / "trajectory_est.tum").write_bytes(b"\xff\x00\xff"), "cannot be read"),
     ],
 )
 def test_what_is_missing_or_damaged_is_said_in_one_line(tmp_path, spoil, words):
@@ -189,37 +137,6 @@ def test_what_is_missing_or_damaged_is_said_in_one_line(tmp_path, spoil, words):
         invoke(show, folder)
     assert str(folder) in str(refused.value)
     assert isinstance(refused.value, FolderError)
-
-
-def spoilt_in_the_middle(folder):
-    np.savez_compressed(folder / "log.npz", wheels=np.random.default_rng(0).normal(size=(30, 2)))
-    data = bytearray((folder / "log.npz").read_bytes())
-    data[200:260] = bytes(60)
-    return bytes(data)
-
-
-def another_array(folder):
-    np.save(folder / "log.npy", np.zeros(3))
-    return (folder / "log.npy").read_bytes()
-
-
-@pytest.mark.parametrize(
-    "damage",
-    [lambda _: b"", lambda _: b"PK\x03\x04 and nothing more", lambda _: b"words", spoilt_in_the_middle, another_array],
-)
-def test_a_damaged_log_is_refused_and_a_missing_one_is_not(tmp_path, damage):
-    folder = write_folder(tmp_path / "run", config={"world": "hall", "robot": {"axle": 0.16}})
-    assert read_run(folder).odometry == []
-    (folder / "log.npz").write_bytes(damage(folder))
-    with pytest.raises(FolderError, match="is damaged"):
-        read_run(folder)
-
-
-def test_a_log_of_pickled_objects_is_not_opened(tmp_path):
-    folder = write_folder(tmp_path / "run", config={"world": "hall", "robot": {"axle": 0.16}})
-    np.savez(folder / "log.npz", wheels=np.array([{"a": 1}], dtype=object))
-    with pytest.raises(FolderError, match="is damaged"):
-        read_run(folder)
 
 
 def test_a_folder_must_be_one(tmp_path):
@@ -261,22 +178,3 @@ def test_a_folder_with_the_map_of_a_live_robot_names_its_picture(limslam, tmp_pa
     assert said.rstrip().endswith(
         "there is no result.json; it holds the map of a live robot, which is drawn in map.png"
     )
-
-
-def test_the_band_of_a_run_is_what_the_filter_said_of_its_error(tmp_path):
-    episode = run_episode(RunConfig("env1", 0.02, max_time=12.0, seed=300))
-    write_episode(tmp_path, episode)
-    run = read_run(tmp_path)
-    np.testing.assert_allclose(run.covariances[0], episode.covariances[:, 0], rtol=1e-6, atol=1e-12)
-    np.testing.assert_allclose(run.smoothed_covariances[0], episode.smoothed.covariances[:, 0], rtol=1e-6, atol=1e-12)
-    figure = plt.figure()
-    try:
-        draw_run(figure, run, [])
-        upper, lower = figure.axes[1:3]
-        assert {"2 sigma, online", "2 sigma, smoothed"} <= {text.get_text() for text in upper.get_legend().get_texts()}
-        assert [len(axes.collections) for axes in (upper, lower)] == [2, 2]
-        top = upper.collections[0].get_paths()[0].vertices[:, 1].max()
-        covariances = episode.covariances[:, 0]
-        assert top == pytest.approx(2.0 * np.sqrt(covariances[:, 0, 0] + covariances[:, 1, 1]).max(), rel=1e-5)
-    finally:
-        plt.close(figure)

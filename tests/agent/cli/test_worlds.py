@@ -87,11 +87,8 @@ def test_a_bad_file_is_refused_with_the_reason(limslam, good, damage, words):
     [
         (("worlds", "check"), "FILE"),
         (("worlds", "check", "atlantis"), "atlantis"),
-        (("worlds", "check", "missing.toml"), "missing.toml"),
         (("worlds", "check", "env1", "--radius", "2"), "starts[0]"),
         (("worlds", "check", "env1", "--radius", "0"), "--radius"),
-        (("worlds", "convert", "env1"), "target"),
-        (("play", "--world", "atlantis"), "atlantis"),
     ],
 )
 def test_bad_arguments_get_one_line(limslam, arguments, words, tmp_path, monkeypatch):
@@ -106,20 +103,6 @@ def test_a_converted_world_is_the_same_world(limslam, tmp_path):
     assert (code, error) == (0, "")
     assert str(target) in out
     assert load_world(target) == load_world("env1")
-
-
-def test_a_file_is_only_replaced_by_force(limslam, good):
-    before = good.read_text()
-    assert_refused(limslam("worlds", "convert", "env1", good), "--force")
-    assert good.read_text() == before
-    assert limslam("worlds", "convert", "env1", good, "--force")[0] == 0
-    assert load_world(good).name == "env1"
-
-
-@pytest.mark.parametrize("name", ["map.png", "map", "there/map.toml"])
-def test_a_target_that_cannot_be_written_is_refused(limslam, tmp_path, name):
-    assert_refused(limslam("worlds", "convert", "env1", tmp_path / name), "map")
-    assert not list(tmp_path.iterdir())
 
 
 def test_play_without_pygame_or_a_display_says_so(limslam, monkeypatch):

@@ -34,10 +34,6 @@ def text(opened, name):
     return opened.run(f"document.getElementById({json.dumps(name)}).textContent")
 
 
-def picture_of(opened, name):
-    return opened.run(f"document.getElementById({json.dumps(name)}).toDataURL()")
-
-
 def test_the_page_begins_at_the_start_and_shows_both_pictures(opened):
     assert opened.run(FRAME) == 0
     for name in ("truth", "belief"):
@@ -89,13 +85,6 @@ def test_play_and_pause(opened):
     assert opened.run("player.frame === player.recording.frames - 1")
 
 
-def test_the_slider_scrubs(opened):
-    opened.run("const s = document.getElementById('slider'); s.value = 77; s.dispatchEvent(new Event('input'))")
-    assert opened.run(FRAME) == 77
-    assert text(opened, "clock") == "7.7 s"
-    assert opened.run("document.getElementById('slider').getAttribute('aria-valuetext')") == "7.7 s"
-
-
 def test_a_link_opens_its_moment(chromium, page):
     chromium.open(page, fragment="#t=12.3")
     assert chromium.run("player.recording.seconds[player.frame]") == pytest.approx(12.3)
@@ -105,30 +94,6 @@ def test_a_link_opens_its_moment(chromium, page):
     assert chromium.run("location.hash") == "#t=4.6"
     chromium.click("#link")
     chromium.wait_for("document.getElementById('link').textContent === 'Copied'")
-
-
-@pytest.mark.parametrize("layer", ["grid", "beams", "bands", "path", "smoothed"])
-def test_each_layer_changes_the_picture(opened, layer):
-    opened.run("player.stopAt(200)")
-    before = picture_of(opened, "belief")
-    opened.click(f"#layers input[data-layer='{layer}']")
-    changed = picture_of(opened, "belief")
-    assert changed != before
-    opened.click(f"#layers input[data-layer='{layer}']")
-    assert picture_of(opened, "belief") == before
-
-
-def test_zoom_follow_and_fit(opened):
-    opened.run("player.stopAt(100)")
-    opened.click("#zoom-in")
-    assert opened.run("player.scene.zoom") == pytest.approx(1.4)
-    opened.click("#zoom-out")
-    assert opened.run("player.scene.zoom") == pytest.approx(1.0)
-    opened.click("#follow")
-    pose = opened.run("player.recording.poseOf('pose', player.frame, 0)")
-    assert opened.run("player.scene.centre") == pytest.approx(pose[:2])
-    opened.click("#fit")
-    assert opened.run("[player.scene.zoom, player.scene.follows]") == [1, False]
 
 
 def test_the_panels_tell_the_moment(opened):
@@ -209,13 +174,3 @@ def test_the_page_of_a_log_shows_the_belief_alone(chromium, tmp_path, run_folder
     assert chromium.run("document.getElementById('truth')") is None
     assert chromium.run("document.querySelectorAll('#plots .uplot').length") == 3
     assert chromium.errors == []
-
-
-def test_a_damaged_page_says_so(chromium, page, tmp_path):
-    broken = tmp_path / "page.html"
-    content = page.read_text(encoding="utf-8")
-    broken.write_text(content.replace(data_in(page), data_in(page)[: len(data_in(page)) // 8 * 4]), encoding="utf-8")
-    chromium.open(broken)
-    assert chromium.run("document.body.dataset.state") == "failed"
-    assert "cannot be shown" in text(chromium, "loading")
-    chromium.errors.clear()

@@ -119,16 +119,11 @@ def test_a_robot_behind_a_serial_port_is_driven_and_stopped(emulator, tmp_path):
     [
         ((), "either --serial PORT, --udp PORT or --ros2 is needed"),
         (("--udp", 9, "--serial", "x"), "--serial and --udp are different places: the robot is at one of them only"),
-        (("--ros2", "--udp", 9, "--serial", "x"), "--serial, --udp and --ros2 are different places: the robot is at"),
-        (("--udp", 0, "--policy", "nothing"), "no policy is called 'nothing'; there are frontier"),
         (("--udp", 0, "--policy", "oracle"), "the policy 'oracle' knows the truth"),
-        (("--udp", 0, "--policy", "mine.py:Turn"), "mine.py: no such file"),
         (("--udp", 70000), "a UDP port is a number up to 65535, not 70000"),
         (("--serial", "/dev/there-is-none"), "there-is-none: cannot be opened"),
         (("--udp", 0, "--patience", 0.1), "no robot has answered within 0.1 s"),
         (("--udp", 0, "--patience", -1), "--patience must be a number from 0.1 to 3600"),
-        (("--udp", 0, "--robot", "nobody"), "no robot is called 'nobody'"),
-        (("--udp", 0, "--preset", "none"), "none"),
     ],
 )
 def test_what_cannot_be_is_refused_in_one_line_and_leaves_nothing(told, words, tmp_path):

@@ -12,7 +12,7 @@ from support.command_line import call
 from support.ros2 import Listener, start, wait_for
 
 from limslam_agent.cli.main import main
-from limslam_agent.live.ros2.node import PACKAGES, ros_node
+from limslam_agent.live.ros2.node import PACKAGES
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.output.finished_run import read_run
 from limslam_env.geometry.se2 import between
@@ -150,21 +150,6 @@ def test_a_scan_that_ends_stops_the_wheels_and_ends_the_session(processes, liste
     assert read_log(folder / "log.npz").robot.beams[0].x == 0.0
 
 
-@pytest.mark.parametrize("order", ["stop", "is_paused"])
-def test_an_order_to_stand_holds_no_old_speeds(order, monkeypatch):
-    heard = []
-    with ros_node([]) as node:
-        monkeypatch.setattr(node, "_speeds", lambda twist: heard.append(twist.linear.x))
-        node.drive(0.2, 0.0)
-        node.hold()
-        setattr(node.orders, order, True)
-        node.hold()
-        node.hold()
-        assert heard == [0.2, 0.2, 0.0]
-        node.drive(0.2, 0.0)
-        assert heard[3:] == [0.0]
-
-
 def test_a_bag_that_is_played_gives_the_map_of_its_run(processes, listener, tmp_path):
     pytest.importorskip("rosbags", reason="needs the extra ros (rosbags)")
     run, bag, folder = tmp_path / "run", tmp_path / "bag", tmp_path / "room"
@@ -189,24 +174,3 @@ def test_a_bag_that_is_played_gives_the_map_of_its_run(processes, listener, tmp_
     true, estimated = original.true_pose[rows], read_run(folder).estimated[0]
     errors = estimated - between(np.broadcast_to(true[0], true.shape), true)
     assert np.sqrt(np.mean(np.sum(errors[:, :2] ** 2, axis=1))) < 0.1
-
-
-@pytest.mark.parametrize(
-    ("told", "words"),
-    [
-        ((), "--ros2 needs --robot"),
-        (("--robot", "paper", "--", "-r", "scan:=laser"), "what follows -- is for ROS 2 and begins with --ros-args"),
-        (("--robot", "paper", "--", "--ros-args", "-p", "nonsense"), "ROS 2 cannot be started: "),
-        (("--robot", "paper", "--", "--ros-args", "-p", "perod:=0.2"), "perod: there is no such setting"),
-        (("--robot", "paper", "--", "--ros-args", "-p", "watchdog:=0.0"), "watchdog must be a number from 0.05 to 60"),
-        (("--robot", "paper", "--", "--ros-args", "-p", "range_topics:=[a]"), "range_topics has 1 topics"),
-        (("--robot", "paper", "--patience", 0.5), "there was no message on scan, odom"),
-    ],
-)
-def test_what_cannot_be_is_refused_in_one_line_and_leaves_nothing(told, words, tmp_path, monkeypatch):
-    for name, value in ros2.environment().items():
-        monkeypatch.setenv(name, value)
-    finished_call = call(main, "live", "--ros2", "--out", tmp_path / "room", *told)
-    assert finished_call.returncode == 2
-    assert words in finished_call.stderr.splitlines()[-1]
-    assert list(tmp_path.iterdir()) == []

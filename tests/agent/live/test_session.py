@@ -6,9 +6,7 @@ from support.live import Faults, Wire, emulated, session_with
 
 from limslam_agent.live.link import NoRobotError
 from limslam_agent.live.protocol import Greeting, Heartbeat, Speeds, Stop, decode
-from limslam_agent.live.recording import kept
 from limslam_agent.live.session import BY_HAND, OUT_OF_TIME
-from limslam_agent.logs.log_reader import read_log
 from limslam_agent.replay.replay import replay_log
 from limslam_env.geometry.se2 import between
 
@@ -72,28 +70,6 @@ def test_a_lost_line_loses_no_travel_and_the_map_is_whole():
     np.testing.assert_allclose(log.wheels.sum(axis=0), wire.emulator._travel, atol=0.03)
     assert errors_of(session, wire).max() < 0.15
     assert len(session.agent.slam.segments) >= 4
-
-
-def test_the_ranges_of_a_late_line_belong_to_its_own_time():
-    wire = Wire(emulated(Faults(late=0.2, late_by=0.35), seed=5))
-    session, _ = driven(wire, 8.0, policy=Drive(0.5, 0.45))
-    perfect = Wire(emulated(seed=5))
-    other, _ = driven(perfect, 8.0, policy=Drive(0.5, 0.45))
-    assert session.recording.late > 5
-    late, whole = session.recording.log(), other.recording.log()
-    count = min(len(late), len(whole)) - 6
-    assert session.recording.lost <= 3  # those that are still on their way
-    # Both robots have measured the same, as far as they have driven the same: at the start they stand.
-    np.testing.assert_allclose(late.time[:count], whole.time[:count], atol=1e-9)
-    assert (np.abs(np.diff(late.wheels, axis=0)) < 0.02).all()
-
-
-def test_speeds_reach_the_robot_in_its_own_units():
-    wire = Wire(emulated())
-    driven(wire, 2.0, policy=Drive(0.5, -3.0))
-    speeds = [message for message in map(decode, wire.sent) if isinstance(message, Speeds)]
-    assert {(each.left, each.right) for each in speeds} == {(150, -300)}
-    assert [each.answers for each in speeds] == list(range(speeds[0].answers, speeds[-1].answers + 1))
 
 
 def test_at_its_end_a_session_stops_the_wheels_whatever_the_reason():
@@ -163,29 +139,6 @@ def test_a_robot_that_never_answers_is_refused():
     wire.is_cut = True
     with pytest.raises(NoRobotError, match=r"no robot has answered within 30 s"):
         session_with(wire)
-
-
-def test_counters_may_overflow():
-    wire = Wire(emulated())
-    firmware = wire.emulator._firmware
-    firmware._seq = 2**32 - 10
-    wire.emulator._travel[:] = (2**31 - 50) * 1e-4
-    session, _ = driven(wire, 4.0, policy=Drive(0.3, 0.3))
-    log = session.recording.log()
-    assert len(log) > 35
-    np.testing.assert_allclose(np.diff(log.time), 0.1, atol=1e-9)
-    assert 0.2 < log.wheels.sum() / 2 < 0.5
-
-
-def test_a_copy_of_the_log_stays_after_an_error_only(tmp_path):
-    session, _ = driven(Wire(emulated()), 1.0)
-    path = tmp_path / "copy.npz"
-    with pytest.raises(KeyboardInterrupt), kept(session.recording, path, lambda: None):
-        raise KeyboardInterrupt
-    assert len(read_log(path)) == len(session.recording)
-    with kept(session.recording, path, lambda: None):
-        pass
-    assert list(tmp_path.iterdir()) == []
 
 
 def test_a_paused_session_maps_and_leaves_the_wheels_to_others():

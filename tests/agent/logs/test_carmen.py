@@ -1,6 +1,5 @@
 """Recorded logs: CARMEN's rules and refusals, the project's own log.npz, and which reader takes which file."""
 
-import gzip
 import math
 from pathlib import Path
 from typing import Any
@@ -14,10 +13,10 @@ from support.work import count_calls
 
 from limslam_agent.logs.carmen import beam_angles_deg, read_carmen
 from limslam_agent.logs.log_reader import DEFAULT_BEAMS_DEG, DEFAULT_MAX_RANGE, read_log
-from limslam_agent.logs.recorded_log import LogError, RecordedLog, read_npz
+from limslam_agent.logs.recorded_log import LogError, read_npz
 from limslam_agent.replay.plausibility import log_warnings
 from limslam_env.geometry import se2
-from limslam_env.interface import RobotSpec, SensorSpec
+from limslam_env.interface import RobotSpec
 
 SIX = (-90.0, -45.0, -15.0, 15.0, 45.0, 90.0)
 
@@ -126,7 +125,7 @@ def test_beams_keep_the_order_asked_for_and_fill_their_sides(write: Any) -> None
     assert log.robot.radius == 0.2
 
 
-@pytest.mark.parametrize("reading", [3.0, 3.0001, 29.99, 81.91, 1e6])
+@pytest.mark.parametrize("reading", [3.0, 81.91, 1e6])
 def test_a_reading_at_or_past_the_cap_is_nothing_seen(write: Any, reading: float) -> None:
     log = read_carmen(write(scan(changed(0, reading))), SIX, 3.0)
     np.testing.assert_array_equal(log.ranges[0], float32(3.0, 2.0, 2.0, 2.0, 2.0, 2.0))
@@ -137,14 +136,6 @@ def test_a_lasers_own_maximum_is_nothing_seen_below_a_larger_cap(write: Any, top
     log = read_carmen(write(scan(changed(0, top))), SIX, cap)
     assert log.ranges[0, 0] == np.float32(cap)
     assert log.ranges[0, 1] == 2.0
-
-
-def test_gzip_is_told_by_its_bytes_not_by_its_name(write: Any, tmp_path: Path) -> None:
-    plain = write(scan(at=1.0), scan(at=2.0), name="plain.gz")
-    packed = tmp_path / "packed.clf"
-    packed.write_bytes(gzip.compress(plain.read_bytes()))
-    for path in (plain, packed):
-        np.testing.assert_array_equal(read_carmen(path, SIX, 3.0).time, [1.0, 2.0])
 
 
 def test_the_laser_sits_where_its_pose_lies_on_the_odometrys(write: Any) -> None:
@@ -212,19 +203,11 @@ def test_a_clock_that_begins_below_zero_begins_at_zero(write: Any) -> None:
     ("line", "words"),
     [
         (scan(changed(45, "1.2.3")), "range 46 is not a number: '1.2.3'"),
-        (scan(odometry=(0.0, "nan", 0.0), laser=(0.0, 0.0, 0.0)), "odometry is nan"),
-        (scan(laser=(0.0, 0.0, "-inf")), "laser's pose is -inf"),
         (scan(at="nan"), "time is nan"),
-        (odom((0.0, 0.0, "inf")), "odometry is inf"),
         (odom(at="soon"), "time is not a number: 'soon'"),
-        (odom().replace(" host", ""), "ODOM has 9 fields where 10"),
         (scan().replace(" host", ""), "FLASER has 191 fields where 192"),
-        (scan().replace(" host", " host host"), "FLASER has 193 fields where 192"),
-        ("FLASER 181 1.0 2.0\n", "FLASER has 4 fields where 192"),
-        ("FLASER\n", "not followed by the number of beams"),
         ("FLASER many 1.0\n", "not followed by the number of beams"),
         (scan(541), "541 beams"),
-        (scan(90), "90 beams"),
         (scan(180), "180 beams after scans of 181"),
     ],
 )
@@ -234,48 +217,10 @@ def test_a_bad_line_is_refused_with_its_number(write: Any, line: str, words: str
     assert words in message
 
 
-@pytest.mark.parametrize(
-    ("count", "angle", "fits"),
-    [
-        (360, 90.5, True),
-        (360, 90.6, False),
-        (180, 90.0, True),
-        (180, 90.1, False),
-        (361, 91.1, False),
-        (361, -91.0, True),
-    ],
-)
-def test_an_angle_must_have_a_beam_within_a_degree(write: Any, count: int, angle: float, fits: bool) -> None:
-    path = write(scan(count))
-    if fits:
-        assert len(read_carmen(path, (0.0, angle), 3.0).robot.beams) == 2
-    else:
-        assert f"line 1: no beam within 1 deg of {angle:g} deg" in refusal(path, (0.0, angle))
-
-
-def test_beams_that_make_no_sense_are_refused(write: Any) -> None:
-    path = write(scan())
-    assert "at least one beam" in refusal(path, ())
-    assert "finite number, not nan" in refusal(path, (0.0, math.nan))
-    assert "0 deg and 0.3 deg are the same beam, at 0 deg" in refusal(path, (0.0, 0.3))
-
-
-@pytest.mark.parametrize("kept", [3, 7, 40, 700, 740, -20, -9])
+@pytest.mark.parametrize("kept", [3, 700, -9])
 def test_a_last_line_that_is_cut_is_refused(write: Any, kept: int) -> None:
     message = refusal(write(odom(), scan(), scan()[:kept]))
     assert ": line 3: cut short: " in message
-
-
-def test_a_gzip_stream_that_is_cut_is_refused_at_the_line(tmp_path: Path) -> None:
-    noise = np.random.default_rng(1)
-    lines = [scan(list(noise.uniform(0.5, 3.0, 181).round(2)), at=1.0 + i) for i in range(200)]
-    whole = gzip.compress("".join(lines).encode())
-    path = tmp_path / "cut.clf.gz"
-    path.write_bytes(whole[: len(whole) // 2])
-    message = refusal(path)
-    line = int(message.split(": line ")[1].split(":")[0])
-    assert "cut short" in message
-    assert 80 < line < 120
 
 
 def test_a_log_without_odometry_is_refused(write: Any) -> None:
@@ -290,25 +235,6 @@ def test_a_log_without_odometry_is_refused(write: Any) -> None:
     ):
         assert "has no odometry" in refusal(write(*lines))
     assert ": line 2: has no odometry" in refusal(write("#\n", f"FLASER 181 {ranges} 1.0 host 0.5\n"))
-
-
-def test_files_that_cannot_be_read_are_refused(tmp_path: Path) -> None:
-    assert "No such file" in refusal(tmp_path / "absent.clf")
-    assert "s a directory" in refusal(tmp_path)
-
-
-def test_a_file_that_is_no_text_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "picture.clf"
-    path.write_bytes(b"\x89PNG\r\n\x1a\n" + bytes(100))
-    assert "line 3: this is not a text file" in refusal(path)
-    path.write_bytes(b"x" * (3 << 20))
-    assert "line 1: this is not a text file" in refusal(path)
-
-
-def test_a_message_is_one_line_whatever_the_file_is_called(tmp_path: Path) -> None:
-    with pytest.raises(LogError) as caught:
-        read_carmen(tmp_path / "two\nlines", SIX, 3.0)
-    assert "two lines: cannot be read" in str(caught.value)
 
 
 # The project's own log
@@ -362,16 +288,11 @@ def with_nan(array: Any) -> Any:
 @pytest.mark.parametrize(
     ("name", "change", "words"),
     [
-        ("time", lambda a: a[:-1], "shape"),
         ("ranges", lambda a: a[:, :5], "ranges has shape (4, 5), not (4, 6)"),
         ("wall_seen", lambda a: a.T, "wall_seen has shape (6, 4), not (4, 6)"),
-        ("start_pose", lambda a: a[:2], "start_pose has shape (2,), not (3,)"),
         ("time", with_nan, "time holds something that is not a finite number in row 2"),
-        ("start_pose", with_nan, "start_pose holds something"),
-        ("wheels", lambda a: a.astype(str), "wheels does not hold numbers"),
         ("wheels", lambda a: a.astype(object), "cut short or damaged"),
         ("robot", lambda _: np.array("{}"), "robot: not a robot"),
-        ("robot", lambda _: np.zeros(3), "robot is not a text"),
     ],
 )
 def test_our_own_log_with_something_wrong_in_it_is_refused(tmp_path: Path, name: str, change: Any, words: str) -> None:
@@ -379,40 +300,6 @@ def test_our_own_log_with_something_wrong_in_it_is_refused(tmp_path: Path, name:
     arrays[name] = change(arrays[name])
     np.savez(tmp_path / "log.npz", **arrays)
     assert words in npz_refusal(tmp_path / "log.npz")
-
-
-def test_a_recorded_log_needs_wheels_or_odometry() -> None:
-    robot = RobotSpec(beams=(SensorSpec(0.0, 0.0, 0.0),))
-    zeros: dict[str, Any] = {
-        "time": np.zeros(1),
-        "ranges": np.zeros((1, 1), np.float32),
-        "has_scan": np.ones(1, np.bool_),
-    }
-    with pytest.raises(ValueError, match="either odometry or wheels"):
-        RecordedLog(robot=robot, start_pose=np.zeros(3), **zeros)
-    with pytest.raises(ValueError, match="either odometry or wheels"):
-        RecordedLog(robot=robot, start_pose=np.zeros(3), odometry=np.zeros((1, 3)), wheels=np.zeros((1, 2)), **zeros)
-    with pytest.raises(ValueError, match=r"odometry has shape \(1, 2\), not \(1, 3\)"):
-        RecordedLog(robot=robot, start_pose=np.zeros(3), odometry=np.zeros((1, 2)), **zeros)
-
-
-def one_beam_log(**columns: Any) -> RecordedLog:
-    count = len(columns["has_scan"])
-    return RecordedLog(
-        robot=RobotSpec(beams=(SensorSpec(0.0, 0.0, 0.0),)),
-        time=np.arange(count, dtype=float),
-        ranges=np.ones((count, 1), np.float32),
-        start_pose=np.zeros(3),
-        **columns,
-    )
-
-
-@pytest.mark.parametrize("jump", [(50.1, 0.0), (-36.0, 36.0), (0.0, 1e9)])
-def test_odometry_that_jumps_is_refused(jump: tuple[float, float]) -> None:
-    odometry = np.zeros((4, 3))
-    odometry[2:, :2] = jump
-    with pytest.raises(ValueError, match=r"odometry jumps by \S+ m in row 2"):
-        one_beam_log(has_scan=np.ones(4, np.bool_), odometry=odometry)
 
 
 # Which reader

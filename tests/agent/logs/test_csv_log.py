@@ -109,24 +109,15 @@ def test_beams_can_be_chosen_and_are_six_of_many(write):
     ("row", "words"),
     [
         ("0.2,0,0,0,1,1", "line 3: 6 columns where the header names 7: delete the line"),
-        ("0.2,0,0,0,1,1,1,1", "line 3: 8 columns where the header names 7"),
         (
             "0,2,0,0,1,5,0,1,1,1,1",
             "line 3: 11 columns where the header names 7: if commas are decimal marks here, separate the columns by",
         ),
-        ("0.2", "line 3: 1 columns where the header names 7"),
-        ("0.2,0,0,0", "line 3: 4 columns where the header names 7"),
-        ("soon,0,0,0,1,1,1", "line 3: t is not a number: 'soon'"),
         ("nan,0,0,0,1,1,1", "line 3: t is nan, not a finite number"),
-        (",0,0,0,1,1,1", "line 3: t is not a number: ''"),
         ("0.2,inf,0,0,1,1,1", "line 3: x is inf"),
-        ("0.2,0,nan,0,1,1,1", "line 3: y is nan"),
-        ("0.2,0,0,nan,1,1,1", "line 3: theta is nan"),
         ("0.2,0,0,0,1,far,1", "line 3: a range is not a number: 'far'; an empty field or nan is no reading"),
-        ("0.2,0,0,0,1,-,1", "line 3: a range is not a number: '-'"),
         ("-2.0,0,0,0,1,1,1", "line 3: the time steps back by 2.0 s"),
         ("0.2,1e4,0,0,1,1,1", "odometry jumps by 1e+04 m in row 1"),
-        ("0.2,1e200,0,0,1,1,1", "the odometry in row 1 is not a pose: 1e+200, 0, 0"),
     ],
 )
 def test_a_bad_row_is_refused_with_its_line(write, row, words):
@@ -137,20 +128,12 @@ def test_a_bad_row_is_refused_with_its_line(write, row, words):
     ("head", "words"),
     [
         ("t,x,y,r_0", "line 1: the header must be t,x,y,theta,r_<deg>,... or t,left,right,r_<deg>,..., not"),
-        ("0,0,0,0,1,1,1", "line 1: the header must be"),
         ("t,x,y,theta", "line 1: the header names no ranges"),
         ("t,x,y,theta,r_0,battery", "line 1: the column 'battery' is not a range"),
-        ("t,x,y,theta,r_0,r_", "line 1: the column 'r_' is not a range"),
         ("t,x,y,theta,r_0,r_somewhere", "line 1: the column 'r_somewhere' names no direction"),
-        ("t,x,y,theta,r_0,r_nan", "line 1: the column 'r_nan' is not within 360 deg"),
         ("t,x,y,theta,r_0,r_999", "line 1: the column 'r_999' is not within 360 deg"),
         ("t,x,y,theta,r_0,r_front", "line 1: the header names the beam at 0 deg twice"),
-        ("t,x,y,theta,r_180,r_-180", "line 1: the header names the beam at 180 deg twice"),
-        ("t,x,y,theta,...,r_90", "line 1: '...' must stand between"),
         ("t,x,y,theta,r_0,r_20,...,r_90", "line 1: '...' cannot go from 20 to 90 deg in steps of 20"),
-        ("t,x,y,theta,r_0,r_0,...,r_90", "line 1: '...' cannot go from 0 to 90 deg in steps of 0"),
-        ("t,x,y,theta,r_0,r_0.0001,...,r_90", "line 1: '...' cannot go"),
-        ("t,x,y,theta,r_0,r_20,...,r_-90", "line 1: '...' cannot go from 20 to -90 deg"),
     ],
 )
 def test_a_bad_header_is_refused(write, head, words):

@@ -16,9 +16,6 @@ from limslam_agent.policies.learned.network import load_network
 from limslam_env.interface import RobotSpec
 from limslam_env.messages import LONGEST_MESSAGE, described, one_line, printable
 
-HEAD = "t,x,y,theta,r_-90,r_0,r_90\n"
-ROW = "0,0,0,0,1,1,1\n"
-
 
 @pytest.fixture
 def write(tmp_path):
@@ -59,7 +56,7 @@ def test_a_header_that_promises_more_than_the_file_holds_is_refused_before_memor
     assert "damaged" in refusal(path)
 
 
-@pytest.mark.parametrize("name", ["some.csv", "some.clf", "log.npz", "some.bag", "some.mcap"])
+@pytest.mark.parametrize("name", ["some.csv", "log.npz", "some.bag"])
 def test_a_pipe_is_refused_without_being_opened(tmp_path, name):
     path = tmp_path / name
     os.mkfifo(path)
@@ -72,7 +69,7 @@ def test_a_pipe_is_refused_without_being_opened(tmp_path, name):
         load_network(path)
 
 
-@pytest.mark.parametrize("count", [[], "many", None, {}, 1.5])
+@pytest.mark.parametrize("count", [[], None])
 def test_a_bag_whose_list_of_topics_is_damaged_is_refused_in_one_line(tmp_path, count):
     bag = write_bag(tmp_path, [odometry(1, 0.0), scan(1, [1.0, 2.0])], "sqlite")
     about = yaml.safe_load((bag / "metadata.yaml").read_text())
@@ -91,14 +88,6 @@ def test_messages_are_short_printable_and_on_one_line(tmp_path):
     assert len(long) < LONGEST_MESSAGE + 20
     assert long.startswith("limslam: --beams")
     assert long.rstrip().endswith("is not a list of numbers like 1,2.5")
-
-
-def test_the_name_of_a_world_cannot_control_the_terminal(tmp_path):
-    path = tmp_path / "some.toml"
-    walls = "[[0, 0, 4, 0], [4, 0, 4, 4], [4, 4, 0, 4], [0, 4, 0, 0]]"
-    path.write_text(f'name = "\\u001b[2Jgone"\nsize = [4, 4]\nwalls = {walls}\n')
-    finished = call(main, "worlds", "check", path)
-    assert finished.stdout.startswith("\\x1b[2Jgone: ")
 
 
 def test_text_for_messages():

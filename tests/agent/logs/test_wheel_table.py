@@ -60,11 +60,7 @@ def test_a_table_of_poses_takes_the_places_of_the_beams_from_the_robot(write):
     [
         (HEAD + METRES, None, "line 1: a table of wheel travel needs --robot FILE"),
         ("t,left,right,r_0\n0,0,0,1\n", TableOptions(ROBOT), "at 0 deg, but the robot's beams are at 90, 54, -54, -90"),
-        ("t,left,right\n0,0,0\n", TableOptions(ROBOT), "the header names no ranges: r_<deg>,... must follow right"),
         ("t,left,r_0\n0,0,1\n", TableOptions(ROBOT), "or t,left,right,r_<deg>,..., not 't,left,r_0'"),
-        (HEAD + "0,0,far,1,1,1\n", TableOptions(ROBOT), "line 2: right is not a number: 'far'"),
-        (HEAD + "0,0,inf,1,1,1\n", TableOptions(ROBOT), "line 2: right is inf"),
-        (HEAD + "0,0,0,1,1\n", TableOptions(ROBOT), "line 2: 5 columns where the header names 6: delete the line"),
         (
             HEAD + "0,0,0,1,1,1,7\n",
             TableOptions(ROBOT),
@@ -73,7 +69,6 @@ def test_a_table_of_poses_takes_the_places_of_the_beams_from_the_robot(write):
         (HEAD + "0,0,0,1,1,1\n-5,0,0,1,1,1\n", TableOptions(ROBOT), "the time steps back by 5.0 s: if the robot was"),
         (HEAD + METRES, TableOptions(ROBOT, 100.0), "a wheel travels 2 m in 0.1 s at time 0.1 s"),
         (HEAD + TICKS, TableOptions(ROBOT, 0.001, time_unit="ms"), "--accumulated says that they count from the start"),
-        (HEAD + TICKS, replace(TICK_OPTIONS, metres_per_tick=1.0), "Is --metres-per-tick 1 right?"),
     ],
 )
 def test_a_table_that_cannot_be_used_is_refused_in_one_line(write, text, options, words):
@@ -204,10 +199,8 @@ def test_zones_of_perpendicular_distances_give_the_walls_that_they_measured(writ
     ("wrong", "words"),
     [
         ({"metres_per_tick": 0.0}, "--metres-per-tick must be a number above 0, not 0"),
-        ({"metres_per_tick": math.nan}, "--metres-per-tick must be a number above 0, not nan"),
         ({"range_unit": "inch"}, "--range-unit must be one of m, cm, mm, not 'inch'"),
         ({"zone_axes": (90.0, math.inf)}, "--zone-axes must be directions in degrees"),
-        ({"time_unit": "min"}, "--time-unit must be one of s, ms, us, not 'min'"),
     ],
 )
 def test_impossible_units_are_refused(wrong, words):

@@ -109,18 +109,11 @@ def test_folders_of_something_else_and_two_at_once_are_refused(folder, tmp_path)
     ("line", "reason"),
     [
         ("{", "no row"),
-        ("[]", "no row"),
-        ('{"job": 1}', "no row"),
         ('{"speed": 1}', "no row"),
         ('{"job": "1", "metrics": {}}', "job is '1'"),
-        ('{"job": true, "metrics": {}}', "job is 'True'"),
         ('{"job": 1, "metrics": {"x": []}}', "metrics is"),
-        ('{"job": 1, "metrics": {}, "cost": {"x": "long"}}', "cost is"),
-        ('{"job": 1, "metrics": {}, "error": {}}', "error is"),
         ('{"job": 1, "metrics": {"x": NaN}}', "NaN is no number of a result"),
-        ('{"job": 1, "metrics": {"x": -1e999}}', "-1e999 is no number of a result"),
         ('{"job": 1, "metrics": {"x": 1' + "0" * 400 + "}}", "is no number of a result"),
-        ("[" * 100_000, "no row"),
     ],
 )
 def test_a_line_that_is_no_row_is_refused_in_one_line_with_its_number(folder, line, reason):

@@ -8,22 +8,12 @@ import pytest
 from support.command_line import call
 
 from limslam_agent.cli.main import main
-from limslam_agent.config.consistent import ExtentConfig
-from limslam_agent.grid.occupancy import GridView
-from limslam_agent.kernels.extents import pass_at
-from limslam_agent.mapping.team import Snapshot
-from limslam_agent.output.export import write_map
-from limslam_agent.output.finished_run import FinishedRun, read_run
-from limslam_agent.replay import replay as replay_module
-from limslam_agent.slam.consistent.clone_ekf import CloneEKF
-from limslam_agent.slam.consistent.wall_map import WallMap
+from limslam_agent.output.finished_run import read_run
 from limslam_env.interface import RobotSpec
 from limslam_env.metrics import metrics
 from limslam_env.worlds.formats.loading import load_world
 
 limslam = partial(call, main)
-
-UNKNOWN = GridView(np.zeros(2), 0.1, np.zeros((2, 2)))
 
 
 @pytest.fixture(scope="module")
@@ -76,40 +66,3 @@ def test_the_preset_consistent_gives_the_map_of_the_filter(tmp_path, explored):
 
 def test_the_doors_of_env2_are_open_in_the_file(explored):
     assert metrics.doors_open(load_world("env2").doors, rows(content(explored, "map.json")["segments"])) == 1.0
-
-
-def test_a_landmark_with_a_door_is_written_as_two_segments(tmp_path):
-    """The wall is y = 1 from x = -1 to x = 1, and beams have passed through its middle."""
-    belief = CloneEKF(np.zeros(3))
-    belief.add_line(np.pi / 2, np.array([0.0, 1.0]))
-    walls = WallMap(belief, ExtentConfig())
-    along = np.arange(-1.0, 1.0, 0.05)
-    walls.add_known(np.column_stack((along, np.ones(len(along)))))
-    for through in np.repeat(along[np.abs(along) < 0.3], 3).tolist():
-        pass_at(walls.arrays, 0, -through)
-    write_map(tmp_path, Snapshot(*[np.zeros((1, 3))] * 3, walls.landmarks, walls.segments, UNKNOWN, [], []))
-    final, doors = content(tmp_path, "map.json"), np.array([[-0.3, 1.0, 0.3, 1.0]])
-    assert [mark["segments"] for mark in final["landmarks"]] == [[0, 1]]
-    assert metrics.doors_open(doors, rows(final["segments"])) == 1.0
-    assert metrics.doors_open(doors, rows([mark["ends"] for mark in final["landmarks"]])) == 0.0
-
-
-def test_a_replay_and_show_have_the_walls_that_were_scored(explored, tmp_path, monkeypatch):
-    replays, shown = [], []
-
-    def write_replay(folder, replay, *others, written=replay_module.write_replay):
-        replays.append(replay)
-        return written(folder, replay, *others)
-
-    monkeypatch.setattr(replay_module, "write_replay", write_replay)
-    again = limslam("replay", explored / "log.npz", "--out", tmp_path / "again")
-    assert again.returncode == 0, again.stderr
-    expected = content(explored, "map.json")
-    assert content(tmp_path / "again", "map.json") == expected
-    assert replays[0].segments.tolist() == expected["segments"]
-    for name in ("map.pgm", "trajectory_smoothed.tum"):
-        assert (tmp_path / "again" / name).read_bytes() == (explored / name).read_bytes()
-    assert not (tmp_path / "again" / "loops.json").exists()
-    monkeypatch.setattr(FinishedRun, "title", property(lambda run: shown.append(run.segments) or "a run"))
-    assert limslam("show", explored, "--out", tmp_path / "sheet.png").returncode == 0
-    assert shown[0].tolist() == expected["segments"]

@@ -5,7 +5,7 @@ import pytest
 from matplotlib.figure import Figure
 from PIL import Image as Pictures
 
-from limslam_agent.output.drawing import MapPicture, draw_map, finish_errors, legend, paint_map, path_colours
+from limslam_agent.output.drawing import MapPicture, draw_map, legend, paint_map
 
 WALLS = np.array([(0.0, 0.0, 4.0, 0.0), (4.0, 0.0, 4.0, 3.0)])
 NOTHING = np.zeros((0, 4))
@@ -30,20 +30,6 @@ def painted(picture):
 
 def labels(picture):
     return [handle.get_label() for handle in legend(picture)]
-
-
-def test_several_robots_have_a_colour_each():
-    picture = MapPicture(
-        "two", WALLS, [path(1.0), path(2.0)], [path(1.0, drift=0.1), path(2.0, drift=0.1)], WALLS,
-        [path(1.1), path(2.1)],
-    )  # fmt: skip
-    axes = painted(picture)
-    for estimated, (colour, _) in zip(picture.estimated, path_colours(2), strict=True):
-        (line,) = [line for line in axes.lines if np.array_equal(line.get_xydata(), estimated)]
-        assert line.get_color() == colour
-    assert len({colour for colour, _ in path_colours(6)}) == 6
-    assert len(path_colours(9)) == 9
-    assert {"robot 1", "robot 2", "true path"} <= set(labels(picture))
 
 
 def test_the_legend_names_what_is_there_and_nothing_else():
@@ -76,24 +62,6 @@ def test_a_map_is_a_png_that_can_be_looked_at(tmp_path, robots):
 def test_a_map_without_walls_of_a_robot_that_stood_still(tmp_path, place):
     draw_map(tmp_path / "map.png", MapPicture("still", NOTHING, [place], [place]))
     assert min(size_of(tmp_path / "map.png")) > 100
-
-
-def test_paths_that_do_not_go_together_are_refused():
-    with pytest.raises(ValueError, match="2 estimated paths do not go with 1 odometry"):
-        MapPicture("two", WALLS, [path(1.0), path(2.0)], [path(1.0)])
-    with pytest.raises(ValueError, match="true"):
-        MapPicture("two", WALLS, [path(1.0)], [path(1.0)], WALLS, [path(1.0), path(2.0)])
-    with pytest.raises(ValueError, match="path of a robot"):
-        MapPicture("none", WALLS, [], [])
-
-
-@pytest.mark.parametrize(("band", "high"), [(100.0, 1.5), (1.0, 1.05)])
-def test_the_band_of_a_lost_robot_does_not_hide_the_errors(band, high):
-    axes = Figure().add_subplot()
-    axes.plot([0.0, 1.0, 2.0], [0.0, np.nan, 0.5])
-    axes.fill_between([0.0, 2.0], [-band, -band], [band, band])
-    finish_errors(axes)
-    assert axes.get_ylim() == pytest.approx((-high, high), rel=0.06)
 
 
 @pytest.mark.parametrize("height", [3.0, 40.0])

@@ -107,13 +107,6 @@ def test_mcap_is_read_by_its_own_library(folder, tmp_path):
     assert (to_odom.header.frame_id, to_odom.child_frame_id, to_base.child_frame_id) == ("map", "odom", "base_link")
 
 
-def test_the_grid_lies_where_the_map_says(folder):
-    exported = read_exported(folder)
-    centres = exported.grid.centres(np.argwhere(exported.grid.free))
-    position = exported.run.smoothed[0][0, :2]
-    assert np.linalg.norm(centres - position, axis=1).min() < exported.grid.cell
-
-
 def test_each_robot_of_a_team_has_tables_and_topics_of_its_own(team_folder, tmp_path):
     pytest.importorskip("rosbags")
     written = run_export(team_folder, "--csv", "--dxf", "--bag", "--out", tmp_path)

@@ -91,18 +91,6 @@ def test_with_the_default_name_both_results_survive(tmp_path):
     assert write(tmp_path / "run", "third", numbered=True) == tmp_path / "run-3"
 
 
-@pytest.mark.parametrize("command", ["run", "replay"])
-def test_the_command_line_refuses_a_place_that_is_claimed(tmp_path, command):
-    log = tmp_path / "log.csv"
-    log.write_text("t,x,y,theta,r_-90,r_90\n" + "".join(f"{0.1 * n},{0.05 * n},0,0,1,1\n" for n in range(40)))
-    arguments = ("--max-time", "1") if command == "run" else (log,)
-    with new_folder(tmp_path / "out"):
-        refused = limslam(command, *arguments, "--out", tmp_path / "out", "--force")
-    assert refused.returncode == 2
-    assert refused.stderr == f"limslam: {tmp_path / 'out'}: another process is writing there\n"
-    assert limslam(command, *arguments, "--out", tmp_path / "out").returncode == 0
-
-
 def write_beside_another(target: Path) -> None:
     with new_folder(target) as folder:
         fill(folder.beside, "own")

@@ -2,7 +2,6 @@
 
 import json
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,10 +9,7 @@ from scipy.optimize import least_squares
 from support.command_line import call
 
 from limslam_agent.cli.main import main
-from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.optimum import offline_optimum
-from limslam_agent.runs.results import score
-from limslam_agent.runs.run_config import RunConfig
 from limslam_env.config import NoiseConfig
 from limslam_env.geometry.line import through
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc
@@ -104,16 +100,3 @@ def test_the_command_writes_both_metrics(tmp_path):
     assert 0.0 < metrics["limit_ate_m"] < 0.1
     assert metrics["ate_over_limit"] == pytest.approx(metrics["ate_m"] / metrics["limit_ate_m"])
     assert f"limit       {metrics['limit_ate_m']:.3f} m rms" in result.stdout
-
-
-def test_of_two_robots_the_limit_is_the_mean():
-    episode = run_episode(RunConfig("env1", 0.02, max_time=15.0, robots=2, limit=True))
-    metrics, true = score(episode), episode.true
-    optimum = offline_optimum(
-        episode.config.robot, NominalNoise(0.02), true, episode.wheels, episode.ranges, episode.wall_seen,
-        episode.contact,
-    )  # fmt: skip
-    errors = np.linalg.norm((optimum - true)[..., :2], axis=-1)
-    assert metrics["limit_ate_m"] == pytest.approx(np.sqrt((errors**2).mean(axis=0)).mean())
-    without = score(replace(episode, config=replace(episode.config, limit=False)))
-    assert set(metrics) - set(without) == {"limit_ate_m", "ate_over_limit", "smoothed_over_limit"}

@@ -1,0 +1,204 @@
+"""The record of a run, and what is known at its end: the smoothed path, and the map that is drawn from it."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from limslam_agent.grid.occupancy import GridView, drawn_grid
+from limslam_agent.mapping.joining import Joined
+from limslam_agent.mapping.team import Snapshot
+from limslam_agent.places.revisions import PlaceHistory, revised
+from limslam_agent.readings import as_readings
+from limslam_agent.runs.run_config import RunConfig
+from limslam_agent.slam.core.diagnostics import Closure
+from limslam_agent.slam.core.line_map import Landmark
+from limslam_agent.slam.core.motion import OdometryCalibration
+from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.slam.slam import AssociationRecord
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.se2 import compose, inverse
+from limslam_env.simulation.coverage import CoverageGrid
+from limslam_env.worlds.world import World
+
+if TYPE_CHECKING:
+    from limslam_agent.slam.line_graph.smoother import SmoothedRun
+
+
+@dataclass(frozen=True, eq=False)
+class FinalMap:
+    """The map of a finished run, from which its files, its picture and its scores are made.
+
+    Attributes
+    ----------
+    segments
+        Walls (k, 4), m, cut at doors and holes.
+    landmarks
+        The lines that the walls lie on, with covariances.
+    grid
+        Occupancy grid.
+    poses
+        The poses (t, n, 3) that the map was drawn from, m and rad.
+    """
+
+    segments: FloatArray
+    landmarks: list[Landmark]
+    grid: GridView
+    poses: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """The record of a run, with one row for each step. Row 0 is the moment of the reset.
+
+    Attributes
+    ----------
+    config, world
+        Settings and world of the run.
+    time
+        (t,), s.
+    ranges, wheels
+        Observations of the n robots: (t, n, n_beams), m, and (t, n, 2), m.
+    actions
+        Answer to each observation (t, n, 2). The action of a row leads to the next row.
+    true, estimated, odometry
+        Poses (t, n, 3): the truth, the estimate, and odometry alone.
+    covariances
+        Covariances of the estimated poses (t, n, 3, 3).
+    levels
+        Status of each robot's estimate (t, n), as an index into ``status.LEVELS``: 0 ok, 1 unsure, 2 lost.
+    wall_seen
+        What each beam truly hit (t, n, n_beams).
+    dropped
+        Beams that were ignored because they may have hit another robot (t, n, n_beams).
+    coverage, contact
+        True coverage by all robots together (t,), and whether each robot touches something (t, n).
+    associations, closures
+        The association of each observed line, and the loops that were closed.
+    calibrations
+        Each robot's odometry calibration and its covariance (3, 3) at the end; None where none was needed.
+    sensor
+        How the range sensors measure, as the SLAM takes it at the end. None if it estimates nothing of the kind.
+    beam_turns
+        By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad, as the SLAM takes it at
+        the end; None if it takes no beam to be turned.
+    snapshot
+        What is believed at the end.
+    coverage_grid
+        The cells that count for coverage.
+    places
+        What happened when the robot was lost.
+    in_prior_map
+        Whether the robot's place in an earlier map was found. The poses are in the frame of that map then.
+    stop_reason, is_finished
+        Why the run ended, and whether the agent itself said so.
+    slam_ms, decide_ms, wall_clock
+        Cost of a step: the SLAM alone (t,), ms, and the grid with the policies (t,), ms. Cost of the whole loop, s.
+    joined
+        The poses in the shared frame until two robots with unknown starts were joined; None without it.
+    """
+
+    config: RunConfig
+    world: World
+    time: FloatArray
+    ranges: FloatArray
+    wheels: FloatArray
+    actions: FloatArray
+    true: FloatArray
+    estimated: FloatArray
+    odometry: FloatArray
+    covariances: FloatArray
+    levels: IntArray
+    wall_seen: IntArray
+    dropped: BoolArray
+    coverage: FloatArray
+    contact: BoolArray
+    associations: list[AssociationRecord]
+    closures: list[Closure]
+    calibrations: list[tuple[OdometryCalibration, FloatArray] | None]
+    places: PlaceHistory
+    in_prior_map: bool
+    snapshot: Snapshot
+    coverage_grid: CoverageGrid
+    stop_reason: str
+    is_finished: bool
+    slam_ms: FloatArray
+    decide_ms: FloatArray
+    wall_clock: float
+    joined: Joined | None = None
+    sensor: RangeSensor | None = None
+    beam_turns: FloatArray | None = None
+
+    @property
+    def placed_steps(self) -> slice:
+        """The steps in which the poses are known in the frame of the map. A lost robot may end in another one."""
+        known = self.places.placed
+        return known if self.config.robots == 1 and known.stop != 0 else slice(None)
+
+    @property
+    def placed_robots(self) -> int:
+        """Number of robots whose place in the map is known at the end: the first ones."""
+        return 1 if self.config.unknown_starts and self.joined is None else self.config.robots
+
+    @property
+    def revised(self) -> tuple[FloatArray, FloatArray]:
+        """Estimated poses (t, n, 3) and covariances, of the steps in which a robot was lost by what was known later."""
+        return revised(self.estimated, self.covariances, self.places.revisions)
+
+    @cached_property
+    def smoothed(self) -> "SmoothedRun | None":
+        """All poses and walls by what was known at the end. None if the settings do not ask for it, or if there is
+        nothing to smooth.
+
+        Only the associations of the consistent estimator can be smoothed.
+        """
+        agent, settings = self.config.agent, self.config.agent.run_smoothing
+        # The smoother does not know the lines of an earlier map.
+        if settings is None or self.in_prior_map or self.placed_robots < self.config.robots:
+            return None
+        # The kernels of the smoother load numba, which takes time that other commands do not need.
+        from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_run
+
+        places, (poses, covariances) = self.places, self.revised
+        usable, unknown_start = ~self.dropped, tuple[tuple[int, int], ...]()
+        if self.joined is not None:
+            # The second robot's start is not known: it may be anywhere before its first step.
+            usable[0, 1], unknown_start = False, ((1, 1),)
+        run = FilteredRun(
+            robot=self.config.robot,
+            noise=agent.noise,
+            wheels=self.wheels,
+            ranges=self.ranges,
+            usable=usable,
+            poses=poses,
+            covariances=covariances,
+            associations=self.associations,
+            closures=self.closures,
+            breaks=(*((0, step) for step in places.breaks), *unknown_start),
+            sensor=self.sensor,
+        )
+        found = smooth_run(run, settings, places.placed.stop)
+        if found is not None and unknown_start:
+            # What the second robot's pose was before its first step follows from the one after it.
+            motion = compose(inverse(poses[1, 1]), poses[0, 1])
+            found.poses[0, 1], found.covariances[0, 1] = compose(found.poses[1, 1], motion), found.covariances[1, 1]
+        return found
+
+    @property
+    def online_map(self) -> FinalMap:
+        """The map as the robots knew it when the run stopped."""
+        return FinalMap(self.snapshot.segments, self.snapshot.landmarks, self.snapshot.grid, self.revised[0])
+
+    @cached_property
+    def final_map(self) -> FinalMap:
+        """The map by all that is known at the end: drawn from the smoothed poses, if the run was smoothed."""
+        smoothed, config = self.smoothed, self.config
+        if smoothed is None:
+            return self.online_map
+        ranges = as_readings(self.ranges, config.robot.min_ranges, config.robot.max_ranges)
+        is_new = np.array([config.robot.measures(step) for step in range(len(ranges))])[:, None]
+        measured = is_new & ~np.isnan(ranges) & ~self.dropped
+        used = self.placed_steps
+        grid = drawn_grid(config.agent.grid, smoothed.robot, smoothed.poses[used], ranges[used], measured[used])
+        return FinalMap(smoothed.segments, smoothed.landmarks, grid, smoothed.poses)
