@@ -5,13 +5,13 @@ from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
-from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
 from limslam_agent.live.link import POLL, NoRobotError
 from limslam_agent.live.protocol import VERSION, Command, Heartbeat, Hello, Message, Speeds, Stop, Telemetry
 from limslam_agent.live.recording import MM
+from limslam_agent.live.ros2.node import ODOMETRY, Event, RosNode
 from limslam_agent.live.ros2.odometer import Sample
 from limslam_agent.live.ros2.parameters import Parameters
 from limslam_agent.live.ros2.sensors import RangeSensors, ScanSensors
@@ -20,48 +20,9 @@ from limslam_agent.logs.ros_messages import pose_of
 from limslam_env.geometry.se2 import wheels_to_arc
 from limslam_env.interface import RobotSpec
 
-ODOMETRY = -1
-"""Number that stands for the odometry where others stand for the topics of the sensors."""
-
 _MICROMETRE = 1e-6
 _FIRST = 5  # number of measurements that show the period
 _MOST_SENT = 200  # number of commands that may wait to be acknowledged
-
-
-class Event(NamedTuple):
-    """A message of the topic with a number, and its time, s."""
-
-    number: int
-    time: float
-    message: Any
-
-
-class Ports(Protocol):
-    """The node, as far as the connection needs it.
-
-    Attributes
-    ----------
-    watchdog_stops
-        Number of times that the node's own watchdog has stopped the wheels.
-    """
-
-    watchdog_stops: int
-
-    def take(self, timeout: float) -> list[Event]:
-        """The messages that have arrived. Waits for the first one, at most ``timeout`` s."""
-        ...
-
-    def now(self) -> float:
-        """The time of ROS, s, by which headers are stamped."""
-        ...
-
-    def drive(self, speed: float, turn_rate: float) -> None:
-        """Publish speeds, m/s and rad/s, on ``cmd_vel``."""
-        ...
-
-    def hold(self) -> None:
-        """Publish the latest speeds again, unless the watchdog has stopped the wheels; or zero once, if so ordered."""
-        ...
 
 
 @dataclass
@@ -104,7 +65,7 @@ class RosLink:
     """
 
     def __init__(
-        self, ports: Ports, robot: RobotSpec, parameters: Parameters, clock: Callable[[], float] = time.monotonic
+        self, ports: RosNode, robot: RobotSpec, parameters: Parameters, clock: Callable[[], float] = time.monotonic
     ) -> None:
         self.clock, self.bad_lines = clock, 0
         self.newest: Sample | None = None

@@ -9,11 +9,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from limslam_agent.live.ros2.link import ODOMETRY, Event
 from limslam_agent.live.ros2.parameters import Parameters
 from limslam_agent.logs.ros_messages import stamp_of
 from limslam_agent.output.formats.ros_builder import MessageBuilder
@@ -26,6 +25,18 @@ BEGIN = "--ros-args"
 
 _OF_RCLPY = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 _DEPTH = 50  # number of messages that wait for a busy host
+
+
+ODOMETRY = -1
+"""Number that stands for the odometry where others stand for the topics of the sensors."""
+
+
+class Event(NamedTuple):
+    """A message of the topic with a number, and its time, s."""
+
+    number: int
+    time: float
+    message: Any
 
 
 @dataclass

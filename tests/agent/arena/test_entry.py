@@ -44,7 +44,7 @@ def test_learned_explorers_that_share_nothing_have_a_map_each(examples):
         (
             'kind = "shipped"\nrun = "random"\nuses = "belief"',
             'kind = "model"\nrun = "m.h5"\nuses = "readings"',
-            r"ends in \.zip",
+            "ends in .zip",
         ),
         ('name = "Mine"', "name = ", "is not TOML"),
     ],

@@ -16,8 +16,8 @@ from limslam_agent.cli.main import app, main
 from limslam_agent.live.link import NoRobotError
 from limslam_agent.live.protocol import NOTHING_SEEN, Heartbeat, Hello, Speeds, Stop
 from limslam_agent.live.recording import Recording
-from limslam_agent.live.ros2.link import ODOMETRY, Event, RosLink
-from limslam_agent.live.ros2.node import PACKAGES
+from limslam_agent.live.ros2.link import RosLink
+from limslam_agent.live.ros2.node import ODOMETRY, PACKAGES, Event
 from limslam_agent.live.ros2.odometer import Odometer, wheel_travel
 from limslam_agent.live.ros2.parameters import Parameters
 from limslam_agent.live.ros2.sensors import RangeSensors, Reading, ScanSensors, in_mm
