@@ -145,10 +145,9 @@ class _Process:
             self._errors.close()
             raise ValueError(f"{words[0]}: cannot be started: {error.strerror or error}") from error
         assert self._process.stdout is not None  # noqa: S101 (it is a pipe)
-        self._lines: queue.Queue[bytes] = queue.Queue()
-        self._has_flooded = threading.Event()
-        reading = (self._process.stdout, self._lines, self._has_flooded)
-        threading.Thread(target=_read_lines, args=reading, daemon=True).start()
+        # A process that writes without end has to wait, and does not answer in time.
+        self._lines: queue.Queue[bytes] = queue.Queue(MOST_WAITING)
+        threading.Thread(target=_read_lines, args=(self._process.stdout, self._lines), daemon=True).start()
 
     def send(self, lines: Sequence[bytes]) -> None:
         """Write lines. A process that does not read them is killed, because writing waits for it without a limit."""
@@ -177,7 +176,7 @@ class _Process:
         Raises
         ------
         ValueError
-            If there is none in time, the process has ended, or it has written too many lines.
+            If there is none in time, or the process has ended.
         """
         late = ValueError(f"the command did not {task} within {limit:g} s")
         left = give_up - time.monotonic()
@@ -193,8 +192,6 @@ class _Process:
 
     def _has_ended(self) -> ValueError:
         """The reason of a process that has ended too early, with the last line of its errors."""
-        if self._has_flooded.is_set():  # its output was closed, and its error is that it could not write on
-            return ValueError(f"the command has written more than {MOST_WAITING} lines that nobody had asked for")
         last = last_line(self._errors)
         return ValueError(f"the command has ended without stopping the robot{': ' if last else ''}{last}")
 
@@ -211,13 +208,10 @@ class _Process:
         self._errors.close()
 
 
-def _read_lines(output: IO[bytes], lines: "queue.Queue[bytes]", has_flooded: threading.Event) -> None:
-    """Put lines into a queue as they come. An empty line is the end of the output, or of what is read of too much."""
+def _read_lines(output: IO[bytes], lines: "queue.Queue[bytes]") -> None:
+    """Put lines into a queue as they come. An empty line is the end of the output."""
     with output:
         while line := output.readline(LONGEST_LINE):
-            if lines.qsize() >= MOST_WAITING:
-                has_flooded.set()
-                break
             lines.put(line)
     lines.put(b"")
 

@@ -58,22 +58,6 @@ class Wired:
     obey: Callable[["Session"], None] = lambda _: None
 
 
-@dataclass
-class LinkCounts:
-    """How often the connection has failed.
-
-    Attributes
-    ----------
-    reconnections
-        Number of times that the robot was heard again after it had been silent for a second, or was restarted.
-    watchdog_stops
-        Number of times that the robot's watchdog has stopped the wheels.
-    """
-
-    reconnections: int = 0
-    watchdog_stops: int = 0
-
-
 class Session:
     """Drives a robot, and records what it sends.
 
@@ -94,6 +78,10 @@ class Session:
 
     Attributes
     ----------
+    reconnections
+        Number of times that the robot was heard again after it had been silent for a second, or was restarted.
+    watchdog_stops
+        Number of times that the robot's watchdog has stopped the wheels.
     is_paused
         Whether the robot only maps. The wheels are stopped once, and then get no command, so that a person can drive.
     asked_to_end
@@ -109,7 +97,8 @@ class Session:
         watch: Callable[["Session"], None] = lambda _: None,
         obey: Callable[["Session"], None] = lambda _: None,
     ) -> None:
-        self.link, self.agent, self.recording, self.counts = link, agent, recording, LinkCounts()
+        self.link, self.agent, self.recording = link, agent, recording
+        self.reconnections = self.watchdog_stops = 0
         self._hello, self._watch, self._obey = hello, watch, obey
         agent.mapper.longest_travel = math.inf  # the recording knows the times, and checks the travel
         self._observed: Row | None = None
@@ -164,8 +153,8 @@ class Session:
             "packets_doubled": self.recording.doubled + self.link.doubled,
             "packets_implausible": self.recording.implausible,
             "lines_bad": self.link.bad_lines,
-            "reconnections": self.counts.reconnections,
-            "watchdog_stops": self.counts.watchdog_stops,
+            "reconnections": self.reconnections,
+            "watchdog_stops": self.watchdog_stops,
             "period_s": period if math.isfinite(period) else None,
             "loop_delay_s": delay if math.isfinite(delay) else None,
         }
@@ -237,10 +226,10 @@ class Session:
     def _note(self, packet: Telemetry, row: Row) -> None:
         """Note what new telemetry says about the connection."""
         if not self._is_connected and self._observed is not None:
-            self.counts.reconnections += 1
+            self.reconnections += 1
         self._is_connected, self._last_new = True, self.link.clock()
         if packet.stopped and not self._was_stopped and self._observed is not None:
-            self.counts.watchdog_stops += 1
+            self.watchdog_stops += 1
         self._was_stopped = bool(packet.stopped)
         while self._sent and difference(packet.ack, self._sent[0][0]) >= 0:
             _, asked = self._sent.popleft()

@@ -113,14 +113,13 @@ class Film:
         # The next frame is due a period after the last one was, whenever that was drawn: steps need not fit the period.
         self._next = max(self._next, frame.time - SPEED / FPS) + SPEED / FPS
         cropped, window = cropped_truth(truth, *self._corners)
-        for moment in self._narrator.hear(frame):
-            caption = moment.caption
-            scene = Scene(caption, self._title, self._narrator.log, coverage, window, moment.pause > 0.0)
+        for caption, pause in self._narrator.hear(frame):
+            scene = Scene(caption, self._title, self._narrator.log, coverage, window, pause > 0.0)
             # Only the walls of the current caption are highlighted, and the votes are those that it speaks of.
             events = () if caption.event is None else (caption.event,)
             shown = replace(frame, events=events, hough=caption.hough or frame.hough)
             self._last = (cropped, shown, scene)
-            self._writer.write(compose(*self._last), moment.pause or self._hold(frame.time))
+            self._writer.write(compose(*self._last), pause or self._hold(frame.time))
 
     def _hold(self, time: float) -> float:
         """How long the frame of a simulated time is shown, s of the video. 0 is the time of one frame."""

@@ -48,14 +48,6 @@ class Caption:
         return 0.5 + len(f"{self.headline} {self.explanation}".split()) / _WORDS_PER_SECOND
 
 
-@dataclass(frozen=True)
-class Moment:
-    """A caption, and the time of the video for which the picture pauses, s. 0 means no pause."""
-
-    caption: Caption
-    pause: float
-
-
 LESSONS = {
     "start": Caption(
         (),
@@ -121,8 +113,10 @@ class Narrator:
         self._explained, self._robots = -np.inf, 1
         self.log: list[tuple[float, str, str]] = []
 
-    def hear(self, frame: BeliefFrame) -> list[Moment]:
-        """The moments of a frame: explanations first, and then the caption with which the run continues."""
+    def hear(self, frame: BeliefFrame) -> list[tuple[Caption, float]]:
+        """The captions of a frame, each with the time of the video for which the picture pauses, s: explanations first,
+        and then the one with which the run continues, without a pause.
+        """
         several, self._robots = len(frame.poses) > 1, len(frame.poses)
         happening = _happenings(frame, self._last)
         for event in frame.events:
@@ -135,7 +129,7 @@ class Narrator:
         self._last = frame
         self._waiting |= {kind: caption for kind, caption in _captions(frame).items() if kind in happening}
         self._choose(frame.time)
-        return [*(Moment(lesson, lesson.reading_time) for lesson in lessons), Moment(self._caption, 0.0)]
+        return [*((lesson, lesson.reading_time) for lesson in lessons), (self._caption, 0.0)]
 
     def _lessons_now(self, time: float, happening: Sequence[str]) -> list[str]:
         """The kind to explain now: one at a time, with some of the run between two. Loops are rare and do not wait."""

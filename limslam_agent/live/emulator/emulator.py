@@ -37,7 +37,54 @@ class Body(NamedTuple):
     seed: int = 0
 
 
-class Emulator:
+class SimulatedRobot:
+    """A robot that drives in the simulator. Each step is one control period.
+
+    Parameters
+    ----------
+    body
+        The robot and its world.
+    robot
+        The robot in place of that of the body, with other beams.
+
+    Attributes
+    ----------
+    robot
+        The robot.
+    readings
+        What it has measured last.
+    pose
+        True pose (3,), m and rad.
+    """
+
+    begins = 0.0  # s, the time of the robot's clock at the start
+
+    def __init__(self, body: Body, robot: RobotSpec) -> None:
+        self.robot, self._steps = robot, 0
+        self._simulation = Simulation(body.world, robot)
+        start, *_ = np.random.SeedSequence(body.seed).spawn(4)
+        self.readings, truth = self._simulation.reset(start, body.noise)
+        self.pose: FloatArray = truth.poses[0]
+
+    @property
+    def time(self) -> float:
+        """Time of the robot's clock, s."""
+        return self.begins + self._steps * self.robot.control_period
+
+    @property
+    def truth(self) -> str:
+        """The true pose as a line of text: time (s), x, y (m) and heading (rad)."""
+        x, y, heading = self.pose
+        return f"{self.time:.3f} {x:.5f} {y:.5f} {heading:.6f}\n"
+
+    def drive(self, left: float, right: float) -> None:
+        """Drive for a control period at wheel speeds, m/s, and measure."""
+        fastest = self.robot.max_wheel_speed
+        self.readings, truth = self._simulation.step([(left / fastest, right / fastest)])
+        self.pose, self._steps = truth.poses[0], self._steps + 1
+
+
+class Emulator(SimulatedRobot):
     """A simulated robot behind the line protocol. Each step is one control period.
 
     Parameters
@@ -46,11 +93,6 @@ class Emulator:
         The robot and its world.
     faults
         What the connection does to lines, in both directions.
-
-    Attributes
-    ----------
-    pose
-        True pose (3,), m and rad.
 
     Raises
     ------
@@ -62,25 +104,13 @@ class Emulator:
         robot = body.robot
         if len(robot.beams) > MAX_BEAMS:
             raise ValueError(f"the protocol has room for {MAX_BEAMS} beams, not for {len(robot.beams)}")
-        start, boot, *ways = np.random.SeedSequence(body.seed).spawn(4)
+        super().__init__(body, robot)
+        _, boot, *ways = np.random.SeedSequence(body.seed).spawn(4)
         self._down, self._up = (Channel(faults or Faults(), np.random.default_rng(way)) for way in ways)
-        self._simulation, self._robot = Simulation(body.world, robot), robot
-        self._readings, truth = self._simulation.reset(start, body.noise)
-        self.pose: FloatArray = truth.poses[0]
-        self._steps, self._travel = 0, np.zeros(2)
+        self._travel = np.zeros(2)
         period = round(1e3 * robot.control_period)
         number, beams = int(boot.generate_state(1)[0]), len(robot.beams)
         self._firmware = Firmware(Hello(VERSION, number, body.name, beams, NM_PER_TICK, period, body.watchdog_ms))
-
-    @property
-    def time(self) -> float:
-        """Time since the start, s."""
-        return self._steps * self._robot.control_period
-
-    @property
-    def truth(self) -> str:
-        """The true pose as a line of text: time (s), x, y (m) and heading (rad)."""
-        return truth_line(self.time, self.pose)
 
     @property
     def has_host(self) -> bool:
@@ -96,11 +126,9 @@ class Emulator:
         for line in self._up.due(self.time):
             self._firmware.hear(line, self._now)
         speeds = self._firmware.speeds(self._now)
-        left, right = (1e-3 * speed / self._robot.max_wheel_speed for speed in speeds)
-        self._readings, truth = self._simulation.step([(left, right)])
-        self.pose, self._steps = truth.poses[0], self._steps + 1
-        self._travel += self._readings.wheels[0]
-        ranges = ranges_in_mm(self._readings.ranges[0], self._robot)
+        self.drive(*(1e-3 * speed for speed in speeds))
+        self._travel += self.readings.wheels[0]
+        ranges = ranges_in_mm(self.readings.ranges[0], self.robot)
         for line in self._firmware.say(self._now, ticks(self._travel), ranges):
             self._down.push(line, self.time)
         return self._down.due(self.time)
@@ -108,9 +136,3 @@ class Emulator:
     @property
     def _now(self) -> int:
         return round(1e3 * self.time)
-
-
-def truth_line(time: float, pose: FloatArray) -> str:
-    """A true pose (3,) at a time as a line of text."""
-    x, y, heading = pose
-    return f"{time:.3f} {x:.5f} {y:.5f} {heading:.6f}\n"

@@ -7,13 +7,12 @@ from typing import IO, Any, NamedTuple
 
 import numpy as np
 
-from limslam_agent.live.emulator.emulator import Body, truth_line
+from limslam_agent.live.emulator.emulator import Body, SimulatedRobot
 from limslam_agent.live.ros2.node import check_installed, make, message_type
 from limslam_agent.output.formats.ros_builder import MessageBuilder
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc
 from limslam_env.interface import RobotSpec, SensorSpec
-from limslam_env.simulation.simulation import Simulation
 
 SCAN_BEAMS = 72
 """Number of beams of the emulated laser, which turns around the middle of the robot."""
@@ -21,7 +20,6 @@ SCAN_BEAMS = 72
 ANSWER_WITHIN = 2.0
 """Longest time for which an emulator without a fixed speed waits for an answer, s."""
 
-_START = 1.0  # s, the time of the first messages; a time of zero means that there is none
 _LONELY_POLL = 0.02  # s, between two steps of a robot that gets no speeds
 _BEAM_WIDTH = math.radians(2.0)
 _FRAMES = ("odom", "base_link")
@@ -36,7 +34,7 @@ class Measured(NamedTuple):
     ranges: list[float]
 
 
-class RosRobot:
+class RosRobot(SimulatedRobot):
     """A simulated robot that is driven by speeds, and integrates its own odometry.
 
     Parameters
@@ -45,34 +43,15 @@ class RosRobot:
         The robot and its world. Its watchdog stops the wheels without new speeds.
     has_laser
         Whether it has a laser that looks all around, as far as its farthest beam, in place of its beams.
-
-    Attributes
-    ----------
-    robot
-        The robot, with the beams that it has.
-    pose
-        True pose (3,), m and rad.
     """
 
+    begins = 1.0  # a time of zero means that there is none
+
     def __init__(self, body: Body, *, has_laser: bool = False) -> None:
+        super().__init__(body, _with_laser(body.robot) if has_laser else body.robot)
         self.has_laser, self._watchdog = has_laser, 1e-3 * body.watchdog_ms
-        self.robot = _with_laser(body.robot) if has_laser else body.robot
-        self._simulation = Simulation(body.world, self.robot)
-        start, *_ = np.random.SeedSequence(body.seed).spawn(4)
-        _, truth = self._simulation.reset(start, body.noise)
-        self.pose: FloatArray = truth.poses[0]
-        self._odometry, self._steps = np.zeros(3), 0
+        self._odometry = np.zeros(3)
         self._wheels, self._obeyed = (0.0, 0.0), 0.0
-
-    @property
-    def time(self) -> float:
-        """Time of the robot's clock, s."""
-        return _START + self._steps * self.robot.control_period
-
-    @property
-    def truth(self) -> str:
-        """The true pose as a line of text."""
-        return truth_line(self.time, self.pose)
 
     def obey(self, speed: float, turn_rate: float) -> None:
         """Take speeds, m/s and rad/s."""
@@ -84,12 +63,10 @@ class RosRobot:
         """Drive for a control period, and measure."""
         if self.time - self._obeyed > self._watchdog:
             self._wheels = 0.0, 0.0
-        left, right = (wheel / self.robot.max_wheel_speed for wheel in self._wheels)
-        readings, truth = self._simulation.step([(left, right)])
-        self.pose, self._steps = truth.poses[0], self._steps + 1
-        moved = arc(*wheels_to_arc(readings.wheels[0], self.robot.axle))
+        self.drive(*self._wheels)
+        moved = arc(*wheels_to_arc(self.readings.wheels[0], self.robot.axle))
         self._odometry = compose(self._odometry, moved)
-        return Measured(self.time, self._odometry, moved / self.robot.control_period, readings.ranges[0].tolist())
+        return Measured(self.time, self._odometry, moved / self.robot.control_period, self.readings.ranges[0].tolist())
 
 
 def _with_laser(robot: RobotSpec) -> RobotSpec:

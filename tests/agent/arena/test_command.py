@@ -84,7 +84,7 @@ GREETING = "import sys\nsys.stdin.readline()\nprint('Q,1,0*515E', flush=True)\n"
 
 def test_a_process_that_writes_without_end_is_named(started, monkeypatch):
     monkeypatch.setattr(command, "ANSWER_WITHIN", 0.3)
-    with pytest.raises(ValueError, match=r"did not answer within|has written more than 10000 lines"):
+    with pytest.raises(ValueError, match="did not answer within"):
         started(GREETING + "while True:\n    print('words')").act(SEEN)
 
 

@@ -127,7 +127,7 @@ def test_a_robot_that_is_switched_on_again_continues_the_map():
     restarted = []
     session = session_with(wire, policy=Drive(0.2, 0.2), watch=watch)
     assert session.drive(6.0, 5.0) == OUT_OF_TIME
-    assert session.counts.reconnections == 1
+    assert session.reconnections == 1
     log = session.recording.log()
     assert (np.diff(log.time) > 0.0).all()
     # Its counters began at zero, which is no travel.
