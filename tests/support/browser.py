@@ -76,11 +76,6 @@ class Browser:
         self.send("Page.navigate", url=address + fragment)
         self.wait_for("document.body && ['ready', 'failed'].includes(document.body.dataset.state)")
 
-    def resize(self, width: int, height: int) -> None:
-        """Change the size of the window, pixels."""
-        told = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 600}
-        self.send("Emulation.setDeviceMetricsOverride", **told)
-
     def run(self, script: str) -> Any:
         """The value of an expression in the page."""
         found = self.send("Runtime.evaluate", expression=script, returnByValue=True, awaitPromise=True)

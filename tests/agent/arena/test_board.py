@@ -135,11 +135,3 @@ def test_a_name_shows_the_runs_of_its_entry_and_a_run_opens_in_the_inspector(ope
     assert "limslam inspect" in column_of(opened, "runs", 13)[4]
     opened.click("#runs tbody tr:nth-child(4) a")
     opened.wait_for("document.title === 'run 3'")
-
-
-@pytest.mark.parametrize("width", [360, 1440])
-def test_nothing_is_wider_than_the_window(opened, width):
-    opened.resize(width, 800)
-    opened.wait_for(f"innerWidth === {width}")
-    opened.wait_for(f"plot.width <= {width}")
-    assert opened.run("document.documentElement.scrollWidth") <= width

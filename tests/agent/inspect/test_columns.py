@@ -1,13 +1,12 @@
 """The compact form of a recording: what is packed comes out again, and lengths lose less than half a step."""
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from support.inspection import unpacked
 
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.inspect.columns import packed, quantised, quantum_for
+from limslam_agent.inspect.columns import packed
 from limslam_agent.inspect.grid_changes import FREE, OCCUPIED, UNKNOWN, GridChanges
 
 
@@ -21,14 +20,6 @@ def test_what_is_packed_comes_out_again():
     assert list(found) == list(arrays)
     for name, array in arrays.items():
         assert np.array_equal(found[name], array), name
-
-
-@given(st.lists(st.floats(-500.0, 500.0), min_size=1, max_size=20))
-def test_quantised_lengths_are_off_by_half_a_step_at_most(lengths):
-    array = np.array(lengths)
-    quantum = quantum_for([array])
-    assert np.abs(quantised(array, quantum) * quantum - array).max() <= 0.5 * quantum * (1.0 + 1e-9)
-    assert quantum == pytest.approx(max(1e-3, np.abs(array).max() / 32000))
 
 
 def restored(changes, cells):

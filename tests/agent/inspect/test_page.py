@@ -5,7 +5,7 @@ import json
 import numpy as np
 import pytest
 from support.browser import CHROMIUM, browser
-from support.inspection import data_in, inspected, short_run, unpacked
+from support.inspection import data_in, inspected, unpacked
 
 from limslam_agent.video.belief_frame import hough_image
 
@@ -45,13 +45,6 @@ def test_the_page_begins_at_the_start_and_shows_both_pictures(opened):
     assert text(opened, "title").startswith("square")
 
 
-@pytest.mark.parametrize(("width", "height"), [(360, 740), (800, 1000), (1440, 900)])
-def test_nothing_is_wider_than_the_window(opened, width, height):
-    opened.resize(width, height)
-    opened.wait_for(f"innerWidth === {width}")
-    assert opened.run("document.documentElement.scrollWidth") <= width
-
-
 @pytest.mark.parametrize(
     ("key", "shift", "expected"),
     [
@@ -66,34 +59,6 @@ def test_keys_step(opened, key, shift, expected):
     expected = opened.run(expected)
     opened.press(key, shift=shift)
     assert opened.run(FRAME) == expected
-
-
-def test_play_and_pause(opened):
-    opened.run("player.goTo(0)")
-    opened.press(" ")
-    assert opened.run("player.isPlaying")
-    assert opened.run("document.getElementById('play').getAttribute('aria-label')") == "Pause"
-    opened.wait_for("player.frame > 3")
-    opened.click("#play")
-    assert not opened.run("player.isPlaying")
-    stopped = opened.run(FRAME)
-    opened.run("new Promise((done) => setTimeout(done, 100))")
-    assert opened.run(FRAME) == stopped
-    opened.run("player.stopAt(player.recording.frames - 3)")
-    opened.click("#play")
-    opened.wait_for("!player.isPlaying")
-    assert opened.run("player.frame === player.recording.frames - 1")
-
-
-def test_a_link_opens_its_moment(chromium, page):
-    chromium.open(page, fragment="#t=12.3")
-    assert chromium.run("player.recording.seconds[player.frame]") == pytest.approx(12.3)
-    chromium.run("location.hash = '#t=4.5'")
-    chromium.wait_for("Math.abs(player.recording.seconds[player.frame] - 4.5) < 1e-6")
-    chromium.press("ArrowRight")
-    assert chromium.run("location.hash") == "#t=4.6"
-    chromium.click("#link")
-    chromium.wait_for("document.getElementById('link').textContent === 'Copied'")
 
 
 def test_the_panels_tell_the_moment(opened):
@@ -141,25 +106,6 @@ def test_grids_and_errors_are_restored(opened, page):
     assert shown == {place: kind for place, kind in cells.items() if kind}
     off = arrays["pose"][frame, 0, :2] - arrays["true"][frame, 0, :2]
     assert opened.run("player.recording.errors(150, 0).position_error") == pytest.approx(np.hypot(*off), rel=1e-5)
-
-
-@pytest.mark.parametrize("options", [("--robots", 2), ("--preset", "paper")])
-def test_pages_of_other_runs(chromium, tmp_path, options):
-    folder = short_run(tmp_path / "run", "--max-time", 8, *options)
-    assert inspected(folder, tmp_path / "page.html").returncode == 0
-    chromium.errors.clear()
-    chromium.open(tmp_path / "page.html", fragment="#t=6")
-    chromium.run("document.querySelectorAll('.panels details').forEach((panel) => { panel.open = true; })")
-    chromium.press("End")
-    robots = chromium.run("player.recording.robots")
-    assert chromium.run("document.getElementById('whose').hidden") == (robots == 1)
-    before = chromium.run("player.plots.columns.position.slice(-1)[0]")
-    chromium.run(
-        "const r = document.getElementById('robot'); r.value = r.options.length - 1;"
-        " r.dispatchEvent(new Event('change'))"
-    )
-    assert (chromium.run("player.plots.columns.position.slice(-1)[0]") == before) == (robots == 1)
-    assert chromium.errors == []
 
 
 def test_the_page_of_a_log_shows_the_belief_alone(chromium, tmp_path, run_folder):
