@@ -128,7 +128,7 @@ class _AgentDriver(Driver):
 
     def __init__(self, robot: RobotSpec, config: AgentConfig, policies: Callable[[int, int], list[Any] | None]) -> None:
         self._robot, self._config, self._policies = robot, config, policies
-        self.snapshot_source = self._team(1, 0)
+        self.snapshot_source: LimSlamTeam = self._team(1, 0)
 
     def _team(self, robots: int, seed: int) -> LimSlamTeam:
         return LimSlamTeam(self._robot, self._config, robots, self._policies(robots, seed))
