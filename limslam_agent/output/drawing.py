@@ -40,7 +40,7 @@ class MapPicture:
     segments
         Walls of the map (N, 4).
     estimated
-        Estimated positions (n, 2) of each robot that go with the map.
+        Estimated positions (n, 2) of each robot that go with the map, of one robot at least.
     odometry
         Positions (n, 2) of each robot by odometry alone from the same start. Empty if they are unknown.
     true_edges, true
@@ -52,11 +52,6 @@ class MapPicture:
         Empty if ``estimated`` are those positions.
     remark
         A sentence below the title, such as why the map may be wrong. Empty if there is none.
-
-    Raises
-    ------
-    ValueError
-        If there is no estimated path, or the numbers of paths differ.
     """
 
     title: str
@@ -68,14 +63,6 @@ class MapPicture:
     grid: GridView | None = None
     online: Sequence[FloatArray] = ()
     remark: str = ""
-
-    def __post_init__(self) -> None:
-        if not self.estimated:
-            raise ValueError("a picture of a map needs the path of a robot")
-        for name in ("odometry", "true", "online"):
-            paths = getattr(self, name)
-            if paths and len(paths) != len(self.estimated):
-                raise ValueError(f"{len(self.estimated)} estimated paths do not go with {len(paths)} {name} paths")
 
 
 def draw_map(path: Path, picture: MapPicture) -> None:

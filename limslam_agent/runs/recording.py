@@ -13,7 +13,7 @@ from limslam_agent.mapping.team import LimSlamTeam
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.status.status import worst
 from limslam_agent.video.belief_frame import BeliefFrame, Event, HoughView, hough_view
-from limslam_agent.video.film import FPS, Film
+from limslam_agent.video.film import FPS, HEIGHT, WIDTH, Film
 from limslam_agent.video.video import video_file
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.worlds.formats.loading import load_world
@@ -104,7 +104,7 @@ def filming(path: Path, config: RunConfig, title: str, *, force: bool = False) -
         If such a video cannot be written.
     """
     corners = load_world(config.world).edges.reshape(-1, 2)
-    with video_file(path, FPS, force=force) as writer:
+    with video_file(path, FPS, (WIDTH, HEIGHT), force=force) as writer:
         filmed = FilmedRun(Film(writer, corners.min(axis=0), corners.max(axis=0), title))
         yield filmed
         filmed.finish()

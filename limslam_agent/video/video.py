@@ -4,10 +4,10 @@ import importlib
 import subprocess
 import tempfile
 import zlib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO
+from typing import IO, TypeAlias
 
 import cv2
 import numpy as np
@@ -28,51 +28,8 @@ class VideoError(ValueError):
     """A video cannot be written. The message says which and why."""
 
 
-class VideoWriter:
-    """Takes the frames of a video file, which :func:`video_file` makes."""
-
-    def __init__(self, path: Path, start: "Callable[[Image], _Mp4 | _Gif]") -> None:
-        self._path, self._start = path, start
-        self._encoder: _Mp4 | _Gif | None = None
-        self._shape: tuple[int, ...] = ()
-
-    def write(self, image: Image, hold: float = 0.0) -> None:
-        """Add a frame.
-
-        Parameters
-        ----------
-        image
-            (height, width, 3), RGB. All frames have the same size with even sides.
-        hold
-            Time for which the frame is shown, s. At least the time of one frame.
-
-        Raises
-        ------
-        VideoError
-            If the image is not a frame, or has another size than the first.
-        """
-        if image.dtype != np.uint8 or image.shape[2:] != (3,) or image.shape[0] % 2 or image.shape[1] % 2:
-            raise VideoError(f"{self._path}: a frame is (height, width, 3) in bytes, even sides, not {image.shape}")
-        if self._encoder is None:
-            self._shape, self._encoder = image.shape, self._start(image)
-        if image.shape != self._shape:
-            raise VideoError(f"{self._path}: a frame of {image.shape} has another size than the first, {self._shape}")
-        self._encoder.add(image, hold)
-
-    def finish(self) -> None:
-        """Complete the file."""
-        if self._encoder is None:
-            raise VideoError(f"{self._path}: there are no frames")
-        self._encoder.finish()
-
-    def abandon(self) -> None:
-        """Free all resources."""
-        if self._encoder is not None:
-            self._encoder.abandon()
-
-
 @contextmanager
-def video_file(path: str | Path, fps: float, *, force: bool = False) -> Iterator[VideoWriter]:
+def video_file(path: str | Path, fps: float, size: tuple[int, int], *, force: bool = False) -> "Iterator[VideoWriter]":
     """Write a video file, which appears only when the context ends without an error.
 
     Parameters
@@ -81,6 +38,8 @@ def video_file(path: str | Path, fps: float, *, force: bool = False) -> Iterator
         The file, ``.mp4`` or ``.gif``. Missing folders are made.
     fps
         Frames per second. A GIF leaves out frames that would make it too large.
+    size
+        Width and height of all frames, pixels, both even.
     force
         Whether an existing file may be replaced.
 
@@ -89,7 +48,7 @@ def video_file(path: str | Path, fps: float, *, force: bool = False) -> Iterator
     OutputError
         If the suffix is another one, or something exists at the path.
     VideoError
-        Before the first frame: if the encoder for .mp4 is missing. At the end: if there was no frame.
+        If the encoder for .mp4 is missing or fails, or there was no frame.
     OSError
         If the file cannot be written there.
     """
@@ -97,9 +56,7 @@ def video_file(path: str | Path, fps: float, *, force: bool = False) -> Iterator
     check_target(target, "a video", SUFFIXES, force=force)
     program = _ffmpeg() if target.suffix.lower() == ".mp4" else None
     with atomic_write(target) as beside:
-        writer = VideoWriter(
-            target, lambda first: _Mp4(beside, program, target, first, fps) if program else _Gif(beside, fps)
-        )
+        writer: VideoWriter = _Mp4(target, fps, beside, program, size) if program else _Gif(target, fps, beside)
         try:
             yield writer
             writer.finish()
@@ -110,13 +67,12 @@ def video_file(path: str | Path, fps: float, *, force: bool = False) -> Iterator
 class _Mp4:
     """Sends frames to ffmpeg through a pipe."""
 
-    def __init__(self, beside: Path, program: str, path: Path, image: Image, fps: float) -> None:
+    def __init__(self, path: Path, fps: float, beside: Path, program: str, size: tuple[int, int]) -> None:
         self._path, self._fps = path, fps
         # Error messages go to a file, because a pipe without a reader would fill up and block.
         self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed when abandoned)
-        height, width = image.shape[:2]
         command = [
-            program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "yuv420p", "-s", f"{width}x{height}",
+            program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "yuv420p", "-s", f"{size[0]}x{size[1]}",
             "-r", f"{fps:g}", "-i", "-", "-an", "-c:v", "libx264", "-preset", "veryfast", "-crf", "20",
             "-colorspace", "smpte170m", "-color_primaries", "smpte170m", "-color_trc", "smpte170m",
             "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(beside),
@@ -126,7 +82,8 @@ class _Mp4:
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._errors, start_new_session=True
         )
 
-    def add(self, image: Image, hold: float) -> None:
+    def write(self, image: Image, hold: float = 0.0) -> None:
+        """Add a frame (height, width, 3), RGB, that is shown for ``hold`` s, and at least for the time of one frame."""
         # This format has half as many bytes as RGB, and a held frame is converted only once.
         pixels = cv2.cvtColor(image, cv2.COLOR_RGB2YUV_I420).data
         try:
@@ -136,11 +93,13 @@ class _Mp4:
             raise VideoError(f"{self._path}: cannot be written: {self._last_error() or error}") from error
 
     def finish(self) -> None:
+        """Complete the file."""
         _pipe(self._process).close()
         if self._process.wait():
             raise VideoError(f"{self._path}: cannot be written: {self._last_error() or 'ffmpeg failed'}")
 
     def abandon(self) -> None:
+        """Free all resources."""
         if self._process.poll() is None:
             self._process.kill()
         # Data that is still in the pipe is not needed.
@@ -159,15 +118,17 @@ class _Mp4:
 class _Gif:
     """Keeps compressed frames in memory, and writes them at the end, when all colours are known."""
 
-    def __init__(self, path: Path, fps: float) -> None:
-        self._path, self._frame_time = path, 1.0 / fps
+    def __init__(self, path: Path, fps: float, beside: Path) -> None:
+        self._path, self._beside, self._frame_time = path, beside, 1.0 / fps
         self._step = max(1.0 / _GIF_FPS, self._frame_time)
         self._frames: list[tuple[bytes, float]] = []
         self._size = (0, 0)
         self._owed = 0.0
 
-    def add(self, image: Image, hold: float) -> None:
-        """Take a frame unless the last frame has to be shown longer. The speed of the video stays the same."""
+    def write(self, image: Image, hold: float = 0.0) -> None:
+        """Take a frame (height, width, 3), RGB, unless the last has to be shown longer. The speed of the video stays
+        the same.
+        """
         time = max(hold, self._frame_time)
         if self._frames and self._owed + time < self._step - 1e-9:
             self._owed += time
@@ -195,15 +156,19 @@ class _Gif:
         self._frames, self._step = kept, 2.0 * self._step
 
     def finish(self) -> None:
+        """Complete the file."""
+        if not self._frames:
+            raise VideoError(f"{self._path}: there are no frames")
         palette = self._palette()
         frames = (frame.quantize(palette=palette, dither=Pictures.Dither.NONE) for frame in self._pictures())
         # The unit of time in a GIF is 1/100 s.
         times = [10 * round(100.0 * time) for _, time in self._frames]
         next(frames).save(
-            self._path, format="GIF", save_all=True, append_images=frames, duration=times, loop=0, optimize=False
+            self._beside, format="GIF", save_all=True, append_images=frames, duration=times, loop=0, optimize=False
         )
 
     def abandon(self) -> None:
+        """Free all resources."""
         self._frames = []
 
     def _pictures(self) -> Iterator[Pictures.Image]:
@@ -223,6 +188,10 @@ class _Gif:
         palette = Pictures.new("P", (1, 1))
         palette.putpalette([*(part for colour in PALETTE for part in colour), *found])
         return palette
+
+
+VideoWriter: TypeAlias = _Mp4 | _Gif
+"""Takes the frames of a video file, which :func:`video_file` makes."""
 
 
 def _small(image: Image) -> Image:

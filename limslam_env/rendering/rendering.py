@@ -32,7 +32,7 @@ Image: TypeAlias = NDArray[np.uint8]
 Colour: TypeAlias = tuple[int, int, int]
 
 _PAPER, _UNSEEN, _SEEN = (250, 250, 249), (222, 227, 233), (252, 248, 238)
-_WALL, _OBSTACLE, _DOOR = (47, 55, 69), (174, 183, 195), (120, 186, 176)
+_WALL, _OBSTACLE = (47, 55, 69), (174, 183, 195)
 _WALL_HIT, _ROBOT_HIT, _NO_HIT = (226, 138, 40), (190, 40, 140), (158, 184, 212)
 _BELIEF, _FRONTIER, _TEXT, _BAR = (205, 48, 66), (20, 150, 140), (86, 94, 108), (208, 213, 220)
 _ROBOTS = ((38, 103, 178), (40, 140, 92), (132, 84, 170), (176, 88, 60), (20, 128, 142), (168, 62, 110))
@@ -197,9 +197,7 @@ def _fitting_background(world: World) -> Background:
 
 
 def _background(world: World, *, least_width: int, most_width: int, least_height: int = 0) -> Background:
-    canvas = _new_canvas(
-        world, HEIGHT, _MARGIN, least_width=least_width, most_width=most_width, least_height=least_height
-    )
+    canvas = _new_canvas(world, least_width=least_width, most_width=most_width, least_height=least_height)
     everything_seen = canvas.on(canvas.image.copy())
     for layer, floor in ((canvas, _UNSEEN), (everything_seen, _SEEN)):
         _draw_floor(layer, world, floor)
@@ -209,17 +207,15 @@ def _background(world: World, *, least_width: int, most_width: int, least_height
     return Background(canvas, light)
 
 
-def _new_canvas(
-    world: World, most_height: int, margin: int, *, least_width: int, most_width: int, least_height: int = 0
-) -> _Canvas:
+def _new_canvas(world: World, *, least_width: int, most_width: int, least_height: int) -> _Canvas:
     """A canvas around a world; the sizes are in pixels."""
     corners = world.edges.reshape(-1, 2)
     low, extent = corners.min(axis=0), np.maximum(np.ptp(corners, axis=0), 1e-3)
-    scale = float(((most_width - 2 * margin, most_height - 2 * margin) / extent).min())
-    columns, rows = np.ceil(extent * scale).astype(int) + 2 * margin
+    scale = float(((most_width - 2 * _MARGIN, HEIGHT - 2 * _MARGIN) / extent).min())
+    columns, rows = np.ceil(extent * scale).astype(int) + 2 * _MARGIN
     # Video codecs want even sides.
     columns, rows = max(columns + columns % 2, least_width + least_width % 2), rows + rows % 2
-    origin = np.array([0.5 * (columns - extent[0] * scale), rows - margin + max(least_height - rows, 0) // 2])
+    origin = np.array([0.5 * (columns - extent[0] * scale), rows - _MARGIN + max(least_height - rows, 0) // 2])
     rows = max(rows, least_height)
     return _Canvas(np.full((rows, columns, 3), _PAPER, dtype=np.uint8), low, origin, scale)
 

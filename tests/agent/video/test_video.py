@@ -113,7 +113,11 @@ def test_a_film_has_a_frame_every_fifth_of_a_second_and_pauses_to_explain():
 # The file.
 
 
-def moving(number, width=320, height=180):
+SIZE = 320, 180
+
+
+def moving(number):
+    width, height = SIZE
     image = np.full((height, width, 3), (250, 250, 249), dtype=np.uint8)
     image[40:80, 4 * number : 4 * number + 40] = (205, 48, 66)
     return image
@@ -132,7 +136,7 @@ def decoded(path):
 def test_an_mp4_holds_the_frames_and_their_colours(tmp_path):
     pytest.importorskip("imageio_ffmpeg")
     path = tmp_path / "film.mp4"
-    with video_file(path, FPS) as writer:
+    with video_file(path, FPS, SIZE) as writer:
         for number in range(10):
             writer.write(moving(number))
         writer.write(moving(10), hold=0.4)
@@ -152,7 +156,7 @@ def test_an_mp4_holds_the_frames_and_their_colours(tmp_path):
 
 def test_a_gif_plays_at_the_speed_of_the_frames(tmp_path):
     path = tmp_path / "deep" / "film.gif"
-    with video_file(path, 25) as writer:
+    with video_file(path, 25, SIZE) as writer:
         for number in range(50):
             writer.write(moving(number))
         writer.write(moving(50), hold=3.0)
@@ -172,13 +176,13 @@ def test_a_gif_plays_at_the_speed_of_the_frames(tmp_path):
 def test_a_file_that_is_there_is_only_replaced_by_force(tmp_path):
     path = tmp_path / "film.gif"
     path.write_text("old")
-    with pytest.raises(ValueError, match="--force"), video_file(path, FPS):
+    with pytest.raises(ValueError, match="--force"), video_file(path, FPS, SIZE):
         pass
     folder = tmp_path / "folder.gif"
     folder.mkdir()
-    with pytest.raises(ValueError, match="folder"), video_file(folder, FPS, force=True):
+    with pytest.raises(ValueError, match="folder"), video_file(folder, FPS, SIZE, force=True):
         pass
-    with video_file(path, FPS, force=True) as writer:
+    with video_file(path, FPS, SIZE, force=True) as writer:
         writer.write(moving(0))
         assert path.read_text() == "old"
     assert path.read_bytes().startswith(b"GIF8")
@@ -189,7 +193,10 @@ def test_without_an_encoder_an_mp4_is_refused_with_what_to_install(tmp_path, mon
         raise ImportError(name)
 
     monkeypatch.setattr(video.importlib, "import_module", missing)
-    with pytest.raises(VideoError, match=r"pip install 'limslam\[video\]'"), video_file(tmp_path / "film.mp4", FPS):
+    with (
+        pytest.raises(VideoError, match=r"pip install 'limslam\[video\]'"),
+        video_file(tmp_path / "film.mp4", FPS, SIZE),
+    ):
         pass
 
 
@@ -197,7 +204,7 @@ def film(path, frames, failure=None):
     """Write frames, and fail then."""
     if path.suffix == ".mp4":
         pytest.importorskip("imageio_ffmpeg")
-    with video_file(path, FPS) as writer:
+    with video_file(path, FPS, SIZE) as writer:
         for frame in frames:
             writer.write(frame)
         if failure is not None:
@@ -213,18 +220,8 @@ def test_nothing_is_left_of_a_run_that_was_stopped(tmp_path, suffix, failure):
 
 
 def test_a_video_without_a_frame_is_none(tmp_path):
-    with pytest.raises(VideoError, match="there are no frames"), video_file(tmp_path / "film.gif", FPS):
+    with pytest.raises(VideoError, match="there are no frames"), video_file(tmp_path / "film.gif", FPS, SIZE):
         pass
-    assert list(tmp_path.iterdir()) == []
-
-
-@pytest.mark.parametrize("suffix", ["mp4", "gif"])
-def test_frames_must_be_frames_of_one_size(tmp_path, suffix):
-    path = tmp_path / f"film.{suffix}"
-    with pytest.raises(VideoError, match="first"):
-        film(path, [moving(0), moving(0, width=322)])
-    with pytest.raises(VideoError, match="even sides"):
-        film(path, [moving(0, width=321)])
     assert list(tmp_path.iterdir()) == []
 
 
@@ -234,5 +231,5 @@ def test_an_encoder_that_fails_says_why(tmp_path, monkeypatch):
     program.chmod(0o755)
     monkeypatch.setattr(video, "_ffmpeg", lambda: str(program))
     with pytest.raises(VideoError, match="no space for films"):
-        film(tmp_path / "film.mp4", [moving(number % 20, 1280, 720) for number in range(40)])
+        film(tmp_path / "film.mp4", [moving(number % 50) for number in range(400)])
     assert [one.name for one in tmp_path.iterdir()] == ["ffmpeg"]
