@@ -2,8 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Callable, Hashable, Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -112,13 +111,6 @@ def plans_digest(track: str, seed: int) -> str:
 def digest_of(content: Any) -> str:
     """Digest of what JSON can hold."""
     return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
-
-
-def open_store(
-    folder: Path, stamp: Stamp, keep: Callable[[Row], bool] = lambda _: True
-) -> AbstractContextManager[store.Store[Row]]:
-    """Open a folder of results: see :func:`limslam_agent.measurements.store.open_store`."""
-    return store.open_store(FORMAT, folder, stamp, keep)
 
 
 def read_results(folder: Path) -> tuple[Stamp, dict[int, Row]]:

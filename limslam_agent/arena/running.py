@@ -12,10 +12,11 @@ from limslam_agent.arena.command import without_folders
 from limslam_agent.arena.entry import Entry
 from limslam_agent.arena.exploration import Keep, explore
 from limslam_agent.arena.mapping import map_drive
-from limslam_agent.arena.results import RUNS, Row, digest_of, open_store, stamp_of
+from limslam_agent.arena.results import FORMAT, RUNS, Row, digest_of, stamp_of
 from limslam_agent.arena.scoring import lost_scores
 from limslam_agent.arena.tracks import MAPPING, Plan
 from limslam_agent.measurements.processes import Failure, Processes
+from limslam_agent.measurements.store import open_store
 from limslam_agent.output.export import plain
 from limslam_agent.output.provenance import commit
 from limslam_agent.runs.results import versions
@@ -92,7 +93,7 @@ def run_entry(
         raise ValueError(f"{folder}: lies in the folder of the entry, which must not change while it runs")
     stamp = stamp_of(entry, seed, is_secret=is_secret, versions=versions(), commit=commit())
     again = {plan.number for plan in plans} if retry_failed else set()
-    with open_store(folder, stamp, lambda row: row.error is None or row.plan not in again) as store:
+    with open_store(FORMAT, folder, stamp, lambda row: row.error is None or row.plan not in again) as store:
         todo = [
             Job(entry, plan, place / RUNS / f"{plan.number:03d}" if keep else None, stamp.versions, stamp.commit, keep)
             for plan in plans

@@ -12,12 +12,12 @@ from support.command_line import call
 
 from limslam_agent.arena.entry import read_entry
 from limslam_agent.arena.mapping import map_drive
-from limslam_agent.arena.results import FORMAT, RUNS, STAMP, open_store, read_results
+from limslam_agent.arena.results import FORMAT, RUNS, STAMP, read_results
 from limslam_agent.arena.running import Job, run_entry, run_job
 from limslam_agent.arena.verify import differences, opened, verify
 from limslam_agent.cli.arena import write_kept_run
 from limslam_agent.cli.main import main
-from limslam_agent.measurements.store import RESULTS, read_stamp
+from limslam_agent.measurements.store import RESULTS, open_store, read_stamp
 
 PYTHON = MANIFEST.replace('kind = "shipped"\nrun = "random"', 'kind = "python"\nrun = "mine.py:Mine"')
 MAPPING = (
@@ -72,7 +72,7 @@ def test_failed_plans_are_run_again_when_asked(tmp_path, entry, short_plans):
     folder, seen = tmp_path / "out", []
     run_all(entry, short_plans[:1], folder)
     kept = (folder / RESULTS).read_bytes()
-    with open_store(folder, read_stamp(FORMAT, folder)) as store:
+    with open_store(FORMAT, folder, read_stamp(FORMAT, folder)) as store:
         store.append(replace(store.rows[0], plan=1, error="did not answer within 5 s"))
     assert run_all(entry, short_plans[:2], folder)[1].error
     run_all(entry, short_plans[:1], folder, retry_failed=True)  # the failed plan is not among the chosen ones
@@ -172,7 +172,7 @@ def test_results_of_something_else_are_not_continued(tmp_path, entry, short_plan
     with pytest.raises(ValueError, match="is not empty and holds no results"):
         run_all(entry, short_plans, tmp_path / "full")
     stamp = read_stamp(FORMAT, folder)
-    with open_store(folder, stamp), pytest.raises(ValueError, match="another run is writing there"):
+    with open_store(FORMAT, folder, stamp), pytest.raises(ValueError, match="another run is writing there"):
         run_all(entry, short_plans, folder)
 
 
