@@ -19,7 +19,8 @@ from benchmarks.suite.work import data_file
 from limslam_agent.config.presets import preset
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.output.export import plain
-from limslam_agent.replay.replay import Replay, relation_scores, replay_log
+from limslam_agent.replay.record import Replay
+from limslam_agent.replay.replay import relation_scores, replay_log
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import score
 from limslam_agent.runs.run_config import RunConfig

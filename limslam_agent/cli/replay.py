@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from limslam_agent.logs.table_options import TableOptions
     from limslam_agent.output.run_folder import NewFolder
     from limslam_agent.replay.calibration import OdometryBias
-    from limslam_agent.replay.replay import Replay
+    from limslam_agent.replay.record import Replay
     from limslam_agent.two_logs.joint import JointReplay
     from limslam_env.interface import RobotSpec
 

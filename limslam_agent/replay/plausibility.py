@@ -6,7 +6,7 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.logs.recorded_log import RecordedLog
-from limslam_agent.replay.replay import Replay
+from limslam_agent.replay.record import Replay
 from limslam_env.geometry import FloatArray, se2
 from limslam_env.messages import counted
 

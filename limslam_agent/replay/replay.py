@@ -3,14 +3,13 @@
 import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
-from limslam_agent.grid.occupancy import GridView
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations, relation_errors, summary
 from limslam_agent.mapping.mapper import Mapper
@@ -19,119 +18,14 @@ from limslam_agent.output.export import map_content, write_covariances, write_js
 from limslam_agent.output.finished_run import COVARIANCES, UNPLACED
 from limslam_agent.output.summary import place_records, record_of, turn_records
 from limslam_agent.output.tum import write_paths
-from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.replay.filter_estimate import FilterEstimate
+from limslam_agent.replay.record import Replay, SelfCalibration
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
-from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.core.motion import OdometryCalibration
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.smoothed_status import lost_note
 from limslam_agent.status.status import LEVELS, Status, final_status_scores, status_scores
-from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.se2 import compose
-
-if TYPE_CHECKING:
-    from limslam_agent.replay.smoothing import Smoothed
-
-
-@dataclass(frozen=True, eq=False)
-class SelfCalibration:
-    """The systematic errors of the odometry that the filter has estimated during a replay.
-
-    Attributes
-    ----------
-    factors, covariance
-        Errors of wheels and axle, and their covariance (3, 3).
-    axle
-        Axle of the robot's description, m.
-    """
-
-    factors: OdometryCalibration
-    covariance: FloatArray
-    axle: float
-
-    @property
-    def figures(self) -> dict[str, float]:
-        """Values for ``result.json``: missing turn per metre, size of the wheels and of the axle, with standard
-        deviations.
-        """
-        turn, size = np.array([-1.0, 1.0, 0.0]) / self.axle, np.array([0.5, 0.5, 0.0])
-        values = np.array(self.factors)
-        return {
-            "self_calibration_turn_deg_per_m": math.degrees(turn @ values),
-            "self_calibration_turn_std_deg_per_m": math.degrees(math.sqrt(turn @ self.covariance @ turn)),
-            "self_calibration_scale": 1.0 + float(size @ values),
-            "self_calibration_scale_std": math.sqrt(size @ self.covariance @ size),
-            "self_calibration_axle": 1.0 + self.factors.axle,
-            "self_calibration_axle_std": math.sqrt(self.covariance[2, 2]),
-        }
-
-    @property
-    def words(self) -> str:
-        """One line for the screen."""
-        figures = self.figures
-        turn, scale = (
-            (figures[f"self_calibration_{name}"], figures[f"self_calibration_{std}"])
-            for name, std in (("turn_deg_per_m", "turn_std_deg_per_m"), ("scale", "scale_std"))
-        )
-        return f"{turn[0]:.3f} +- {turn[1]:.3f} deg/m, scale {scale[0]:.4f} +- {scale[1]:.4f}, by the filter itself"
-
-
-@dataclass(frozen=True, eq=False)
-class Replay:
-    """The result of a replay, with a pose for every event of the log.
-
-    Attributes
-    ----------
-    log
-        The log that was replayed.
-    config
-        Settings.
-    estimated, odometry
-        Poses (n, 3): the estimate, and odometry alone, corrected for its known bias.
-    covariances
-        Covariances of the estimated poses (n, 3, 3).
-    levels, status
-        Status of the estimate at each event (n,), as an index into ``status.LEVELS``, and at the end of the log.
-    landmarks, segments, grid
-        The map.
-    refused_readings
-        Number of readings that were skipped: no readings (NaN), and negative numbers.
-    self_calibration
-        Systematic odometry errors that the filter has estimated. None if this was not asked for.
-    beam_turns
-        By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad; None if no beam is.
-    slam_ms, job_ms, wall_clock
-        Cost of the SLAM for each event (n,), and of the jobs of the online graph beside it (n,), ms; and cost of the
-        whole replay, s.
-    places
-        What happened when the robot was lost.
-    smoothed
-        What is known at the end of the log. None if the settings do not smooth it.
-    handed_over
-        The event from which on the online graph gives the estimate, since the filter is lost. None if there is none.
-    """
-
-    log: RecordedLog
-    config: AgentConfig
-    estimated: FloatArray
-    odometry: FloatArray
-    covariances: FloatArray
-    levels: IntArray
-    status: Status
-    landmarks: list[Landmark]
-    segments: FloatArray
-    grid: GridView
-    refused_readings: int
-    self_calibration: SelfCalibration | None
-    slam_ms: FloatArray
-    job_ms: FloatArray
-    wall_clock: float
-    places: PlaceHistory
-    smoothed: "Smoothed | None" = None
-    handed_over: int | None = None
-    beam_turns: FloatArray | None = None
 
 
 def replay_log(

@@ -5,7 +5,7 @@ A log of odometry poses is smoothed by the graph of local maps, a log of wheel t
 
 import math
 import time
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import pairwise
 from typing import Any
 
@@ -16,7 +16,7 @@ from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.grid.occupancy import GridView, drawn_grid
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.places.revisions import revised
-from limslam_agent.replay.replay import Replay
+from limslam_agent.replay.record import Replay, Smoothed
 from limslam_agent.replay.reversing import reversed_distance, with_reversing
 from limslam_agent.replay.trust import PathSignals, path_signals
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
@@ -29,7 +29,7 @@ from limslam_agent.slam.graph.smooth import GraphResult, Report, rounds
 from limslam_agent.slam.graph.wall_lines import lines_in
 from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, smooth_run
 from limslam_agent.status.smoothed_status import lost_since, smoothed_status
-from limslam_agent.status.status import LEVELS, Status
+from limslam_agent.status.status import LEVELS
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import distance
 from limslam_env.interface import RobotSpec
@@ -41,45 +41,6 @@ _DRAWN_LINES = WallLineConfig(
 
 
 _MORE_ROUNDS = 2  # of a doubtful path; felt by "csail 4 beams" and "made-up logs"
-
-
-@dataclass(frozen=True, eq=False)
-class Smoothed:
-    """What is known at the end of a log.
-
-    Attributes
-    ----------
-    poses
-        (n, 3) of all events.
-    figures
-        For ``result.json``: counts of loops, and what odometry was found to be wrong by.
-    loops
-        For ``loops.json``: each loop that was found, with the reason why it was kept or left out. None from the line
-        smoother, which finds loops by merging lines.
-    seconds
-        CPU time of the smoothing, s.
-    covariances
-        Covariances of the poses (n, 3, 3). None from the graph of local maps.
-    status
-        Whether the smoothed path and map can be trusted. None from the graph, whose status is in ``figures``.
-    basis
-        What two logs are joined from: the graph of local maps, or the run of the line smoother.
-    data
-        What the graph of local maps has used of the log. None from the line smoother.
-    graph
-        For ``graph.json``: the times of the key poses and of the middles of the local maps. None from the line
-        smoother.
-    """
-
-    poses: FloatArray
-    figures: dict[str, Any]
-    loops: list[dict[str, Any]] | None
-    seconds: float
-    covariances: FloatArray | None = None
-    status: Status | None = None
-    basis: "GraphResult | FilteredRun | None" = field(default=None, repr=False)
-    data: LogData | None = field(default=None, repr=False)
-    graph: dict[str, list[float]] | None = None
 
 
 def smoothed_by_graph(replay: Replay, config: GraphConfig, report: Report = lambda _: None) -> Replay:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.replay.replay import Replay
+from limslam_agent.replay.record import Replay
 from limslam_agent.replay.smoothing import draw_walls, ends_of, loop_records
 from limslam_agent.replay.trust import path_signals
 from limslam_agent.slam.graph.agreement import MapScore

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.places.localisation import MATCH_STD, KnownPlaces
-from limslam_agent.replay.replay import Replay
+from limslam_agent.replay.record import Replay
 from limslam_agent.slam.graph.smooth import Report
 from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_run
 from limslam_agent.status.smoothed_status import smoothed_status

@@ -8,7 +8,7 @@ import numpy as np
 
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.places.revisions import Unplaced
-from limslam_agent.replay.replay import Replay
+from limslam_agent.replay.record import Replay
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray, se2

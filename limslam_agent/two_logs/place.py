@@ -14,7 +14,7 @@ import numpy as np
 from limslam_agent.kernels.tables import RAY_TO_X, RAY_X
 from limslam_agent.places.localisation import LEAD, KnownPlaces
 from limslam_agent.places.search import LARGEST_RUNNER_UP
-from limslam_agent.replay.replay import Replay
+from limslam_agent.replay.record import Replay
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.known_map import PlaceFit
 from limslam_agent.status.rays import rays_of

@@ -1,0 +1,159 @@
+"""What a replay has found: the estimate at each event, the map, and what is known at the end of the log."""
+
+import math
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from limslam_agent.config.presets import AgentConfig
+from limslam_agent.grid.occupancy import GridView
+from limslam_agent.logs.recorded_log import RecordedLog
+from limslam_agent.places.revisions import PlaceHistory
+from limslam_agent.slam.core.line_map import Landmark
+from limslam_agent.slam.core.motion import OdometryCalibration
+from limslam_agent.status.status import Status
+from limslam_env.geometry import FloatArray, IntArray
+
+if TYPE_CHECKING:
+    from limslam_agent.slam.graph.key_poses import LogData
+    from limslam_agent.slam.graph.smooth import GraphResult
+    from limslam_agent.slam.line_graph.smoother import FilteredRun
+
+
+@dataclass(frozen=True, eq=False)
+class SelfCalibration:
+    """The systematic errors of the odometry that the filter has estimated during a replay.
+
+    Attributes
+    ----------
+    factors, covariance
+        Errors of wheels and axle, and their covariance (3, 3).
+    axle
+        Axle of the robot's description, m.
+    """
+
+    factors: OdometryCalibration
+    covariance: FloatArray
+    axle: float
+
+    @property
+    def figures(self) -> dict[str, float]:
+        """Values for ``result.json``: missing turn per metre, size of the wheels and of the axle, with standard
+        deviations.
+        """
+        turn, size = np.array([-1.0, 1.0, 0.0]) / self.axle, np.array([0.5, 0.5, 0.0])
+        values = np.array(self.factors)
+        return {
+            "self_calibration_turn_deg_per_m": math.degrees(turn @ values),
+            "self_calibration_turn_std_deg_per_m": math.degrees(math.sqrt(turn @ self.covariance @ turn)),
+            "self_calibration_scale": 1.0 + float(size @ values),
+            "self_calibration_scale_std": math.sqrt(size @ self.covariance @ size),
+            "self_calibration_axle": 1.0 + self.factors.axle,
+            "self_calibration_axle_std": math.sqrt(self.covariance[2, 2]),
+        }
+
+    @property
+    def words(self) -> str:
+        """One line for the screen."""
+        figures = self.figures
+        turn, scale = (
+            (figures[f"self_calibration_{name}"], figures[f"self_calibration_{std}"])
+            for name, std in (("turn_deg_per_m", "turn_std_deg_per_m"), ("scale", "scale_std"))
+        )
+        return f"{turn[0]:.3f} +- {turn[1]:.3f} deg/m, scale {scale[0]:.4f} +- {scale[1]:.4f}, by the filter itself"
+
+
+@dataclass(frozen=True, eq=False)
+class Smoothed:
+    """What is known at the end of a log.
+
+    Attributes
+    ----------
+    poses
+        (n, 3) of all events.
+    figures
+        For ``result.json``: counts of loops, and what odometry was found to be wrong by.
+    loops
+        For ``loops.json``: each loop that was found, with the reason why it was kept or left out. None from the line
+        smoother, which finds loops by merging lines.
+    seconds
+        CPU time of the smoothing, s.
+    covariances
+        Covariances of the poses (n, 3, 3). None from the graph of local maps.
+    status
+        Whether the smoothed path and map can be trusted. None from the graph, whose status is in ``figures``.
+    basis
+        What two logs are joined from: the graph of local maps, or the run of the line smoother.
+    data
+        What the graph of local maps has used of the log. None from the line smoother.
+    graph
+        For ``graph.json``: the times of the key poses and of the middles of the local maps. None from the line
+        smoother.
+    """
+
+    poses: FloatArray
+    figures: dict[str, Any]
+    loops: list[dict[str, Any]] | None
+    seconds: float
+    covariances: FloatArray | None = None
+    status: Status | None = None
+    basis: "GraphResult | FilteredRun | None" = field(default=None, repr=False)
+    data: "LogData | None" = field(default=None, repr=False)
+    graph: dict[str, list[float]] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Replay:
+    """The result of a replay, with a pose for every event of the log.
+
+    Attributes
+    ----------
+    log
+        The log that was replayed.
+    config
+        Settings.
+    estimated, odometry
+        Poses (n, 3): the estimate, and odometry alone, corrected for its known bias.
+    covariances
+        Covariances of the estimated poses (n, 3, 3).
+    levels, status
+        Status of the estimate at each event (n,), as an index into ``status.LEVELS``, and at the end of the log.
+    landmarks, segments, grid
+        The map.
+    refused_readings
+        Number of readings that were skipped: no readings (NaN), and negative numbers.
+    self_calibration
+        Systematic odometry errors that the filter has estimated. None if this was not asked for.
+    beam_turns
+        By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad; None if no beam is.
+    slam_ms, job_ms, wall_clock
+        Cost of the SLAM for each event (n,), and of the jobs of the online graph beside it (n,), ms; and cost of the
+        whole replay, s.
+    places
+        What happened when the robot was lost.
+    smoothed
+        What is known at the end of the log. None if the settings do not smooth it.
+    handed_over
+        The event from which on the online graph gives the estimate, since the filter is lost. None if there is none.
+    """
+
+    log: RecordedLog
+    config: AgentConfig
+    estimated: FloatArray
+    odometry: FloatArray
+    covariances: FloatArray
+    levels: IntArray
+    status: Status
+    landmarks: list[Landmark]
+    segments: FloatArray
+    grid: GridView
+    refused_readings: int
+    self_calibration: SelfCalibration | None
+    slam_ms: FloatArray
+    job_ms: FloatArray
+    wall_clock: float
+    places: PlaceHistory
+    smoothed: Smoothed | None = None
+    handed_over: int | None = None
+    beam_turns: FloatArray | None = None
