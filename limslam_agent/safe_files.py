@@ -60,7 +60,7 @@ def read_limited(path: Path, largest: int = MAX_TEXT_BYTES) -> bytes:
 
 
 def load_arrays(
-    path: Path, names: Collection[str] | None = None, largest: int = MAX_ARRAY_BYTES
+    path: Path, names: Collection[str] | None = None, largest: float = MAX_ARRAY_BYTES
 ) -> "dict[str, NDArray[Any]]":
     """The arrays of an ``.npz`` file by their names, of these names only, where they are given. Nothing is unpickled.
 
@@ -87,7 +87,7 @@ def load_arrays(
             raise ValueError(f"cut short or damaged: {one_line(str(error), LONGEST_VALUE)}") from error
 
 
-def _arrays_in(raw: IO[bytes], names: Collection[str] | None, largest: int) -> "dict[str, NDArray[Any]]":
+def _arrays_in(raw: IO[bytes], names: Collection[str] | None, largest: float) -> "dict[str, NDArray[Any]]":
     with zipfile.ZipFile(raw) as archive:
         members = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
         wanted = {name: info for name, info in members.items() if names is None or name in names}

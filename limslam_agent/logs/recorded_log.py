@@ -168,9 +168,9 @@ def read_npz(path: FilePath) -> RecordedLog:
     Raises
     ------
     LogError
-        If the file cannot be read, has more than 256 MB, is cut short or is not such a zip file; if an array is
-        missing, or one of the two arrays of the truth; or if an array has a wrong shape or holds something other than
-        finite numbers. Ranges may be infinite, NaN or negative, as `limslam_agent.readings` defines.
+        If the file cannot be read, is cut short or is not such a zip file; if an array is missing, or one of the two
+        arrays of the truth; or if an array has a wrong shape or holds something other than finite numbers. Ranges may
+        be infinite, NaN or negative, as `limslam_agent.readings` defines.
     """
     with naming(path):
         arrays = _load_arrays(path)
@@ -318,7 +318,7 @@ def _load_arrays(path: FilePath) -> dict[str, NDArray[Any]]:
     if first_bytes(path, len(ZIP_MAGIC)) != ZIP_MAGIC:
         raise ValueError("is not an .npz file")
     try:
-        arrays = load_arrays(Path(path), _ARRAYS)
+        arrays = load_arrays(Path(path), _ARRAYS, math.inf)
     except OSError as error:
         raise _unreadable(path, error) from error
     missing = [name for name in _ARRAYS if name not in arrays]
