@@ -20,6 +20,7 @@ from limslam_agent.arena.entry import Entry
 from limslam_agent.arena.tracks import Plan
 from limslam_agent.config.presets import preset
 from limslam_agent.logs.log_reader import read_log
+from limslam_agent.logs.recorded_log import write_npz
 from limslam_agent.output.export import write_json
 from limslam_agent.output.finished_run import COVARIANCES
 from limslam_agent.output.run_folder import RESULT_FILE, new_folder
@@ -116,9 +117,9 @@ def _scored(plan: Plan, drive: Episode, files: tuple[Path, Path | None], true: P
 def _write_recording(place: Path, drive: Episode) -> None:
     """The readings as an array file and as a table, without anything true but the first pose."""
     ranges, wheels, robot = drive.ranges[:, 0], drive.wheels[:, 0], drive.config.robot
-    np.savez(
-        place / LOG, time=drive.time, ranges=ranges, wheels=wheels, action=drive.actions[:, 0],
-        start_pose=drive.true[0, 0], robot=np.array(robot.to_json()),
+    write_npz(
+        place / LOG, robot, time=drive.time, ranges=ranges, wheels=wheels, action=drive.actions[:, 0],
+        start_pose=drive.true[0, 0],
     )  # fmt: skip
     names = [f"r_{angle:g}" for angle in np.degrees(robot.beam_angles).round(3)]
     header = ",".join(["t", "left", "right", *names])

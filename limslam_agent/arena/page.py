@@ -9,7 +9,7 @@ from typing import Any
 from limslam_agent.arena.leaderboard import SCORES, Board, Standing
 from limslam_agent.arena.results import RUNS, Row
 from limslam_agent.arena.tracks import MAX_TIME
-from limslam_agent.inspect.page import escaped, filled, plotting_library
+from limslam_agent.inspect.page import filled, plotting_library
 from limslam_agent.measurements.statistics import number
 from limslam_agent.output.atomic_write import atomic_write
 
@@ -67,7 +67,7 @@ def write_board(path: Path, found: Board) -> int:
     library = plotting_library()
     told = json.dumps(_content(found, path.absolute().parent), allow_nan=False).replace("<", "\\u003c")
     parts = {
-        "TITLE": escaped(f"LimSLAM arena, {found.track}"), "STYLE": library.style + _part("board.css"),
+        "TITLE": f"LimSLAM arena, {found.track}", "STYLE": library.style + _part("board.css"),
         "LICENSE": library.license, "LIBRARY": library.script, "SCRIPT": _part("board.js"), "DATA": told,
     }  # fmt: skip
     content = filled(_part("board.html"), parts).encode()

@@ -1,5 +1,6 @@
 """The page: one HTML file that holds the recording, the program that plays it, and all that the program needs."""
 
+import html
 import re
 from collections.abc import Mapping
 from functools import cache
@@ -89,7 +90,7 @@ def _assembled(title: str, content: str) -> str:
     script = "\n".join(_part("page", name) for name in SCRIPTS)
     library = plotting_library()
     parts = {
-        "TITLE": escaped(title),
+        "TITLE": html.escape(title, quote=False),
         "STYLE": library.style + _part("page", "style.css"),
         "LICENSE": library.license,
         "LIBRARY": library.script,
@@ -116,8 +117,3 @@ def write_page(path: Path, title: str, arrays: Mapping[str, NDArray[Any]], meta:
     with atomic_write(path) as beside:
         beside.write_bytes(content)
     return len(content)
-
-
-def escaped(text: str) -> str:
-    """A text as HTML shows it."""
-    return text.replace("&", "&amp;").replace("<", "&lt;").replace(">", "&gt;")

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.live.protocol import NOTHING_SEEN, Hello, Telemetry, difference
-from limslam_agent.logs.recorded_log import RecordedLog
+from limslam_agent.logs.recorded_log import RecordedLog, write_npz
 from limslam_agent.output.atomic_write import atomic_write
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import Observation, RobotSpec
@@ -172,9 +172,9 @@ class Recording:
         nothing = np.zeros(2)
         actions = np.array([self._actions.get(number, nothing) for number in sorted(self._rows)])
         with atomic_write(path) as beside:
-            np.savez_compressed(
-                beside, time=log.time, ranges=log.ranges, wheels=log.wheels, action=actions,  # type: ignore[arg-type] # a log of wheels
-                start_pose=log.start_pose, robot=np.array(log.robot.to_json()),
+            write_npz(
+                beside, log.robot, time=log.time, ranges=log.ranges, wheels=log.wheels, action=actions,
+                start_pose=log.start_pose,
             )  # fmt: skip
 
     def _sorted(self) -> list[Row]:

@@ -195,6 +195,11 @@ def read_npz(path: FilePath) -> RecordedLog:
         )
 
 
+def write_npz(path: Path, robot: RobotSpec, **arrays: Any) -> None:
+    """Write a ``log.npz``: the arrays that :func:`read_npz` names, and the description of the robot."""
+    np.savez_compressed(path, robot=np.array(robot.to_json()), **arrays)
+
+
 def check_beams(count: int) -> None:
     """Refuse too many beams.
 

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from limslam_agent.logs.recorded_log import write_npz
 from limslam_agent.output.cost import run_cost
 from limslam_agent.output.export import WallsAndGrid, map_content, plain, write_covariances, write_json, write_map
 from limslam_agent.output.finished_run import COVARIANCES, UNPLACED, WORLD, run_title
@@ -246,10 +247,7 @@ def _write_log(path: Path, episode: Episode) -> None:
     }  # fmt: skip
     if episode.config.robots == 1:
         arrays = {name: array[:, 0] for name, array in arrays.items()}
-    np.savez_compressed(
-        path, time=episode.time, start_pose=arrays["true_pose"][0], robot=np.array(episode.config.robot.to_json()),
-        **arrays,
-    )  # fmt: skip
+    write_npz(path, episode.config.robot, time=episode.time, start_pose=arrays["true_pose"][0], **arrays)
 
 
 def title_of(config: RunConfig) -> str:
