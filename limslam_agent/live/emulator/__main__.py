@@ -10,7 +10,7 @@ from typing import IO, TYPE_CHECKING, Annotated
 import typer
 
 from limslam_agent.cli.terminal import run_command
-from limslam_agent.live.protocol import BadLineError, Speeds, Stop, Telemetry, decode
+from limslam_agent.live.protocol import BadLineError, Message, Speeds, Stop, Telemetry, decode
 
 if TYPE_CHECKING:
     from limslam_agent.live.emulator.emulator import Emulator
@@ -88,50 +88,44 @@ def run(emulator: "Emulator", port: "Port", pace: float, truth: IO[str] | None) 
             latest = max(latest, _number(line))
         if truth is not None:
             truth.write(emulator.truth)
+        now = time.monotonic()
         if pace:
-            due = max(due + pace, time.monotonic() - pace)  # no attempt to catch up
-            _hear_until(emulator, port, due)
+            due = max(due + pace, now - pace)  # no attempt to catch up
+            _hear(emulator, port, due)
         elif latest > newest:
-            _hear_answer(emulator, port, latest)
+            _hear(emulator, port, now + ANSWER_WITHIN, latest)
         else:
-            _hear_until(emulator, port, time.monotonic() + (0.0 if emulator.has_host else _LONELY_POLL))
+            _hear(emulator, port, now + (0.0 if emulator.has_host else _LONELY_POLL))
         newest = latest
 
 
 def _number(line: bytes) -> int:
     """The sequence number of telemetry. -1 for other lines, which the host does not answer."""
-    try:
-        message = decode(line)
-    except BadLineError:  # the connection has damaged it
-        return -1
+    message = _message(line)
     return message.seq if isinstance(message, Telemetry) else -1
 
 
-def _hear_until(emulator: "Emulator", port: "Port", due: float) -> None:
-    while True:
-        left = due - time.monotonic()
-        for line in port.receive(max(left, 0.0)):
-            emulator.hear(line)
-        if left <= 0.0:
-            return
+def _message(line: bytes) -> Message | None:
+    """The message of a line. None if the connection has damaged it."""
+    try:
+        return decode(line)
+    except BadLineError:
+        return None
 
 
-def _hear_answer(emulator: "Emulator", port: "Port", number: int) -> None:
-    """Wait until the host has answered the telemetry with a sequence number, or stops the robot."""
-    give_up = time.monotonic() + ANSWER_WITHIN
-    while (left := give_up - time.monotonic()) > 0.0:
-        lines = port.receive(left)
+def _hear(emulator: "Emulator", port: "Port", until: float, number: int | None = None) -> None:
+    """Hear the host until a time, or until it answers the telemetry with a sequence number, or stops the robot."""
+    is_done = False
+    while not is_done:
+        left = until - time.monotonic()
+        lines = port.receive(max(left, 0.0))
         for line in lines:
             emulator.hear(line)
-        if any(_is_answer(line, number) for line in lines):
-            return
+        is_done = left <= 0.0 or (number is not None and any(_is_answer(line, number) for line in lines))
 
 
 def _is_answer(line: bytes, number: int) -> bool:
-    try:
-        message = decode(line)
-    except BadLineError:
-        return False
+    message = _message(line)
     return isinstance(message, Stop) or (isinstance(message, Speeds) and message.answers >= number)
 
 
