@@ -211,9 +211,9 @@ def smoothed_by_lines(
     if status.level == "ok":
         status = places.doubt
     seconds = time.process_time() - begin
-    basis = run.until(placed)
+    basis = run.synchronous.until(placed)
     smoothed = Smoothed(poses, _line_figures(found), None, seconds, found.covariances[:, 0], status, basis)
-    grid = draw_grid(replay, poses[:placed], found.robot)
+    grid = draw_grid(replay, found.read_at[:placed, 0], found.robot)
     return replace(replay, landmarks=found.landmarks, segments=found.segments, grid=grid, smoothed=smoothed)
 
 

@@ -100,7 +100,7 @@ def final_map(episode: "Episode") -> FinalMap:
     is_new = np.array([config.robot.measures(step) for step in range(len(ranges))])[:, None]
     measured = is_new & ~np.isnan(ranges) & ~episode.dropped
     used = episode.placed_steps
-    grid = drawn_grid(config.agent.grid, smoothed.robot, smoothed.poses[used], ranges[used], measured[used])
+    grid = drawn_grid(config.agent.grid, smoothed.robot, smoothed.read_at[used], ranges[used], measured[used])
     return FinalMap(smoothed.segments, smoothed.landmarks, grid, smoothed.poses)
 
 

@@ -6,13 +6,14 @@ import numpy as np
 
 from limslam_agent.config.consistent import RangeErrorConfig
 from limslam_agent.slam.consistent.range_noise import RangeNoise
-from limslam_agent.slam.consistent.separate_bias import COMMON, TURNS, RangeErrors
+from limslam_agent.slam.consistent.separate_bias import COMMON, DELAY, TURNS, RangeErrors
+from limslam_agent.slam.core.late_ranges import LONGEST
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import LARGEST_CONE
 
-LEAST_ERRORS = (2e-3, math.radians(0.25))
-"""A bias, m, and an opening angle, rad, that differ by less are as assumed."""
+LEAST_ERRORS = (2e-3, math.radians(0.25), 0.1)
+"""A bias, m, an opening angle, rad, and a delay, in steps, that differ by less are as assumed."""
 
 LEAST_TURN = math.radians(0.25)
 """Beams that are all turned by less, rad, are as assumed."""
@@ -77,6 +78,9 @@ class AssumedSensor:
         gate, noise_gate = config.gate, config.noise_gate
         if not self._is_specified:
             gate = noise_gate = config.further_gate
+        late_gate = config.further_gate if sensor.delay else config.gate
+        if evidence[DELAY] > late_gate and sensor.delay + change[DELAY] > 0.0:
+            return sensor._replace(delay=min(sensor.delay + float(change[DELAY]), LONGEST))
         turned = self._turned(errors)
         if turned is not None:
             return turned
@@ -87,10 +91,10 @@ class AssumedSensor:
             return None
         # Too little noise looks like an opening angle, and the reverse. So once one of them is known to be wrong, any
         # evidence for the other one counts. A bias is not found that early.
-        change = np.where([is_biased, evidence[1] > 0.0], change, 0.0)
+        change = np.where([is_biased, evidence[1] > 0.0, False], change, 0.0)
         std, growth = (noise.std, noise.growth) if noise.evidence > 0.0 else (sensor.std, sensor.growth)
         cone, bias = sensor.cone + float(change[1]), sensor.bias + float(change[0])
-        return RangeSensor(std, growth, cone, bias, sensor.turns)
+        return RangeSensor(std, growth, cone, bias, sensor.turns, sensor.delay)
 
     def _turned(self, errors: RangeErrors) -> RangeSensor | None:
         """The sensor with other directions of its beams, if the readings require that.

@@ -88,7 +88,8 @@ class ConsistentEstimator(Estimator):
         from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 
         calibration, errors = config.self_calibration, config.range_errors
-        stds = errors.stds(len(robot.beams) if len(start) == 1 else 0) if errors.enabled else None
+        beams = len(robot.beams) if len(start) == 1 else 0
+        stds = errors.stds(beams, robot.control_period) if errors.enabled else None
         self._filter = CloneEKF(start, None if calibration.calibrate == "never" else calibration.covariance, stds)
         if calibration.calibrate == "always":
             self._filter.calibrate()

@@ -1,4 +1,4 @@
-"""How a range sensor measures: its noise, the opening angle and directions of its beams, and the bias of its ranges."""
+"""How a range sensor measures: its noise, the opening angle and directions of its beams, bias and delay of its ranges."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -27,6 +27,8 @@ class RangeSensor(NamedTuple):
         By what all ranges are too long, m.
     turns
         By what each beam is turned to the left against the robot's settings, rad; empty if no beam is.
+    delay
+        By how many steps the ranges are later than the wheels.
     """
 
     std: float
@@ -34,10 +36,11 @@ class RangeSensor(NamedTuple):
     cone: float = 0.0
     bias: float = 0.0
     turns: tuple[float, ...] = ()
+    delay: float = 0.0
 
     @property
     def numbers(self) -> tuple[float, float, float, float]:
-        """All of it but the turns as plain numbers, for compiled code."""
+        """All of it but turns and delay as plain numbers, for compiled code."""
         return float(self.std), float(self.growth), float(self.cone), float(self.bias)
 
     def variances(self, ranges: FloatArray) -> FloatArray:
@@ -60,7 +63,7 @@ class RangeSensor(NamedTuple):
         return replace(robot, beams=tuple(replace(beam, angle=beam.angle + turn) for beam, turn in beams))
 
     def change_from(self, other: "RangeSensor") -> FloatArray:
-        """By what bias, opening angle and the turns of the beams, if there are any, exceed those of another sensor."""
+        """By what bias, opening angle, delay and the turns of the beams, if there are any, exceed another sensor's."""
         count = max(len(self.turns), len(other.turns))
         turns = np.subtract(self.turns or np.zeros(count), other.turns or np.zeros(count))
-        return np.array([self.bias - other.bias, self.cone - other.cone, *turns])
+        return np.array([self.bias - other.bias, self.cone - other.cone, self.delay - other.delay, *turns])
