@@ -246,7 +246,7 @@ class Mapper(Frames):
     def _is_to_restart(self, observations: Sequence[Observation]) -> bool:
         """Whether the SLAM has found errors of odometry or sensor in one of the first steps, which are kept."""
         before, self._known = self._known, self._found()
-        if self.frame or self._known[0] is None or len(self._first_steps) >= RESTART_WITHIN:
+        if self._known[0] is None or len(self._first_steps) >= RESTART_WITHIN:
             self._first_steps = []
             self._restarts = MOST_RESTARTS
         if self._restarts >= MOST_RESTARTS:
