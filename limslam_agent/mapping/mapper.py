@@ -246,13 +246,14 @@ class Mapper(Frames):
     def _is_to_restart(self, observations: Sequence[Observation]) -> bool:
         """Whether the SLAM has found errors of odometry or sensor in one of the first steps, which are kept."""
         before, self._known = self._known, self._found()
-        if self._known[0] is None or len(self._first_steps) >= RESTART_WITHIN:
-            self._first_steps = []
-            self._restarts = MOST_RESTARTS
-        if self._restarts >= MOST_RESTARTS:
+        sensor = self._known[0]
+        if sensor is None or len(self._first_steps) >= RESTART_WITHIN:
+            self._first_steps, self._restarts = [], MOST_RESTARTS
             return False
         self._first_steps.append(copied(observations))
-        return self._known != before
+        if before[0] is not None and sensor.broken != before[0].broken:
+            self._restarts = 0  # what was found before may have been due to the broken beam
+        return self._known != before and self._restarts < MOST_RESTARTS
 
     def _restart(self) -> None:
         """Process all observations again, by a filter that knows the errors of odometry and sensor from the start.

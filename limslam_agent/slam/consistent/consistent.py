@@ -264,6 +264,11 @@ class ConsistentEstimator(Estimator):
         self._filter.correct_ranges(sensor.change_from(self.sensor))
         self._assume(sensor)
 
+    def leave_out(self, beam: int) -> None:
+        """Use no further readings of a broken beam. What was found about the sensor may have been due to it."""
+        sensor = self._sensor.specified
+        self.assume(sensor._replace(delay=self.sensor.delay, broken=(*self.sensor.broken, beam)))
+
     def _correct_sensor(self) -> None:
         """Take the sensor's errors as estimated, if the readings say that they are not as assumed."""
         found = self._sensor.correction(self._filter.range_errors)

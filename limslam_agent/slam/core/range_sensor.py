@@ -29,6 +29,8 @@ class RangeSensor(NamedTuple):
         By what each beam is turned to the left against the robot's settings, rad; empty if no beam is.
     delay
         By how many steps the ranges are later than the wheels.
+    broken
+        Numbers of the beams that are left out, since they always read the same.
     """
 
     std: float
@@ -37,6 +39,7 @@ class RangeSensor(NamedTuple):
     bias: float = 0.0
     turns: tuple[float, ...] = ()
     delay: float = 0.0
+    broken: tuple[int, ...] = ()
 
     @property
     def numbers(self) -> tuple[float, float, float, float]:
