@@ -44,6 +44,9 @@ SPACING, TURN_LENGTH = 0.10, 0.40
 POSITION_GROWTH, POSITION_LIMIT, _HEADING_GROWTH = 2.0, 10.0, 1.0
 _MAX_JUMP = 1.0  # m: the estimate is lost if the odometry reports a longer motion in one step
 
+BLIND = 300
+"""A beam that has seen nothing so often in succession may see nothing at all."""
+
 CARRIED = Status("lost", "the latest readings do not fit the place, as if the robot had been carried away")
 MAYBE_CARRIED = Status("unsure", CARRIED.reason)
 
@@ -139,9 +142,10 @@ class StatusMonitor:
         self._sights, self._first = list[Sight](), 0  # the latest steps, and the number of the first of them
         self._checks: list[_Check] = []
         self._changes = SuddenChanges(robot)
-        # The reading of each beam that has not changed since, and the least and the largest heading since then.
-        self._turned = 0.0
-        self._steady, self._headings = np.full(len(robot.beams), math.nan), np.zeros((2, len(robot.beams)))
+        # The reading of each beam that has not changed since, how often it was read, and the least and the largest
+        # heading since then.
+        self._turned, beams = 0.0, len(robot.beams)
+        self._steady, self._times, self._headings = np.full(beams, math.nan), np.zeros(beams), np.zeros((2, beams))
         self._reference: KnownMap | None = None
         self.jump, self._driven, self._lost_at = 0.0, 0.0, 0.0
         self.loss: Loss | None = None
@@ -177,8 +181,11 @@ class StatusMonitor:
         self._sights.append(sight)
         self._turned += turn
         # No wall is read with so little noise.
-        has_changed = np.isfinite(sight.ranges) & ~(np.abs(sight.ranges - self._steady) < 0.5 * self.sensor.std)
+        is_same = np.abs(sight.ranges - self._steady) < 0.5 * self.sensor.std
+        is_same &= (sight.ranges >= self._robot.too_far) == (self._steady >= self._robot.too_far)
+        has_changed = np.isfinite(sight.ranges) & ~is_same
         self._steady[has_changed], self._headings[:, has_changed] = sight.ranges[has_changed], self._turned
+        self._times = np.where(has_changed, 0.0, self._times + np.isfinite(sight.ranges))
         self._headings[0] = np.minimum(self._headings[0], self._turned)
         self._headings[1] = np.maximum(self._headings[1], self._turned)
         self._place += distance + TURN_LENGTH * abs(turn)
@@ -250,7 +257,8 @@ class StatusMonitor:
         if is_steady.all():
             return None
         for beam in np.flatnonzero(is_steady).tolist():
-            if self._steady[beam] < self._robot.too_far[beam] or self._contradicts(beam, present):
+            is_stuck = self._robot.too_near[beam] < self._steady[beam] < self._robot.too_far[beam]
+            if is_stuck or (self._times[beam] > BLIND and self._contradicts(beam, present)):
                 return beam
         return None
 
@@ -268,7 +276,7 @@ class StatusMonitor:
         against = rays[found.against > 0.0]
         points = against[:, :RAY_TO_X] + found.against[found.against > 0.0, None] * against[:, RAY_TO_X:RAY_LENGTH]
         places = len(np.unique(np.floor(points / PLACE), axis=0))
-        return contradiction_test(places, places + int(found.tested.sum()) - len(points)) > DECIDED
+        return contradiction_test(places, places + int(found.tested.sum()) - len(points)) > 2.0 * DECIDED
 
     def _judge(self, heading_variance: float, present: KnownMap) -> None:
         """Find the status of a robot that was not lost so far. If it is lost now, keep the map of this moment."""
