@@ -183,7 +183,12 @@ class RangeErrorConfig(Bounded):
 
         The delay is in steps of ``period`` seconds.
         """
-        return (self.bias_std, self.cone_std, self.delay_std / period, *(self.turn_std,) * (beams if beams <= MOST_TURNED else 0))
+        return (
+            self.bias_std,
+            self.cone_std,
+            self.delay_std / period,
+            *(self.turn_std,) * (beams if beams <= MOST_TURNED else 0),
+        )
 
 
 @dataclass(frozen=True)

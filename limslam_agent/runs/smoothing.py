@@ -99,6 +99,8 @@ def final_map(episode: "Episode") -> FinalMap:
     ranges = as_readings(episode.ranges, config.robot.min_ranges, config.robot.max_ranges)
     is_new = np.array([config.robot.measures(step) for step in range(len(ranges))])[:, None]
     measured = is_new & ~np.isnan(ranges) & ~episode.dropped
+    if episode.sensor is not None:
+        measured[..., list(episode.sensor.broken)] = False
     used = episode.placed_steps
     grid = drawn_grid(config.agent.grid, smoothed.robot, smoothed.read_at[used], ranges[used], measured[used])
     return FinalMap(smoothed.segments, smoothed.landmarks, grid, smoothed.poses)

@@ -93,8 +93,8 @@ class RangeErrors(SeparateBias):
     """Constant errors of the ranges.
 
     The first three are a bias of all ranges, m, by what half the opening angle exceeds the assumed one, rad, and by
-    how many steps the ranges are later than the wheels. The others are by what each beam is turned to the left, rad, if that
-    is estimated.
+    how many steps the ranges are later than the wheels. The others are by what each beam is turned to the left, rad, if
+    that is estimated.
 
     Parameters
     ----------

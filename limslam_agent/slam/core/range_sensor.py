@@ -1,7 +1,7 @@
-"""How a range sensor measures: its noise, the opening angle and directions of its beams, bias and delay of its ranges."""
+"""How a range sensor measures: its noise, its beams, and the bias and the delay of its ranges."""
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -64,6 +64,17 @@ class RangeSensor(NamedTuple):
             return robot
         beams = zip(robot.beams, self.turns, strict=True)
         return replace(robot, beams=tuple(replace(beam, angle=beam.angle + turn) for beam, turn in beams))
+
+    def found(self, specified: "RangeSensor", period: float) -> dict[str, Any]:
+        """What was found about a sensor that is not as specified, for a ``result.json``; empty if it is as specified.
+
+        ``period`` is the time of a step, s.
+        """
+        own, assumed = (each._asdict() for each in (self, specified))
+        names = {"std": "noise_m", "growth": "noise_growth_per_m", "cone": "cone_rad", "bias": "bias_m"}
+        numbers = {name: own[part] for part, name in names.items() if own[part] != assumed[part]}
+        delay = {"delay_s": self.delay * period} if self.delay else {}
+        return {**numbers, **delay, **({"broken_beams": list(self.broken)} if self.broken else {})}
 
     def change_from(self, other: "RangeSensor") -> FloatArray:
         """By what bias, opening angle, delay and the turns of the beams, if there are any, exceed another sensor's."""
