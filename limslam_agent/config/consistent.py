@@ -154,6 +154,8 @@ class RangeErrorConfig(Bounded):
         Twice the logarithm of the likelihood ratio for another noise from which on it is used.
     bias_std, cone_std
         Standard deviations of a bias of all ranges, m, and of half the opening angle, rad.
+    delay_std
+        Standard deviation of a delay of all ranges, s.
     turn_std
         Standard deviation of the direction of a beam, rad.
     least_std
@@ -169,15 +171,24 @@ class RangeErrorConfig(Bounded):
     noise_gate: NonNegative = 20.0
     bias_std: NonNegative = 0.02
     cone_std: NonNegative = 0.05
+    delay_std: NonNegative = 0.1
     turn_std: NonNegative = 0.05
     least_std: NonNegative = 0.005
     least_ratio: Annotated[float, Bounds(1.01, 10.0)] = 1.25
     further_gate: NonNegative = 8.0
     further_ratio: Annotated[float, Bounds(1.01, 10.0)] = 1.1
 
-    def stds(self, beams: int) -> tuple[float, ...]:
-        """Standard deviations of a bias, m, an opening angle, rad, and the directions of a robot's beams, rad."""
-        return (self.bias_std, self.cone_std, *(self.turn_std,) * (beams if beams <= MOST_TURNED else 0))
+    def stds(self, beams: int, period: float) -> tuple[float, ...]:
+        """Standard deviations of a bias, m, an opening angle, rad, a delay, and the directions of a robot's beams, rad.
+
+        The delay is in steps of ``period`` seconds.
+        """
+        return (
+            self.bias_std,
+            self.cone_std,
+            self.delay_std / period,
+            *(self.turn_std,) * (beams if beams <= MOST_TURNED else 0),
+        )
 
 
 @dataclass(frozen=True)

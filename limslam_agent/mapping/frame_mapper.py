@@ -120,6 +120,8 @@ class FrameMapper:
             counts = self._config.free_space_counts
             known = KnownMap(slam.segments, self.grid.view, slam.range_sensor, free_space_counts=counts)
             monitor.check(slam.covariances[number], known)
+            if monitor.broken is not None and slam.is_renewable:
+                slam.leave_out(monitor.broken)
 
     def _renew(self, observation: Observation, *, may_renew: bool) -> bool:
         """Smooth the last minutes, if that is due; whether that has moved the path far."""

@@ -21,6 +21,7 @@ from limslam_agent.places.recovery import Recovery
 from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.slam.core.front_end import FrontEnd
+from limslam_agent.slam.core.late_ranges import WaitingTravel, ahead
 from limslam_agent.slam.core.motion import check_travel, longest_travel
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.rays import wall_points
@@ -108,6 +109,7 @@ class Mapper(Frames):
         self._begin(slam)
         self._first_steps, self._known = list[tuple[Observation, ...]](), self._found()
         self._recovery, self._lookup = self._new_recovery(), self._new_lookup()
+        self._waiting = WaitingTravel(len(starts))
         self.prior_frame: FloatArray | None = None
         self.odometry = starts.copy()
         self.odometry.setflags(write=False)
@@ -125,6 +127,7 @@ class Mapper(Frames):
         """
         for front, observation in zip(self.slam.robots, observations, strict=False):  # the SLAM checks their number
             self.check(observation, front)
+        told, observations = observations, tuple(self._waiting.synchronous(observations, self.slam.range_sensor.delay))
         has_jumped = self._present.process(observations, self.frame)
         self.slam_ms, motions = self._present.slam_ms, self.slam.increments
         if has_jumped:
@@ -135,7 +138,7 @@ class Mapper(Frames):
         self.odometry.setflags(write=False)
         if self._lookup is not None and self._lookup.is_open:
             self._lookup.note(LoggedStep.of(observations[0], self.slam, motions[0]))
-        if self._is_to_restart(observations):
+        if self._is_to_restart(told):
             self._restart()
             return
         if self._recovery is not None and "wheels" in observations[0]:
@@ -171,7 +174,7 @@ class Mapper(Frames):
     def beliefs(self) -> list[Belief]:
         """The belief of each robot. Later steps do not change it."""
         slam, grid = self.slam, self.grid
-        poses, covariances, segments, statuses = slam.poses, self.covariances, slam.segments, self.statuses
+        poses, covariances, segments, statuses = self.poses, self.covariances, slam.segments, self.statuses
         return [
             Belief(
                 poses[number], covariances[number], front.ranges, segments, grid,
@@ -184,8 +187,9 @@ class Mapper(Frames):
 
     @property
     def poses(self) -> FloatArray:
-        """Estimated pose of each robot (n, 3), m and rad."""
-        return self.slam.poses
+        """Estimated pose of each robot (n, 3), m and rad. Late ranges are those of an earlier pose."""
+        poses, travel = self.slam.poses, self._waiting.travel
+        return ahead(poses, travel, self.robot.axle) if travel.any() else poses
 
     @property
     def dropped(self) -> list[BoolArray]:
@@ -242,13 +246,14 @@ class Mapper(Frames):
     def _is_to_restart(self, observations: Sequence[Observation]) -> bool:
         """Whether the SLAM has found errors of odometry or sensor in one of the first steps, which are kept."""
         before, self._known = self._known, self._found()
-        if self.frame or self._known[0] is None or len(self._first_steps) >= RESTART_WITHIN:
-            self._first_steps = []
-            self._restarts = MOST_RESTARTS
-        if self._restarts >= MOST_RESTARTS:
+        sensor = self._known[0]
+        if sensor is None or len(self._first_steps) >= RESTART_WITHIN:
+            self._first_steps, self._restarts = [], MOST_RESTARTS
             return False
         self._first_steps.append(copied(observations))
-        return self._known != before
+        if before[0] is not None and sensor.broken != before[0].broken:
+            self._restarts = 0  # what was found before may have been due to the broken beam
+        return self._known != before and self._restarts < MOST_RESTARTS
 
     def _restart(self) -> None:
         """Process all observations again, by a filter that knows the errors of odometry and sensor from the start.

@@ -12,6 +12,13 @@ from limslam_env.messages import counted
 
 FEW_POINTS = 10.0
 """With fewer readings of walls in a metre of driving, many paths were wrong in each kind of building."""
+_SENSOR = {
+    "delay_s": ("ranges are {:.2f} s later than the wheels", 1.0),
+    "bias_m": ("ranges are {:.1f} cm too long", 100.0),
+    "noise_m": ("noise of {:.1f} cm", 100.0),
+    "noise_growth_per_m": ("further noise of {:.1f} cm at 1 m", 100.0),
+    "cone_rad": ("beams open by {:.0f} deg", math.degrees(2.0)),
+}
 _SIZES = {"left": "left wheel", "right": "right wheel", "axle": "axle"}
 
 
@@ -74,7 +81,7 @@ def record_summary(result: Mapping[str, Any]) -> list[str]:
     each = record.get("calibration")
     lines += [_calibration_line(found) for found in each if found] if isinstance(each, list) else []
     if part_of(result, "metrics").get("status") != "lost":
-        lines += _turned_beams(record.get("beam_turns"), beams)
+        lines += _sensor_line(record.get("sensor"), beams) + _turned_beams(record.get("beam_turns"), beams)
     if "log" in config and (end := _pose(record)) is not None:
         lines.append(f"odometry    ended at x {end[0]:.2f} m, y {end[1]:.2f} m, heading {end[2]:.1f} deg")
     return lines
@@ -110,6 +117,19 @@ def _calibration_line(found: Any) -> str:
         f"{name} {100.0 * found[part]:+.2f} +- {100.0 * found[f'{part}_std']:.2f} %" for part, name in _SIZES.items()
     ]
     return f"calibrated  {', '.join(sizes)}"
+
+
+def _sensor_line(found: Any, beams: Any) -> list[str]:
+    """What was found about a sensor that is not as specified, as ``RangeSensor.found`` has it."""
+    if not isinstance(found, dict):
+        return []
+    words = [text.format(scale * found[name]) for name, (text, scale) in _SENSOR.items() if _has(found, name)]
+    broken: Any = found.get("broken_beams")
+    known = beams if isinstance(beams, list | tuple) else ()
+    for number, beam in enumerate(known) if isinstance(broken, list) else ():
+        if number in broken and isinstance(beam, dict) and _has(beam, "angle"):
+            words += [f"the beam at {math.degrees(beam['angle']):.4g} deg always reads the same and is left out"]
+    return [f"sensor      {', '.join(words)}"] if words else []
 
 
 def _turned_beams(turns: Any, beams: Any) -> list[str]:

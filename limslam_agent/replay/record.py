@@ -12,6 +12,7 @@ from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import OdometryCalibration
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray, IntArray
 
@@ -127,6 +128,8 @@ class Replay:
         Systematic odometry errors that the filter has estimated. None if this was not asked for.
     beam_turns
         By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad; None if no beam is.
+    sensor
+        How the sensor measures, as the filter has found out; None if it estimates nothing of the kind.
     slam_ms, job_ms, wall_clock
         Cost of the SLAM for each event (n,), and of the jobs of the online graph beside it (n,), ms; and cost of the
         whole replay, s.
@@ -157,3 +160,4 @@ class Replay:
     smoothed: Smoothed | None = None
     handed_over: int | None = None
     beam_turns: FloatArray | None = None
+    sensor: RangeSensor | None = None

@@ -76,24 +76,25 @@ def replay_log(
         places=estimate.places,
         handed_over=estimate.handed_over,
         beam_turns=slam.beam_turns,
+        sensor=slam.sensor,
     )
     # The line smoother does not know the lines of an earlier map.
     sees_all = mapper.prior_frame is None
-    filtered = slam.associations, list(slam.closures), slam.sensor
+    filtered = slam.associations, list(slam.closures)
     del estimate, mapper, slam  # the smoothing needs their memory
     return _smoothed(replay, filtered, report, by_lines=sees_all)
 
 
 def _smoothed(
     replay: Replay,
-    filtered: tuple[list[AssociationRecord], list[Closure], RangeSensor | None],
+    filtered: tuple[list[AssociationRecord], list[Closure]],
     report: Callable[[str], None],
     *,
     by_lines: bool,
 ) -> Replay:
     """The replay with its log smoothed, if its settings ask for it.
 
-    ``filtered`` has the associations of the filter, the landmarks that it merged, and the sensor that it has found.
+    ``filtered`` has the associations of the filter, and the landmarks that it merged.
     """
     log, config = replay.log, replay.config
     if log.odometry is not None and config.smoothing is not None:
@@ -103,9 +104,8 @@ def _smoothed(
     if log.wheels is not None and config.run_smoothing is not None and by_lines:
         from limslam_agent.replay.smoothing import smoothed_by_lines
 
-        associations, closures, sensor = filtered
         report("all poses and walls")
-        return smoothed_by_lines(replay, associations, closures, config.run_smoothing, sensor)
+        return smoothed_by_lines(replay, *filtered, config.run_smoothing)
     return replay
 
 
@@ -200,6 +200,7 @@ def write_replay(
         "config": {**source, "robot": asdict(log.robot), "agent": asdict(replay.config)},
         "record": {
             **record,
+            "sensor": replay.sensor and replay.sensor.found(_specified(replay), log.robot.control_period),
             "beam_turns": turn_records(replay.beam_turns),
             "places": place_records(log.time, replay.places.records),
         },
@@ -208,6 +209,10 @@ def write_replay(
     }
     write_json(folder / "result.json", result)
     return result
+
+
+def _specified(replay: Replay) -> RangeSensor:
+    return RangeSensor(replay.config.range_std, cone=replay.log.robot.cone)
 
 
 def _write_trajectories(folder: Path, replay: Replay) -> None:

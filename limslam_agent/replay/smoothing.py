@@ -22,7 +22,6 @@ from limslam_agent.replay.trust import PathSignals, path_signals
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_fit import fit_line
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.graph.key_poses import LogData
 from limslam_agent.slam.graph.point_links import PointCloud, point_cloud
 from limslam_agent.slam.graph.smooth import GraphResult, Report, rounds
@@ -62,8 +61,10 @@ def smoothed_by_graph(replay: Replay, config: GraphConfig, report: Report = lamb
     )
     grid = draw_grid(replay, found.poses)
     segments = ends_of(landmarks)
-    # The graph takes the beams to be mounted as specified, whatever the filter has found.
-    return replace(replay, landmarks=landmarks, segments=segments, grid=grid, smoothed=smoothed, beam_turns=None)
+    # The graph takes the sensor to be as specified, whatever the filter has found.
+    return replace(
+        replay, landmarks=landmarks, segments=segments, grid=grid, smoothed=smoothed, beam_turns=None, sensor=None
+    )
 
 
 def trusted_path(
@@ -123,7 +124,6 @@ def smoothed_by_lines(
     associations: list[AssociationRecord],
     closures: list[Closure],
     config: SmootherConfig,
-    sensor: RangeSensor | None = None,
 ) -> Replay:
     """The replay of a log of wheel travel with its log smoothed, and with the map drawn from the smoothed poses.
 
@@ -133,8 +133,6 @@ def smoothed_by_lines(
         The log as the filter saw it.
     associations, closures
         The filter's associations and merged landmarks, in order.
-    sensor
-        How the sensor measures, as the filter has found out.
 
     Returns
     -------
@@ -156,7 +154,7 @@ def smoothed_by_lines(
         associations=associations,
         closures=closures,
         breaks=tuple((0, step) for step in places.breaks),
-        sensor=sensor,
+        sensor=replay.sensor,
     )
     found = smooth_run(run, config, placed)
     if found is None:
@@ -172,9 +170,9 @@ def smoothed_by_lines(
     if status.level == "ok":
         status = places.doubt
     seconds = time.process_time() - begin
-    basis = run.until(placed)
+    basis = run.synchronous.until(placed)
     smoothed = Smoothed(poses, _line_figures(found), None, seconds, found.covariances[:, 0], status, basis)
-    grid = draw_grid(replay, poses[:placed], found.robot)
+    grid = draw_grid(replay, found.read_at[:placed, 0], found.robot)
     return replace(replay, landmarks=found.landmarks, segments=found.segments, grid=grid, smoothed=smoothed)
 
 
@@ -183,7 +181,10 @@ def draw_grid(replay: Replay, poses: FloatArray, robot: RobotSpec | None = None)
     log = replay.log
     rows = np.flatnonzero(log.has_scan[: len(poses)])
     ranges = log.ranges[rows, None].astype(np.float64)
-    return drawn_grid(replay.config.grid, robot or log.robot, poses[rows, None], ranges, np.isfinite(ranges))
+    measured = np.isfinite(ranges)
+    if replay.sensor is not None:
+        measured[..., list(replay.sensor.broken)] = False
+    return drawn_grid(replay.config.grid, robot or log.robot, poses[rows, None], ranges, measured)
 
 
 def _line_figures(found: SmoothedRun) -> dict[str, Any]:

@@ -199,6 +199,8 @@ class Episode:
         ranges = as_readings(self.ranges, config.robot.min_ranges, config.robot.max_ranges)
         is_new = np.array([config.robot.measures(step) for step in range(len(ranges))])[:, None]
         measured = is_new & ~np.isnan(ranges) & ~self.dropped
+        if self.sensor is not None:
+            measured[..., list(self.sensor.broken)] = False
         used = self.placed_steps
-        grid = drawn_grid(config.agent.grid, smoothed.robot, smoothed.poses[used], ranges[used], measured[used])
+        grid = drawn_grid(config.agent.grid, smoothed.robot, smoothed.read_at[used], ranges[used], measured[used])
         return FinalMap(smoothed.segments, smoothed.landmarks, grid, smoothed.poses)

@@ -24,6 +24,7 @@ from limslam_agent.runs.policy_file import short_name
 from limslam_agent.runs.record import Episode, FinalMap
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.runs.smoothing import final_status, mean_scores, smoothed_scores
+from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.status import status_scores, worst
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
@@ -231,10 +232,13 @@ def _config(episode: Episode) -> dict[str, Any]:
 
 
 def _record(episode: Episode) -> dict[str, Any]:
+    config, sensor = episode.config, episode.sensor
+    specified = RangeSensor(config.agent.range_std, cone=config.robot.cone)
     record = record_of(episode.time, list(episode.true.swapaxes(0, 1)), list(episode.odometry.swapaxes(0, 1)))
     return {
         **record,
         "places": place_records(episode.time, episode.places.records),
+        "sensor": sensor and sensor.found(specified, config.robot.control_period),
         "beam_turns": turn_records(episode.beam_turns),
         "calibration": [found and calibration_record(*found) for found in episode.calibrations],
     }

@@ -80,6 +80,7 @@ class LineSlam:
         motions = [self._calibrated(number, motion) for number, motion in enumerate(reported)]
         for number, (observation, motion) in enumerate(zip(observations, motions, strict=True)):
             self.robots[number].accept(observation)
+            self.robots[number].leave_out(self.range_sensor.broken)
             self._estimator.predict(self._loosened(number, motion, observation), number)
         if len(self.robots) > 1:
             self._drop_beams_on_robots()
@@ -297,6 +298,11 @@ class LineSlam:
         """Take the sensor to measure like this from now on, and correct the estimate for what was assumed before."""
         if isinstance(self._estimator, ConsistentEstimator):
             self._estimator.assume(sensor)
+
+    def leave_out(self, beam: int) -> None:
+        """Use no further readings of a broken beam of the only robot. Only the consistent estimator can do so."""
+        if self.is_renewable:
+            self._renewable.leave_out(beam)
 
     @property
     def ranges(self) -> FloatArray:

@@ -17,8 +17,8 @@ import numpy as np
 
 from limslam_agent.kernels.tables import RAY_BEAM, RAY_LENGTH, RAY_TO_X
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.known_map import DECIDED, DOUBTED, KnownMap
-from limslam_agent.status.rays import LASTING, moved, step_rays
+from limslam_agent.status.known_map import DECIDED, DOUBTED, KnownMap, contradiction_test
+from limslam_agent.status.rays import LASTING, moved, numbered_rays_of, step_rays
 from limslam_agent.status.status import LARGE_CORRECTION, UNSURE_HEADING, Status
 from limslam_agent.status.sudden_changes import (
     LONGEST_SPACING,
@@ -43,6 +43,9 @@ SPACING, TURN_LENGTH = 0.10, 0.40
 # rad.
 POSITION_GROWTH, POSITION_LIMIT, _HEADING_GROWTH = 2.0, 10.0, 1.0
 _MAX_JUMP = 1.0  # m: the estimate is lost if the odometry reports a longer motion in one step
+
+BLIND = 300
+"""A beam that has seen nothing so often in succession may see nothing at all."""
 
 CARRIED = Status("lost", "the latest readings do not fit the place, as if the robot had been carried away")
 MAYBE_CARRIED = Status("unsure", CARRIED.reason)
@@ -129,6 +132,8 @@ class StatusMonitor:
         Length of the jumps of the odometry since the robot is lost, m.
     loss
         Why the robot is lost, and since when; None while it is not.
+    broken
+        A beam that always reads the same, and is left out from now on; None without it.
     """
 
     def __init__(self, robot: RobotSpec, sensor: RangeSensor) -> None:
@@ -137,9 +142,14 @@ class StatusMonitor:
         self._sights, self._first = list[Sight](), 0  # the latest steps, and the number of the first of them
         self._checks: list[_Check] = []
         self._changes = SuddenChanges(robot)
+        # The reading of each beam that has not changed since, how often it was read, and the least and the largest
+        # heading since then.
+        self._turned, beams = 0.0, len(robot.beams)
+        self._steady, self._times, self._headings = np.full(beams, math.nan), np.zeros(beams), np.zeros((2, beams))
         self._reference: KnownMap | None = None
         self.jump, self._driven, self._lost_at = 0.0, 0.0, 0.0
         self.loss: Loss | None = None
+        self.broken: int | None = None
         self.status = self.by_readings = Status()
 
     def observe(self, sight: Sight, *, is_busy: bool) -> bool:
@@ -169,6 +179,15 @@ class StatusMonitor:
             self.jump, distance = self.jump + distance, 0.0
         self._step += 1
         self._sights.append(sight)
+        self._turned += turn
+        # No wall is read with so little noise.
+        is_same = np.abs(sight.ranges - self._steady) < 0.5 * self.sensor.std
+        is_same &= (sight.ranges >= self._robot.too_far) == (self._steady >= self._robot.too_far)
+        has_changed = np.isfinite(sight.ranges) & ~is_same
+        self._steady[has_changed], self._headings[:, has_changed] = sight.ranges[has_changed], self._turned
+        self._times = np.where(has_changed, 0.0, self._times + np.isfinite(sight.ranges))
+        self._headings[0] = np.minimum(self._headings[0], self._turned)
+        self._headings[1] = np.maximum(self._headings[1], self._turned)
         self._place += distance + TURN_LENGTH * abs(turn)
         self._driven += distance
         return is_jump or self._place - self._checked >= (SPACING if is_busy else LONGEST_SPACING)
@@ -192,6 +211,7 @@ class StatusMonitor:
         self._sights, self._first = self._sights[begin:], self._first + begin
         self._checks = [check for check in self._checks if self._place - check.place <= WINDOW]
         if self._reference is None:
+            self.broken = self._broken_beam(present)
             self._judge(float(covariance[2, 2]), present)
         elif self._fits_again():
             self._reference, self.loss, self.jump = None, None, 0.0
@@ -226,6 +246,37 @@ class StatusMonitor:
         self._checks.append(
             _Check(self._place, self._step, by_beam(rays, found.test, self._robot), tested, beams, points)
         )
+
+    def _broken_beam(self, present: KnownMap) -> int | None:
+        """The beam that has read the same while the robot turned by a right angle; None without it.
+
+        There may be nothing to see all around, so a beam that sees nothing must contradict the map.
+        """
+        is_steady = np.isfinite(self._steady) & (np.ptp(self._headings, axis=0) > 0.5 * math.pi)
+        is_steady[list(self.sensor.broken)] = False
+        if is_steady.all():
+            return None
+        for beam in np.flatnonzero(is_steady).tolist():
+            is_stuck = self._robot.too_near[beam] < self._steady[beam] < self._robot.too_far[beam]
+            if is_stuck or (self._times[beam] > BLIND and self._contradicts(beam, present)):
+                return beam
+        return None
+
+    def _contradicts(self, beam: int, present: KnownMap) -> bool:
+        """Whether the latest readings of a beam contradict the map, as it is now, at several places.
+
+        The walls there were seen later by other beams, which speak for the pose.
+        """
+        test = np.sum([check.test for check in self._checks], axis=0)
+        if test.sum() - test[beam] >= 0.0:
+            return False
+        rays, _ = numbered_rays_of(self._sights, self._robot, self.sensor)
+        rays = rays[rays[:, RAY_BEAM] == beam]
+        found = present.explained(rays)
+        against = rays[found.against > 0.0]
+        points = against[:, :RAY_TO_X] + found.against[found.against > 0.0, None] * against[:, RAY_TO_X:RAY_LENGTH]
+        places = len(np.unique(np.floor(points / PLACE), axis=0))
+        return contradiction_test(places, places + int(found.tested.sum()) - len(points)) > 2.0 * DECIDED
 
     def _judge(self, heading_variance: float, present: KnownMap) -> None:
         """Find the status of a robot that was not lost so far. If it is lost now, keep the map of this moment."""

@@ -6,13 +6,14 @@ import numpy as np
 
 from limslam_agent.config.consistent import RangeErrorConfig
 from limslam_agent.slam.consistent.range_noise import RangeNoise
-from limslam_agent.slam.consistent.separate_bias import COMMON, TURNS, RangeErrors
+from limslam_agent.slam.consistent.separate_bias import COMMON, DELAY, TURNS, RangeErrors
+from limslam_agent.slam.core.late_ranges import LONGEST
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import LARGEST_CONE
 
-LEAST_ERRORS = (2e-3, math.radians(0.25))
-"""A bias, m, and an opening angle, rad, that differ by less are as assumed."""
+LEAST_ERRORS = (2e-3, math.radians(0.25), 0.1)
+"""A bias, m, an opening angle, rad, and a delay, in steps, that differ by less are as assumed."""
 
 LEAST_TURN = math.radians(0.25)
 """Beams that are all turned by less, rad, are as assumed."""
@@ -32,19 +33,19 @@ class AssumedSensor:
 
     Attributes
     ----------
-    sensor
-        The assumed sensor.
+    sensor, specified
+        The assumed sensor, and the one that the robot's settings state.
     """
 
     def __init__(self, specified: RangeSensor, reach: float, config: RangeErrorConfig) -> None:
-        self._specified, self._reach, self._config = specified, reach, config
+        self.specified, self._reach, self._config = specified, reach, config
         self.assume(specified)
 
     def assume(self, sensor: RangeSensor) -> None:
         """Take the sensor to measure like this from now on."""
         self.sensor, config = sensor, self._config
         # Turned beams say nothing of noise and opening angle, and while they are known roughly, they look like both.
-        self._is_specified = sensor._replace(turns=()) == self._specified
+        self._is_specified = sensor._replace(turns=(), delay=0.0, broken=()) == self.specified
         ratio = config.least_ratio if self._is_specified else config.further_ratio
         self._noise = RangeNoise(sensor, self._reach, config.least_std, ratio)
         self._is_counted = False
@@ -77,20 +78,23 @@ class AssumedSensor:
         gate, noise_gate = config.gate, config.noise_gate
         if not self._is_specified:
             gate = noise_gate = config.further_gate
+        late_gate = config.further_gate if sensor.delay else config.gate
+        if evidence[DELAY] > late_gate and sensor.delay + change[DELAY] > 0.0:
+            return sensor._replace(delay=min(sensor.delay + float(change[DELAY]), LONGEST))
         turned = self._turned(errors)
         if turned is not None:
             return turned
         # What a model of wide cones leaves unexplained would be taken for a bias. A known one has to be corrected.
-        may_be_biased = sensor.cone == self._specified.cone or sensor.bias != 0.0
+        may_be_biased = sensor.cone == self.specified.cone or sensor.bias != 0.0
         is_biased = may_be_biased and evidence[0] > (config.further_gate if sensor.bias else config.gate)
         if not is_biased and evidence[1] < gate and noise.evidence < noise_gate:
             return None
         # Too little noise looks like an opening angle, and the reverse. So once one of them is known to be wrong, any
         # evidence for the other one counts. A bias is not found that early.
-        change = np.where([is_biased, evidence[1] > 0.0], change, 0.0)
+        change = np.where([is_biased, evidence[1] > 0.0, False], change, 0.0)
         std, growth = (noise.std, noise.growth) if noise.evidence > 0.0 else (sensor.std, sensor.growth)
         cone, bias = sensor.cone + float(change[1]), sensor.bias + float(change[0])
-        return RangeSensor(std, growth, cone, bias, sensor.turns)
+        return sensor._replace(std=std, growth=growth, cone=cone, bias=bias)
 
     def _turned(self, errors: RangeErrors) -> RangeSensor | None:
         """The sensor with other directions of its beams, if the readings require that.
@@ -106,7 +110,7 @@ class AssumedSensor:
         sensor, count = self.sensor, len(errors.stds[TURNS])
         if not count:
             return None
-        errors = errors.discounted(min(1.0, self.usual_std / self._specified.usual_std(self._reach)) ** 2)
+        errors = errors.discounted(min(1.0, self.usual_std / self.specified.usual_std(self._reach)) ** 2)
         turns, evidence, gate = errors.estimate_of(TURNS)[0], errors.turn_evidence, self._config.gate
         if sensor.turns:
             # The gain is that beside a prior about the assumed directions. The prior of all turns is about zero.

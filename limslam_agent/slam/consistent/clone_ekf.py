@@ -18,7 +18,7 @@ from limslam_agent.kernels.covariance import correct_state, mirror, move_pose
 from limslam_agent.kernels.tables import CLONES, LINES, LINES_FROM, POSE, POSES_END, Filter
 from limslam_agent.slam.consistent import clone_filter
 from limslam_agent.slam.consistent.clone_filter import begins_of, clones_from, equality, line_at, num_lines, size_of
-from limslam_agent.slam.consistent.separate_bias import TURNS, ConstantErrors, OdometryErrors, RangeErrors
+from limslam_agent.slam.consistent.separate_bias import DELAY, TURNS, ConstantErrors, OdometryErrors, RangeErrors
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import normalise
 from limslam_env.geometry.se2 import wrap_angle
@@ -57,6 +57,7 @@ class CloneEKF:
             None if calibration is None else OdometryErrors(len(start) // POSE, calibration),
             None if range_errors is None else RangeErrors(range_errors),
         )
+        self._motions = np.zeros((len(start) // POSE, POSE))  # of the poses in the latest step
         counts = np.array([len(start), len(start), 0, 0, 0])
         by_errors = np.zeros((len(start), self._errors.count))
         self.arrays = Filter(
@@ -199,6 +200,7 @@ class CloneEKF:
         arrays, at, size = self.arrays, POSE * robot, size_of(self.arrays.counts)
         by_pose, by_increment, moved = np.zeros((POSE, POSE)), np.zeros((POSE, POSE)), slice(at, at + POSE)
         move_pose(arrays.x, arrays.P, size, at, increment, covariance, by_pose, by_increment, self._poses_end)
+        self._motions[robot] = by_increment @ increment
         if arrays.by_errors.shape[1]:
             arrays.by_errors[moved] = by_pose @ arrays.by_errors[moved]
         if by_calibration is None:
@@ -246,9 +248,15 @@ class CloneEKF:
             self.arrays.by_errors[:size] = arrays.by_errors[:size]
 
     def clone(self, robot: int = 0) -> int:
-        """Add a copy of a robot's pose to the state, and return the copy's number."""
+        """Add the pose at which a robot's present readings were taken to the state, and return its number.
+
+        It is a copy of the robot's pose, and readings that are late by a time were taken where the robot was before.
+        """
         self.make_room(clones=1)
-        return clone_filter.clone(self.arrays, robot)
+        number, ranges = clone_filter.clone(self.arrays, robot), self._errors.ranges
+        if ranges is not None:
+            self.by_errors[-POSE:, DELAY - ranges.count] -= self._motions[robot]
+        return number
 
     def add_line(self, theta: float, anchor: FloatArray) -> int:
         """Add a line with an uninformative prior, and return its index.

@@ -88,7 +88,8 @@ class ConsistentEstimator(Estimator):
         from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 
         calibration, errors = config.self_calibration, config.range_errors
-        stds = errors.stds(len(robot.beams) if len(start) == 1 else 0) if errors.enabled else None
+        beams = len(robot.beams) if len(start) == 1 else 0
+        stds = errors.stds(beams, robot.control_period) if errors.enabled else None
         self._filter = CloneEKF(start, None if calibration.calibrate == "never" else calibration.covariance, stds)
         if calibration.calibrate == "always":
             self._filter.calibrate()
@@ -262,6 +263,11 @@ class ConsistentEstimator(Estimator):
         """Take the sensor to measure like this from now on, and correct the state for what was assumed before."""
         self._filter.correct_ranges(sensor.change_from(self.sensor))
         self._assume(sensor)
+
+    def leave_out(self, beam: int) -> None:
+        """Use no further readings of a broken beam. What was found about the sensor may have been due to it."""
+        sensor = self._sensor.specified
+        self.assume(sensor._replace(delay=self.sensor.delay, broken=(*self.sensor.broken, beam)))
 
     def _correct_sensor(self) -> None:
         """Take the sensor's errors as estimated, if the readings say that they are not as assumed."""

@@ -41,10 +41,10 @@ class SeparateBias:
         """Some of the errors (m,) and their covariance (m, m), if the others are zero."""
         return _estimated(self._prior[part, part], self._information[part, part], self._score[part])
 
-    def evidence_of(self, part: slice) -> float:
+    def evidence_of(self, part: slice | IntArray) -> float:
         """Twice the logarithm of the Bayes factor for some of the errors against no errors."""
-        prior = self._prior[part, part]
-        narrowed, score = np.eye(len(prior)) + self._information[part, part] @ prior, self._score[part]
+        prior, information = self._prior[part][:, part], self._information[part][:, part]
+        narrowed, score = np.eye(len(prior)) + information @ prior, self._score[part]
         gain = float(score @ prior @ np.linalg.solve(narrowed, score))
         return gain - float(np.linalg.slogdet(narrowed)[1])
 
@@ -82,15 +82,19 @@ class OdometryErrors(SeparateBias):
         self.evidence = max(self.evidence_of(slice(first, first + POSE)) for first in range(0, len(self._score), POSE))
 
 
-COMMON, TURNS = slice(0, 2), slice(2, None)
+COMMON, TURNS = slice(0, 3), slice(3, None)
 """Those of the ``RangeErrors`` that all beams share, and the directions of single beams."""
+
+DELAY = 2
+"""Place of the delay among the ``RangeErrors``."""
 
 
 class RangeErrors(SeparateBias):
     """Constant errors of the ranges.
 
-    The first two are a bias of all ranges, m, and by what half the opening angle exceeds the assumed one, rad. The
-    others are by what each beam is turned to the left, rad, if that is estimated.
+    The first three are a bias of all ranges, m, by what half the opening angle exceeds the assumed one, rad, and by
+    how many steps the ranges are later than the wheels. The others are by what each beam is turned to the left, rad, if
+    that is estimated.
 
     Parameters
     ----------
@@ -113,14 +117,13 @@ class RangeErrors(SeparateBias):
 
     @property
     def evidence(self) -> FloatArray:
-        """Twice the logarithm of the Bayes factor for bias and opening angle (2,), against the other one alone.
+        """Twice the logarithm of the Bayes factor for bias, opening angle and delay (3,), against the others alone.
 
-        So a bias is not taken for an opening angle, nor the other way round.
+        So none of them is taken for another one.
         """
-        variances = self._prior.diagonal()[COMMON]
-        narrowed = 1.0 + self._information.diagonal()[COMMON] * variances
-        alone = self._score[COMMON] ** 2 * variances / narrowed - np.log(narrowed)
-        return np.asarray(self.evidence_of(COMMON) - alone[::-1])
+        numbers = np.arange(self.count)[COMMON]
+        others = [self.evidence_of(np.delete(numbers, number)) for number in numbers]
+        return np.asarray(self.evidence_of(COMMON) - np.array(others))
 
     @property
     def turns(self) -> FloatArray:
@@ -254,9 +257,10 @@ def _estimated(prior: FloatArray, information: FloatArray, score: FloatArray) ->
 def by_range_errors(
     expected: FloatArray, readings: FloatArray, headings: FloatArray, theta: float, beams: int
 ) -> FloatArray:
-    """Derivatives (n, 2 + beams) of predicted ranges by the errors of ``RangeErrors``.
+    """Derivatives (n, 3 + beams) of predicted ranges by the errors of ``RangeErrors``, at a given state.
 
-    These are a bias of all ranges, half the opening angle of the beams, and the directions of the robot's beams. At the
+    These are a bias of all ranges, half the opening angle of the beams, and the directions of the robot's beams. The
+    delay, the third one, acts by the poses of the clones alone. At the
     angle phi to the normal, a beam reads r tan(phi) more for each radian that it is turned away from the normal. A
     wider cone reads the wall under a ray that is nearer to the perpendicular, and so a shorter range.
 
@@ -274,12 +278,12 @@ def by_range_errors(
     cosines = np.maximum(np.abs(expected[:, 6]), LEAST_COSINE)
     sines = np.sqrt(np.maximum(1.0 - cosines**2, 0.0))
     by_width = -expected[:, 0] * sines / cosines
-    by_errors = np.zeros((len(cosines), 2 + beams))
+    by_errors = np.zeros((len(cosines), TURNS.start + beams))
     by_errors[:, 0], by_errors[:, 1] = 1.0, by_width
     if beams:
         angles, cones, numbers = readings[:, 2], readings[:, 4], readings[:, 5].astype(int)
         turn = angle_between(theta - headings - angles)
         turn = np.where(np.abs(turn) < FLATTEST, np.clip(turn, -cones, cones), 0.0)
         slants = angle_between(headings + angles + turn - theta)
-        by_errors[np.arange(len(slants)), 2 + numbers] = -np.sign(slants) * by_width
+        by_errors[np.arange(len(slants)), TURNS.start + numbers] = -np.sign(slants) * by_width
     return by_errors

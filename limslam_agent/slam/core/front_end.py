@@ -1,6 +1,6 @@
 """Front end of one robot: checks its readings, counts the steps, and drops beams that may have hit other robots."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -68,6 +68,11 @@ class FrontEnd:
         limits = robot.min_ranges, robot.max_ranges, robot.too_near, robot.too_far
         self.ranges, self.measured, self.hits = np.empty(len(values)), robot.measures(self.step), self.dropped.copy()
         self.refused_readings += sort_readings(values, *limits, self.ranges, self.measured, self.hits)
+
+    def leave_out(self, beams: Sequence[int]) -> None:
+        """Take broken beams to have seen nothing that counts."""
+        for beam in beams:
+            self.ranges[beam], self.measured[beam], self.hits[beam] = self._robot.max_ranges[beam], False, False
 
     def drop(self, beams: BoolArray) -> None:
         """Drop those of the given beams (n_beams,) that hit something: they may have hit another robot."""

@@ -1,7 +1,7 @@
-"""How a range sensor measures: its noise, the opening angle and directions of its beams, and the bias of its ranges."""
+"""How a range sensor measures: its noise, its beams, and the bias and the delay of its ranges."""
 
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -27,6 +27,10 @@ class RangeSensor(NamedTuple):
         By what all ranges are too long, m.
     turns
         By what each beam is turned to the left against the robot's settings, rad; empty if no beam is.
+    delay
+        By how many steps the ranges are later than the wheels.
+    broken
+        Numbers of the beams that are left out, since they always read the same.
     """
 
     std: float
@@ -34,10 +38,12 @@ class RangeSensor(NamedTuple):
     cone: float = 0.0
     bias: float = 0.0
     turns: tuple[float, ...] = ()
+    delay: float = 0.0
+    broken: tuple[int, ...] = ()
 
     @property
     def numbers(self) -> tuple[float, float, float, float]:
-        """All of it but the turns as plain numbers, for compiled code."""
+        """All of it but turns and delay as plain numbers, for compiled code."""
         return float(self.std), float(self.growth), float(self.cone), float(self.bias)
 
     def variances(self, ranges: FloatArray) -> FloatArray:
@@ -59,8 +65,19 @@ class RangeSensor(NamedTuple):
         beams = zip(robot.beams, self.turns, strict=True)
         return replace(robot, beams=tuple(replace(beam, angle=beam.angle + turn) for beam, turn in beams))
 
+    def found(self, specified: "RangeSensor", period: float) -> dict[str, Any]:
+        """What was found about a sensor that is not as specified, for a ``result.json``; empty if it is as specified.
+
+        ``period`` is the time of a step, s.
+        """
+        own, assumed = (each._asdict() for each in (self, specified))
+        names = {"std": "noise_m", "growth": "noise_growth_per_m", "cone": "cone_rad", "bias": "bias_m"}
+        numbers = {name: own[part] for part, name in names.items() if own[part] != assumed[part]}
+        delay = {"delay_s": self.delay * period} if self.delay else {}
+        return {**numbers, **delay, **({"broken_beams": list(self.broken)} if self.broken else {})}
+
     def change_from(self, other: "RangeSensor") -> FloatArray:
-        """By what bias, opening angle and the turns of the beams, if there are any, exceed those of another sensor."""
+        """By what bias, opening angle, delay and the turns of the beams, if there are any, exceed another sensor's."""
         count = max(len(self.turns), len(other.turns))
         turns = np.subtract(self.turns or np.zeros(count), other.turns or np.zeros(count))
-        return np.array([self.bias - other.bias, self.cone - other.cone, *turns])
+        return np.array([self.bias - other.bias, self.cone - other.cone, self.delay - other.delay, *turns])

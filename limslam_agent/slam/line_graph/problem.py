@@ -212,10 +212,11 @@ def make_problem(
     ranges = np.asarray(ranges, dtype=float)
     fresh = np.array([robot.measures(first_step + row) for row in range(len(ranges))])[:, None]
     measured = fresh & np.isfinite(ranges) & (True if usable is None else usable)
+    sensor = sensor or RangeSensor(noise.range_std, cone=robot.cone)
+    measured[..., list(sensor.broken)] = False
     looked = measured & (ranges > robot.too_near)
     readings = _listed(looked & (ranges < robot.too_far), ranges)
     looks = _listed(looked, np.minimum(ranges, robot.max_ranges))
-    sensor = sensor or RangeSensor(noise.range_std, cone=robot.cone)
     covariances = slip_covariances(robot, max(noise.range_std, LEAST_RANGE_STD), reported, ranges, measured)
     covariances[..., [0, 1], [0, 1]] += noise.wheel_variance * np.abs(reported) + LEAST_VARIANCE
     covariances[..., 2, 2] += ASIDE_STD**2

@@ -10,6 +10,7 @@ from scipy.linalg import block_diag
 from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.kernels.tables import FEWEST
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
+from limslam_agent.slam.core.late_ranges import ahead, behind, held_back
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.least_squares.normal_equations import DegenerateError
@@ -58,6 +59,8 @@ class FilteredRun:
         Robots and steps before which a robot was carried away. The poses before and after say where to.
     sensor
         How the sensor measures, as the filter has found out. None if it is as ``robot`` and ``noise`` state.
+    waiting
+        Travel (t, n, 2) that waits for late ranges, m. With it, each pose is that of the readings of its step.
     """
 
     robot: RobotSpec
@@ -72,12 +75,24 @@ class FilteredRun:
     first_step: int = 0
     breaks: tuple[tuple[int, int], ...] = ()
     sensor: RangeSensor | None = None
+    waiting: FloatArray | None = None
+
+    @property
+    def synchronous(self) -> "FilteredRun":
+        """The run with wheels that wait for late ranges."""
+        delay = 0.0 if self.sensor is None else self.sensor.delay
+        if not delay or self.waiting is not None:
+            return self
+        wheels = held_back(self.wheels, delay)
+        waiting = np.cumsum(self.wheels - wheels, axis=0)
+        return replace(self, wheels=wheels, poses=behind(self.poses, waiting, self.robot.axle), waiting=waiting)
 
     def until(self, step: int | None) -> "FilteredRun":
         """The run before a step of its own, with what the filter had found out by then."""
         if step is None:
             return self
-        rows, end = ("wheels", "ranges", "usable", "poses", "covariances"), self.first_step + step
+        rows, end = ["wheels", "ranges", "usable", "poses", "covariances"], self.first_step + step
+        rows += ["waiting"] if self.waiting is not None else []
         return replace(
             self,
             **{name: getattr(self, name)[:step] for name in rows},
@@ -95,6 +110,8 @@ class SmoothedRun:
     ----------
     poses, covariances
         Poses (t, n, 3), m and rad, and covariances (t, n, 3, 3).
+    read_at
+        The poses (t, n, 3) at which the ranges were read: others than ``poses`` if these are late.
     landmarks, segments
         The walls of the map: their lines as landmarks with covariances, and their segments (k, 4), m.
     calibration
@@ -108,6 +125,7 @@ class SmoothedRun:
 
     poses: FloatArray
     covariances: FloatArray
+    read_at: FloatArray
     landmarks: list[Landmark]
     segments: FloatArray
     calibration: FloatArray | None
@@ -126,6 +144,7 @@ def smooth_run(
     ``unplaced`` is the step from which on the filter did not know the place of the only robot. From there on, the poses
     are those of the filter.
     """
+    run = run.synchronous
     found = settle(run.until(unplaced), config or SmootherConfig())
     return None if found is None else _smoothed(found, run)
 
@@ -217,8 +236,10 @@ def _smoothed(found: Association, run: FilteredRun) -> SmoothedRun:
     poses[..., 2] = wrap_angle(poses[..., 2])
     landmarks, segments = smoothed_map(found)
     covariances = np.moveaxis(found.solution.of_poses, 0, 1)
+    read_at = np.concatenate((poses, run.poses[len(poses) :]))
     return SmoothedRun(
-        poses=np.concatenate((poses, run.poses[len(poses) :])),
+        poses=read_at if run.waiting is None else ahead(read_at, run.waiting, run.robot.axle),
+        read_at=read_at,
         covariances=np.concatenate((covariances, run.covariances[len(poses) :])),
         landmarks=landmarks,
         segments=segments,

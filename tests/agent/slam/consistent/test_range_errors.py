@@ -16,7 +16,7 @@ from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.output.summary import record_summary, turn_records
 from limslam_agent.slam.consistent.range_noise import RangeNoise
-from limslam_agent.slam.consistent.separate_bias import TURNS, by_range_errors
+from limslam_agent.slam.consistent.separate_bias import DELAY, TURNS, by_range_errors
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
@@ -70,6 +70,8 @@ def test_the_derivatives_of_a_cone_equal_central_differences(slant: float, cone:
     np.testing.assert_allclose(found.by_line[0], np.array(by_line) / (2.0 * step), atol=1e-6)
     turned = distance_to(LINE, bearing + step, cone, pose) - distance_to(LINE, bearing - step, cone, pose)
     by_errors = by_range_errors(rows, one_reading(bearing, cone).rows, pose[2:], float(LINE[1]), 1)
+    assert not by_errors[:, DELAY].any()  # it acts by the poses
+    by_errors = np.delete(by_errors, DELAY, axis=1)
     np.testing.assert_allclose(by_errors[0], [1.0, wider / (2.0 * step), turned / (2.0 * step)], atol=1e-6)
 
 
@@ -179,6 +181,37 @@ def test_turned_beams_are_found_and_named() -> None:
     assert re.search(r"^turned .*the beam at 45 deg by [345]\.\d \+- 0\.\d deg to the right, ", line)
     assert "turned" not in "".join(record_summary({**result, "metrics": {"status": "lost"}}))
     assert mapper.slam.mounted.beam_angles == pytest.approx(ROBOT.beam_angles + found[:, 0], abs=math.radians(1.0))
+
+
+@pytest.mark.parametrize("delay", [1, 3])
+def test_late_ranges_are_found_and_corrected(delay: int) -> None:
+    observations, true = observed(0.0, 4)
+    late = [observations[max(step - delay, 0)]["ranges"] for step in range(len(observations))]
+    told = [{**seen, "ranges": ranges} for seen, ranges in zip(observations, late, strict=True)]
+    mapper, _, _ = mapped(told, config_of())
+    assert mapper.slam.range_sensor.delay == pytest.approx(delay, abs=0.2)
+    assert np.hypot(*(mapper.poses[0] - true[-1])[:2]) < 0.1
+    result = {"record": {"sensor": mapper.slam.range_sensor.found(RangeSensor(NOISE), ROBOT.control_period)}}
+    (line,) = (line for line in record_summary(result) if line.startswith("sensor"))
+    found = re.search(r"ranges are (\d\.\d\d) s later than the wheels", line)
+    assert found is not None
+    assert float(found[1]) == pytest.approx(delay * ROBOT.control_period, abs=0.03)
+
+
+@pytest.mark.parametrize("reading", [0.2, math.inf], ids=["stuck", "dead"])
+@pytest.mark.parametrize("beam", [0, 4])
+def test_a_beam_that_always_reads_the_same_is_left_out_and_named(beam: int, reading: float) -> None:
+    observations, true = observed(0.0, 5)
+    for seen in observations:
+        seen["ranges"][beam] = min(reading, float(ROBOT.max_ranges[beam]))
+    mapper, _, _ = mapped(observations, config_of())
+    sensor = mapper.slam.range_sensor
+    assert sensor.broken == (beam,)
+    assert mapper.statuses[0].level == "ok"
+    assert np.hypot(*(mapper.poses[0] - true[-1])[:2]) < 0.1
+    result = {"record": {"sensor": sensor.found(RangeSensor(NOISE), 0.1)}, "config": {"robot": asdict(ROBOT)}}
+    named = f"the beam at {math.degrees(ROBOT.beam_angles[beam]):.4g} deg always reads the same"
+    assert named in "".join(record_summary(result))
 
 
 def with_turned_beams(steps: int) -> tuple[LineSlam, tuple[float, ...]]:

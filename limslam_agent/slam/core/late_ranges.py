@@ -1,0 +1,80 @@
+"""Ranges that are later than the wheels: the wheels' travel waits for them, and the poses go ahead again.
+
+Each reading then belongs to the pose of its step, and nothing else need know of the delay.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from limslam_env.geometry import FloatArray
+from limslam_env.geometry.se2 import compose, inverse
+from limslam_env.interface import Observation
+
+LONGEST = 10.0
+"""Largest delay, in steps."""
+
+
+def held_back(wheels: FloatArray, delay: float) -> FloatArray:
+    """Travel (t, n, 2) of the wheels of n robots in each step, m, that is by a number of steps late."""
+    totals = np.concatenate((np.zeros_like(wheels[:1]), np.cumsum(wheels, axis=0)))
+    given = np.array([_total(totals[: end + 1], delay) for end in range(len(totals))])
+    return np.diff(given, axis=0)
+
+
+def ahead(poses: FloatArray, waiting: FloatArray, axle: float) -> FloatArray:
+    """Poses (..., 3) after a travel (..., 2) of the wheels, m, as one arc on an axle, m."""
+    return np.asarray(compose(poses, _arcs(waiting, axle)))
+
+
+def behind(poses: FloatArray, waiting: FloatArray, axle: float) -> FloatArray:
+    """Poses (..., 3) before a travel (..., 2) of the wheels; see :func:`ahead`."""
+    return np.asarray(compose(poses, inverse(_arcs(waiting, axle))))
+
+
+class WaitingTravel:
+    """The travel of the wheels of n robots that waits for late ranges.
+
+    Attributes
+    ----------
+    travel
+        Travel (n, 2) that waits, m.
+    """
+
+    def __init__(self, robots: int) -> None:
+        self._totals = [np.zeros((robots, 2))]
+        self._given = self.travel = self._totals[0]
+
+    def synchronous(self, observations: Sequence[Observation], delay: float) -> Sequence[Observation]:
+        """The observations of the next step, with ranges and travel of one time, if ranges are by so many steps late.
+
+        The delay may change from step to step.
+        """
+        if "wheels" not in observations[0]:
+            return observations
+        total = self._totals[-1] + np.array([seen["wheels"] for seen in observations], dtype=float)
+        self._totals = [*self._totals[-int(LONGEST) - 1 :], total]
+        if not (delay or self.travel.any()):
+            self._given = total
+            return observations
+        before, self._given = self._given, _total(np.array(self._totals), delay)
+        self.travel = total - self._given
+        return [
+            Observation(**{**seen, "wheels": travel})
+            for seen, travel in zip(observations, self._given - before, strict=True)
+        ]
+
+
+def _total(totals: FloatArray, delay: float) -> FloatArray:
+    """The total (...) of a number of steps before the last one of totals (t, ...); the first one if that is earlier."""
+    place = max(len(totals) - 1.0 - delay, 0.0)
+    first = min(int(place), len(totals) - 1)
+    second = min(first + 1, len(totals) - 1)
+    return np.asarray(totals[first] + (place - first) * (totals[second] - totals[first]))
+
+
+def _arcs(travel: FloatArray, axle: float) -> FloatArray:
+    """The poses (..., 3) to which travel (..., 2) of the wheels leads from the origin."""
+    distance, turn = 0.5 * travel.sum(axis=-1), (travel[..., 1] - travel[..., 0]) / axle
+    chord = distance * np.sinc(0.5 * turn / np.pi)
+    return np.stack((chord * np.cos(0.5 * turn), chord * np.sin(0.5 * turn), turn), axis=-1)
