@@ -2,7 +2,6 @@
 
 import re
 import runpy
-from dataclasses import fields
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -12,7 +11,6 @@ import yaml
 from support.markdown import ROOT, all_blocks
 
 import limslam_env
-from limslam_env.config import NoiseConfig
 from limslam_env.envs import wrappers
 
 DOCS = ROOT / "docs"
@@ -27,10 +25,6 @@ def section(title: str) -> str:
 def first_column(text: str) -> set[str]:
     cells = re.findall(r"^\| (`[^|]+) \|", text, re.MULTILINE)
     return {name for cell in cells for name in re.findall(r"`([^`]+)`", cell)}
-
-
-def test_every_setting_of_the_noise_is_explained():
-    assert first_column(section("Noise")) == {part.name for part in fields(NoiseConfig)}
 
 
 def test_every_wrapper_is_named():
