@@ -93,12 +93,15 @@ def rewrite_links(text: str, folder: Path) -> str:
     return re.sub(rf"\[([^\[\]]*)\]\({OUTSIDE}\)", r"\1", text)
 
 
-def tables_of_docstring(_app: Sphinx, _what: str, _name: str, _obj: object, _options: object, lines: list[str]) -> None:
-    """Change the tables of a docstring, which are Markdown as in Gymnasium, to reStructuredText."""
+def markdown_of_docstring(
+    _app: Sphinx, _what: str, _name: str, _obj: object, _options: object, lines: list[str]
+) -> None:
+    """Change what is Markdown in a docstring, as in Gymnasium, to reStructuredText: headings, tables and code."""
     changed: list[str] = []
     inside = False
     for line in lines:
-        text = line.strip()
+        # Code stands in single backquotes, unless they belong to a role or are two already.
+        text = re.sub(r"(?<![:`])`([^`]+)`(?!`)", r"``\1``", line.strip())
         is_row = text.startswith("|") and text.endswith("|")
         indent = " " * (len(line) - len(line.lstrip()))
         if is_row and not inside:
@@ -106,8 +109,10 @@ def tables_of_docstring(_app: Sphinx, _what: str, _name: str, _obj: object, _opt
         if is_row and not set(text) <= set("|-: "):
             cells = [cell.strip() for cell in text[1:-1].split("|")]
             changed += [f"{indent}   {'* -' if number == 0 else '  -'} {cell}" for number, cell in enumerate(cells)]
+        elif text.startswith("## "):
+            changed += ["", f"{indent}.. rubric:: {text[3:]}", ""]
         elif not is_row:
-            changed += [""] * inside + [line]
+            changed += [""] * inside + [indent + text]
         inside = is_row
     lines[:] = changed
 
@@ -137,5 +142,5 @@ def setup(app: Sphinx) -> None:
     app.connect("source-read", on_source)
     app.connect("include-read", on_include)
     app.connect("build-finished", make_example)
-    app.connect("autodoc-process-docstring", tables_of_docstring)
+    app.connect("autodoc-process-docstring", markdown_of_docstring)
     app.add_lexer("csv", TextLexer)

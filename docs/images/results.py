@@ -1,15 +1,27 @@
 # ruff: noqa: INP001
-"""Draws ``results.png`` from the tables of ``benchmarks/RESULTS.md``. Run with ``python docs/images/results.py``."""
+"""Draws ``results.png``, ``status.png`` and ``speed.png``, and writes the table of the scoreboard into RESULTS.md.
+
+They are made of the tables of ``benchmarks/RESULTS.md`` and of ``benchmarks/data/scoreboard.json``. Run with
+``python docs/images/results.py`` in a checkout.
+"""
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-RESULTS = Path(__file__).parents[2] / "benchmarks" / "RESULTS.md"
-RUNS, LOGS = "This version", "Logs of real robots"
+from benchmarks.scoreboard.board import read_board, table
+from benchmarks.scoreboard.compare import Cell
+
+BENCHMARKS = Path(__file__).parents[2] / "benchmarks"
+RESULTS, BOARD = BENCHMARKS / "RESULTS.md", BENCHMARKS / "data" / "scoreboard.json"
+RUNS, DRIVES, LOGS, SPEED = (
+    "Explorations with the default settings", "Drives with and without faults", "Logs of real robots",
+    "Speed of the batch",
+)  # fmt: skip
 # Columns of the table of explorations, with the colours of Okabe and Ito, which the colour-blind can tell apart.
 ESTIMATES = {
     "odometry": ("0.55", "X"),
@@ -17,23 +29,38 @@ ESTIMATES = {
     "filter": ("#56B4E9", "^"),
     "smoothed": ("#0072B2", "o"),
 }
+STATUSES = {"ok": ("#0072B2", "o"), "unsure": ("#E69F00", "D"), "lost": ("#D55E00", "X")}
+SPEEDS = {"two cores": ("#0072B2", "o"), "H100": ("#009E73", "s")}
+# Columns of a scoreboard that are shown: row, drives, errors of filter and smoothed path, NEES, wrong and ok, status.
+SHOWN = (0, 1, 2, 4, 6, 8, 10)
 
 Row = dict[str, str]
 
 
-def table(text: str, heading: str) -> list[Row]:
-    """The rows of the first table below a heading, by the names of their columns."""
-    section = text[text.index(f"## {heading}") :]
-    lines = re.search(r"(?:^\|.*\|$\n?)+", section, re.MULTILINE)
-    if lines is None:
+def lines_of_table(text: str, heading: str) -> re.Match[str]:
+    """The first table below a heading."""
+    found = re.compile(r"(?:^\|.*\|$\n?)+", re.MULTILINE).search(text, text.index(f"## {heading}"))
+    if found is None:
         raise SystemExit(f"{RESULTS}: no table below {heading!r}")
-    cells = [[cell.strip(" *") for cell in line.strip("|").split("|")] for line in lines[0].strip().splitlines()]
+    return found
+
+
+def rows_of(text: str, heading: str) -> list[Row]:
+    """The rows of the first table below a heading, by the names of their columns."""
+    lines = lines_of_table(text, heading)[0].strip().splitlines()
+    cells = [[cell.strip(" *") for cell in line.strip("|").split("|")] for line in lines]
     return [dict(zip(cells[0], row, strict=True)) for row in cells[2:]]
 
 
 def number(cell: str) -> float:
-    """The first number of a cell."""
-    return float(cell.split(maxsplit=1)[0])
+    """The first number of a cell; NaN of an empty one."""
+    return float(cell.split(maxsplit=1)[0].replace(",", "")) if cell else np.nan
+
+
+def scoreboard_lines(lines: Sequence[str]) -> str:
+    """The table of a scoreboard with the columns that are shown."""
+    rows = [line.strip("|").split("|") for line in lines if line.startswith("|")]
+    return "".join(f"|{'|'.join(row[column] for column in SHOWN)}|\n" for row in rows)
 
 
 def draw_runs(axes: Axes, rows: list[Row]) -> None:
@@ -59,8 +86,7 @@ def draw_runs(axes: Axes, rows: list[Row]) -> None:
         axes.text(
             places[start + 1], -0.1, rows[start]["world"], ha="center", va="top", transform=axes.get_xaxis_transform()
         )
-    axes.set_yticks([0.01, 0.03, 0.1, 0.3, 1.0], ["0.01", "0.03", "0.1", "0.3", "1"])
-    axes.minorticks_off()
+    axes.set_yticks([0.01, 0.03, 0.1, 0.3, 1.0])
 
 
 def draw_logs(axes: Axes, rows: list[Row]) -> None:
@@ -81,23 +107,72 @@ def draw_logs(axes: Axes, rows: list[Row]) -> None:
         title="Real logs: six beams of 5 m",
     )
     axes.set_xticks(range(len(rows)), [row["log"].split()[0] for row in rows])
-    axes.set_yticks([0.1, 1.0, 10.0], ["0.1", "1", "10"])
-    axes.minorticks_off()
+
+
+def draw_status(by_status: Axes, by_stated: Axes, cells: Sequence[Cell]) -> None:
+    """Errors of the smoothed paths by the status at the end, and beside the error that the estimate states."""
+    for place, (status, (colour, marker)) in enumerate(STATUSES.items()):
+        found = sorted((cell for cell in cells if cell["status"] == status), key=lambda cell: cell["ate_smoothed_m"])
+        errors = np.array([cell["ate_smoothed_m"] for cell in found])
+        stated = errors / np.sqrt([cell.get("nees_smoothed") or np.nan for cell in found])
+        # Neighbours of nearly the same error are beside each other.
+        spread = place + 0.15 * np.array([-1.0, 0.0, 1.0])[np.arange(len(errors)) % 3]
+        style = {"color": colour, "marker": marker, "linestyle": "none", "markersize": 5, "alpha": 0.75}
+        by_status.plot(errors, spread, **style)
+        by_stated.plot(stated, errors, label=f"{status} ({len(errors)})", **style)
+    by_status.set(xscale="log", xlabel="error of the smoothed path, m", title="Error by the status at the end")
+    by_status.set_yticks(range(len(STATUSES)), STATUSES)
+    by_status.set_ylim(len(STATUSES) - 0.6, -0.4)
+    low, high = 0.002, 5.0
+    by_stated.plot([low, high], [low, high], color="0.4", linewidth=1.0, label="as stated")
+    by_stated.set(xscale="log", yscale="log", xlim=(low, high), ylim=(low, high))
+    by_stated.set(xlabel="stated error, m", ylabel="error, m", title="Error and stated error")
+
+
+def draw_speed(axes: Axes, rows: list[Row]) -> None:
+    """Steps a second over the number of environments, on logarithmic scales."""
+    counts = np.array([number(row["environments in Env1"]) for row in rows])
+    for name, (colour, marker) in SPEEDS.items():
+        rates = np.array([number(row[f"{name}, million steps/s"]) for row in rows])
+        known = np.isfinite(rates)
+        axes.plot(counts[known], rates[known], color=colour, marker=marker, linewidth=1.6, markersize=6, label=name)
+    axes.set(xscale="log", yscale="log", xlabel="environments", ylabel="million steps a second")
+
+
+def save(figure: Figure, name: str, legend_columns: int) -> None:
+    """Write a figure beside this file, with a legend below it."""
+    for axes in figure.axes:
+        axes.grid(axis="both" if axes.get_xscale() == "log" else "y", color="0.9", linewidth=0.7)
+        axes.minorticks_off()
+        for axis in (axes.xaxis, axes.yaxis):
+            if axis.get_scale() == "log":
+                axis.set_major_formatter("{x:,.7g}")
+        axes.set_axisbelow(True)
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(loc="outside lower center", frameon=False, ncols=legend_columns)
+    figure.savefig(Path(__file__).with_name(name), dpi=130, metadata={"Software": None})
 
 
 def main() -> None:
-    """Draw the figure."""
-    text = RESULTS.read_text(encoding="utf-8")
+    """Write the table, and draw the figures."""
+    text, board = RESULTS.read_text(encoding="utf-8"), read_board(BOARD)
+    old = lines_of_table(text, DRIVES)
+    text = text[: old.start()] + scoreboard_lines(table(board)) + text[old.end() :]
+    RESULTS.write_text(text, encoding="utf-8")
+
     figure = Figure(figsize=(10.5, 3.9), layout="constrained", facecolor="white")
     left, right = figure.subplots(1, 2, width_ratios=(2.4, 1.0))
-    draw_runs(left, table(text, RUNS))
-    draw_logs(right, table(text, LOGS))
-    for axes in (left, right):
-        axes.grid(axis="y", color="0.9", linewidth=0.7)
-        axes.set_axisbelow(True)
-        axes.spines[["top", "right"]].set_visible(False)
-    figure.legend(loc="outside lower center", frameon=False, ncols=4)
-    figure.savefig(Path(__file__).with_suffix(".png"), dpi=130, metadata={"Software": None})
+    draw_runs(left, rows_of(text, RUNS))
+    draw_logs(right, rows_of(text, LOGS))
+    save(figure, "results.png", 4)
+
+    figure = Figure(figsize=(10.5, 4.4), layout="constrained", facecolor="white")
+    draw_status(*figure.subplots(1, 2), [cell for cell in board["cells"] if cell.get("ate_smoothed_m")])
+    save(figure, "status.png", 4)
+
+    figure = Figure(figsize=(6.4, 3.6), layout="constrained", facecolor="white")
+    draw_speed(figure.subplots(), rows_of(text, SPEED))
+    save(figure, "speed.png", 2)
 
 
 if __name__ == "__main__":

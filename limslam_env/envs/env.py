@@ -94,15 +94,15 @@ class LimSlamEnv(SimulationEnv, gym.Env[Observation, NDArray[np.floating[Any]]])
 
     `reset(options={"world": ...})` uses another world for one episode; later resets use the environment's own world.
 
+    ## Version History
+    * v0: first release.
+
     Raises
     ------
     ValueError
         If an argument is out of bounds.
     WorldError
         If the world cannot be used.
-
-    ## Version History
-    * v0: first release.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (as the base class declares it)

@@ -43,7 +43,6 @@ NOT_RUN = {
 # Commands that are not the project's own, by their first words.
 OTHERS = {
     "tensorboard": "TensorBoard's own command line; it serves until it is stopped",
-    "evo_ape": "another project's command, for trajectories of a finished run",
     "git": "changes a checkout",
     ".venv/bin/pytest": "these tests",
     "pytest": "these tests",

@@ -2,7 +2,6 @@
 
 import re
 import runpy
-from dataclasses import fields
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -12,10 +11,10 @@ import yaml
 from support.markdown import ROOT, all_blocks
 
 import limslam_env
-from limslam_env.config import NoiseConfig
 from limslam_env.envs import wrappers
 
 DOCS = ROOT / "docs"
+in_a_checkout = pytest.mark.skipif(not find_spec("benchmarks"), reason="the benchmarks do not travel with the tests")
 ENVIRONMENTS = (DOCS / "environments.md").read_text(encoding="utf-8")
 
 
@@ -26,10 +25,6 @@ def section(title: str) -> str:
 def first_column(text: str) -> set[str]:
     cells = re.findall(r"^\| (`[^|]+) \|", text, re.MULTILINE)
     return {name for cell in cells for name in re.findall(r"`([^`]+)`", cell)}
-
-
-def test_every_setting_of_the_noise_is_explained():
-    assert first_column(section("Noise")) == {part.name for part in fields(NoiseConfig)}
 
 
 def test_every_wrapper_is_named():
@@ -54,29 +49,24 @@ def packages_drawn() -> set[str]:
     return found
 
 
+@in_a_checkout
 @pytest.mark.parametrize("top", ["limslam_env", "limslam_agent", "benchmarks"])
 def test_the_tree_of_packages_is_the_one_that_is_there(top):
-    spec = find_spec(top)
-    if spec is None:
-        pytest.skip("the benchmarks do not travel with the tests: run them in a checkout")
-    folder = Path(next(iter(spec.submodule_search_locations)))
+    folder = Path(next(iter(find_spec(top).submodule_search_locations)))
     there = {path.parent.relative_to(folder.parent).as_posix() for path in folder.rglob("*.py")}
     assert {name for name in packages_drawn() if name.split("/")[0] == top} == there
 
 
+@in_a_checkout
 @pytest.mark.parametrize("top", ["limslam_env", "limslam_agent", "benchmarks"])
 def test_the_tree_names_the_modules_beside_the_packages(top):
-    spec = find_spec(top)
-    if spec is None or spec.origin is None:
-        pytest.skip("the benchmarks do not travel with the tests: run them in a checkout")
     (tree,) = [block.text for block in all_blocks("text") if block.text.startswith("limslam_env/")]
-    modules = {path.name for path in Path(spec.origin).parent.glob("*.py") if not path.name.startswith("__")}
+    modules = {path.name for path in Path(find_spec(top).origin).parent.glob("*.py") if not path.name.startswith("__")}
     assert modules <= set(re.findall(r"\w+\.py", tree))
 
 
+@in_a_checkout
 def test_every_suite_is_named():
-    if not find_spec("benchmarks"):
-        pytest.skip("the benchmarks do not travel with the tests: run them in a checkout")
     from benchmarks.suite.suite import shipped_suites
 
     text = (DOCS / "benchmark.md").read_text(encoding="utf-8").split("\n## Suites\n", 1)[1].split("\n### ", 1)[0]
@@ -92,9 +82,13 @@ def test_the_release_is_the_same_everywhere():
     assert f"version = {{{version}}}" in (DOCS / "index.md").read_text(encoding="utf-8")
 
 
-def test_the_figure_of_the_results_finds_its_tables():
-    figure = runpy.run_path(str(DOCS / "images" / "results.py"))
-    text = figure["RESULTS"].read_text(encoding="utf-8")
-    runs, logs = (figure["table"](text, figure[heading]) for heading in ("RUNS", "LOGS"))
-    assert {f"ATE {name}, m" for name in figure["ESTIMATES"]} <= set(runs[0])
-    assert {"odometry, m", "LimSLAM, m"} <= set(logs[0])
+@in_a_checkout
+def test_the_results_have_the_table_of_the_scoreboard_and_the_columns_that_are_drawn():
+    drawn = runpy.run_path(str(DOCS / "images" / "results.py"))
+    text = drawn["RESULTS"].read_text(encoding="utf-8")
+    table = drawn["scoreboard_lines"](drawn["table"](drawn["read_board"](drawn["BOARD"])))
+    assert drawn["lines_of_table"](text, drawn["DRIVES"])[0] == table, "python docs/images/results.py writes it"
+    runs, logs, speed = (drawn["rows_of"](text, drawn[heading])[0] for heading in ("RUNS", "LOGS", "SPEED"))
+    assert {f"ATE {name}, m" for name in drawn["ESTIMATES"]} <= set(runs)
+    assert {"odometry, m", "LimSLAM, m"} <= set(logs)
+    assert {f"{name}, million steps/s" for name in drawn["SPEEDS"]} <= set(speed)

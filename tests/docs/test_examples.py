@@ -16,6 +16,7 @@ from limslam_agent.replay.replay import replay_log
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 EXAMPLE = EXAMPLES / "live_robot.py"
+pytestmark = pytest.mark.skipif(not EXAMPLES.is_dir(), reason="the examples do not travel with the tests")
 # Modules of the simulator, which a robot does not need.
 SIMULATOR = {
     "pymunk",
@@ -28,8 +29,6 @@ SIMULATOR = {
 
 @pytest.fixture(scope="module")
 def live_run(tmp_path_factory):
-    if not EXAMPLE.is_file():
-        pytest.skip("the examples do not travel with the tests: run them in a checkout")
     folder = tmp_path_factory.mktemp("live") / "room"
     code = (
         "import runpy, sys\n"
@@ -64,8 +63,6 @@ def test_its_log_can_be_replayed(live_run):
 
 
 def test_the_log_of_wheel_travel_is_replayed_by_the_command_of_its_page(tmp_path):
-    if not EXAMPLE.is_file():
-        pytest.skip("the examples do not travel with the tests: run them in a checkout")
     page = EXAMPLES.parent / "docs" / "logs.md"
     command = next(words for block in blocks(page) for words in commands(block.text) if "wheel_log.csv" in str(words))
     finished = call(main, *command[1:], "--out", tmp_path / "out", cwd=EXAMPLES.parent)
@@ -81,8 +78,6 @@ def test_the_log_of_wheel_travel_is_replayed_by_the_command_of_its_page(tmp_path
 
 
 def test_the_live_loop_imports_only_the_agent_and_the_interface():
-    if not EXAMPLE.is_file():
-        pytest.skip("the examples do not travel with the tests: run them in a checkout")
     lines = EXAMPLE.read_text(encoding="utf-8").splitlines()
     ours = {line.split()[1] for line in lines if line.startswith(("import ", "from ")) and "limslam" in line}
     assert all(name == "limslam_env.interface" or name.split(".")[0] == "limslam_agent" for name in ours)
@@ -90,8 +85,6 @@ def test_the_live_loop_imports_only_the_agent_and_the_interface():
 
 def test_a_function_is_scored_beside_the_explorer_in_fifteen_lines():
     example = EXAMPLES / "evaluate_policy.py"
-    if not example.is_file():
-        pytest.skip("the examples do not travel with the tests: run them in a checkout")
     assert len([line for line in example.read_text(encoding="utf-8").splitlines() if line]) <= 15
     result = subprocess.run([sys.executable, str(example)], capture_output=True, text=True, check=True)
     said = {words[0]: float(words[2]) for words in map(str.split, result.stdout.splitlines())}
@@ -101,8 +94,6 @@ def test_a_function_is_scored_beside_the_explorer_in_fifteen_lines():
 
 def test_an_estimator_of_ones_own_gets_the_metrics_of_a_run(tmp_path):
     example = EXAMPLES / "own_estimator.py"
-    if not example.is_file():
-        pytest.skip("the examples do not travel with the tests: run them in a checkout")
     folder = tmp_path / "run"
     write = "import sys; from limslam_agent.cli.main import main; sys.exit(main())"
     options = ["run", "--world", "env2", "--preset", "consistent", "--max-time", "20", "--out", str(folder)]

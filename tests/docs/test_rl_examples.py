@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
+pytestmark = pytest.mark.skipif(not EXAMPLES.is_dir(), reason="the examples do not travel with the tests")
 
 NEEDS = {
     "rl_sb3": ["stable_baselines3"],
@@ -22,16 +23,12 @@ NEEDS = {
 
 
 def test_no_example_is_left_out():
-    if not EXAMPLES.is_dir():
-        pytest.skip("the examples do not travel with the tests: run them in a checkout")
     assert {path.stem for path in EXAMPLES.glob("rl_*.py")} == set(NEEDS)
 
 
 @pytest.mark.parametrize("name", NEEDS)
 def test_it_learns_for_some_steps(name, tmp_path):
     path = EXAMPLES / f"{name}.py"
-    if not path.is_file():
-        pytest.skip("the examples do not travel with the tests: run them in a checkout")
     if missing := [library for library in NEEDS[name] if find_spec(library) is None]:
         pytest.skip(f"needs {', '.join(missing)}: pip install 'limslam[rl]', or TorchRL on its own")
     few = {"rl_batch": ["--envs", "4", "--plans", "1"], "rl_sb3": ["--plans", "1"]}.get(name, [])
