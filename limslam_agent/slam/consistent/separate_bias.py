@@ -14,7 +14,6 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.kernels.tables import FLATTEST, LEAST_COSINE, POSE
-from limslam_agent.slam.core.triangular import solve_lower
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import angle_between
 
@@ -226,7 +225,7 @@ def note_update(
     measured = jacobian @ by_errors[columns]
     if direct is not None:
         measured[:, -direct.shape[1] :] += direct
-    scaled = solve_lower(factor, np.column_stack((measured, innovation)))
+    scaled = np.linalg.solve(np.tril(factor), np.column_stack((measured, innovation)))
     ekf.errors.learn(scaled[:, :-1], scaled[:, -1])
     by_errors -= whitened.T @ scaled[:, :-1]
     by_errors += moved_again @ by_errors[:POSE]

@@ -9,10 +9,10 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
+from filterpy.kalman import ExtendedKalmanFilter
 from scipy.linalg.blas import dgemm
 
 from limslam_agent.kernels.tables import POSE
-from limslam_agent.slam.core.light_filterpy import ExtendedKalmanFilter
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import from_frame, from_frame_jacobians, nearest_form, to_frame, to_frame_jacobians
 from limslam_env.geometry.se2 import compose, compose_jacobians, wrap_angle
