@@ -29,8 +29,7 @@ from limslam_agent.kernels.tables import (
     GRAZING,
     KINK_GATE,
     KINKS_AT,
-    LEAST_GAIN,
-    LEAST_SPREAD,
+    LEAST_DIVISOR,
     MIDDLE_X,
     MIDDLE_Y,
     MIN_KINK,
@@ -148,7 +147,7 @@ def describe(
         low, high = min(low, max(least, along[i])), max(high, min(most, along[i]))
         least, most = min(least, along[i]), max(most, along[i])
     segment[THETA], segment[MIDDLE_X], segment[MIDDLE_Y], segment[EXTENT] = theta, foot[0], foot[1], high - low
-    segment[ANGLE_STD] = std / max(math.sqrt(spread), LEAST_SPREAD)
+    segment[ANGLE_STD] = std / max(math.sqrt(spread), LEAST_DIVISOR)
     segment[R] = foot[0] * math.cos(theta) + foot[1] * math.sin(theta)
 
 
@@ -221,7 +220,7 @@ def strongest_kink(shapes: FloatArray, left: FloatArray, kinks: int) -> tuple[fl
         for i in range(len(left)):
             square += shapes[i, k] * shapes[i, k]
             product += left[i] * shapes[i, k]
-        square = max(square, LEAST_GAIN)
+        square = max(square, LEAST_DIVISOR)
         gain = (product / square) ** 2 * square
         if gain > most:
             most, best, angle = gain, k, product / square
@@ -248,7 +247,7 @@ def mark_loose_ends(
         square, product = dot(shape, 0, 0, count), 0.0
         for i in range(count):
             product += left[i] * shape[i, 0]
-        if inside < count and square > LEAST_GAIN and product * product > END_GATE * square:
+        if inside < count and square > LEAST_DIVISOR and product * product > END_GATE * square:
             for i in range(count):
                 if abs(along[i] - end) < END_ZONE:
                     loose[clear[i]] = True

@@ -49,13 +49,11 @@ class Expected(NamedTuple):
 
 
 class Disagreement(NamedTuple):
-    """Chi-square due to the line, chi-square that no line explains, number of readings, offset and its variance."""
+    """Chi-square due to the line, chi-square that no line explains, and number of readings."""
 
     of_line: float
     left: float
     used: int
-    offset: float
-    variance: float
 
 
 def expected_rows(poses: FloatArray, readings: Readings, line: FloatArray, anchor: FloatArray) -> FloatArray:

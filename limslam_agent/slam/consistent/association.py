@@ -15,6 +15,7 @@ from limslam_agent.kernels.lines import extract_lines, uncontested
 from limslam_agent.kernels.tables import (
     ANGLE_STD,
     EXTENT,
+    GROUPS,
     LANDMARK,
     LEFT,
     MIDDLE_X,
@@ -38,14 +39,11 @@ from limslam_agent.slam.consistent.clone_filter import (
     lines_near,
     num_lines,
     observe,
-    side_of,
     straight_segments,
 )
 from limslam_agent.slam.consistent.limits import (
     COMPLETE_AFTER,
-    END_SLACK,
     FAR_GATE,
-    FIRST_ITERATIONS,
     GAP_AHEAD,
     HUBER,
     ITERATIONS,
@@ -62,7 +60,6 @@ from limslam_agent.slam.consistent.merging import (
     along_line,
     close_loops_of,
     closes_loop,
-    is_board,
     turn_between,
 )
 from limslam_agent.slam.consistent.pending_readings import AHEAD, CLONE, DRIVEN_THEN, FRESH, SIDES, WAITING, readings_of
@@ -179,7 +176,7 @@ def is_used(
     found = candidates(ekf, walls, piece, settings)
     while len(found) > 1 and found[1, OF_LINE] <= settings.gate:
         first, second = int(found[0, LANDMARK]), int(found[1, LANDMARK])
-        if not closes_loop(ekf, walls, first, second, settings, 1, listener):
+        if not closes_loop(ekf, walls, first, second, settings, listener):
             break
         found = candidates(ekf, walls, piece, settings)
     best = found[0, OF_LINE] if len(found) else np.inf
@@ -195,7 +192,7 @@ def is_used(
         index = int(found[0, LANDMARK])
         if not fits(ekf, piece, index, found[0, LEFT], found[0, USED]):
             return False
-        update(ekf, walls, piece, index, settings, ITERATIONS, listener)
+        update(ekf, walls, piece, index, settings, listener)
         return True
     least = LENGTH_IF_COMPLETE if is_complete else settings.new_length
     if best < FAR_GATE or segment[EXTENT] < least or not is_sure:
@@ -205,7 +202,7 @@ def is_used(
         return False
     index = add_line(ekf, segment[THETA], segment[MIDDLE_X], segment[MIDDLE_Y])
     add_wall(walls, index)
-    update(ekf, walls, piece, index, settings, FIRST_ITERATIONS, listener)
+    update(ekf, walls, piece, index, settings, listener)
     return True
 
 
@@ -219,26 +216,13 @@ def candidates(ekf: Filter, walls: Walls, piece: Piece, settings: StepSettings) 
         along = along_line(ekf, index, piece.points)
         if max(along.min() - walls.ends[index, 1], walls.ends[index, 0] - along.max()) > MAX_END_GAP:
             continue
-        of_line, left, used, offset, variance = compare(ekf, piece.places, piece.readings, index, piece.variances)
-        if used and may_show(ekf, walls, piece, index, along, offset, variance):
+        of_line, left, used = compare(ekf, piece.places, piece.readings, index, piece.variances)
+        if used:
             found[size, OF_LINE], found[size, LEFT], found[size, USED], found[size, LANDMARK] = (
                 of_line, left, used, index,
             )  # fmt: skip
             size += 1
     return found[np.argsort(found[:size, OF_LINE].copy())]
-
-
-def may_show(
-    ekf: Filter, walls: Walls, piece: Piece, index: int, along: FloatArray, offset: float, variance: float
-) -> bool:
-    """Whether a landmark was seen from the side of a piece near it, or it is a board and not another face of a wall."""
-    side, seen = side_of(ekf, piece.places, piece.readings, index), walls.seen[index]
-    own = np.mean((along > seen[side, 0] - END_SLACK) & (along < seen[side, 1] + END_SLACK))
-    other = np.mean((along > seen[1 - side, 0] - END_SLACK) & (along < seen[1 - side, 1] + END_SLACK))
-    is_close = max(along.min() - seen[side, 1], seen[side, 0] - along.max()) <= MAX_END_GAP
-    if own >= 0.5 or (other < 0.5 and is_close):
-        return True
-    return is_board(walls, num_lines(ekf), 1 - side, offset, variance)[0]
 
 
 def fits(ekf: Filter, piece: Piece, index: int, left: float, used: float) -> bool:
@@ -257,13 +241,12 @@ def update(
     piece: Piece,
     index: int,
     settings: StepSettings,
-    iterations: int,
     listener: "StepReports | None",
 ) -> None:
     """Update filter and map by a piece of a landmark, and merge the landmark with others that are the same wall."""
-    observe(ekf, piece.places, piece.readings, index, piece.variances, iterations, HUBER)
+    observe(ekf, piece.places, piece.readings, index, piece.variances, ITERATIONS, HUBER)
     points = end_points(ekf, piece.places, piece.readings, line_of(ekf, index)[1])
-    count_hits(walls, index, along_line(ekf, index, points), side_of(ekf, piece.places, piece.readings, index))
+    count_hits(walls, index, along_line(ekf, index, points))
     if listener is not None:
-        listener.updated(walls.table[index, NUMBER], iterations == FIRST_ITERATIONS)
-    close_loops_of(ekf, walls, index, settings, 1, listener)
+        listener.updated(walls.table[index, NUMBER], walls.table[index, GROUPS] == 1)
+    close_loops_of(ekf, walls, index, settings, listener)

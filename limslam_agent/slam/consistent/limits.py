@@ -38,16 +38,16 @@ LEAST_LENGTH = 0.15
 RESIDUAL_SIGMAS = 3.0
 """Largest chi-square of the residuals about the best line, in standard deviations of its distribution."""
 
-END_SLACK = 0.05
-"""Readings up to this far beyond a landmark's known ends count as inside."""
-
 HUBER = 1.5
 """Residuals of more standard deviations than this are weighted down (Huber's weights)."""
 
-ITERATIONS, FIRST_ITERATIONS = 2, 4
-"""Iterations of the iterated update, and of the first update of a new landmark."""
+ITERATIONS = 2
+"""Iterations of an update, and of the merging of two landmarks."""
 
 # New landmarks.
+LINE_PRIOR = (10.0**2, 3.0**2)
+"""Variances of a new line's d and theta, m^2 and rad^2: large, so that the readings alone determine the line."""
+
 LENGTH_IF_COMPLETE = 0.25
 """Least length of a piece that is complete: no more readings of it will come."""
 
@@ -65,7 +65,7 @@ STRAIGHTNESS = (1e-3**2, 1e-4**2)
 """Variances, m^2 and rad^2, by which one real wall deviates from a line.
 
 They bound the difference of two landmarks from below, because landmarks that were always seen together may have a
-difference that is known more exactly than any wall is straight.
+difference that is known more exactly than any wall is straight. Merged landmarks are equal up to them.
 """
 
 # Extents of landmarks.

@@ -56,7 +56,7 @@ class StepReports:
     def updated(self, number: int, is_new: bool) -> None:
         """The piece has corrected a landmark."""
         self._estimator.count_residuals(self._residuals, self._ranges)
-        self._estimator.report(AssociationRecord(int(number), is_new, self._sources, self._robot))
+        self._estimator.report(AssociationRecord(int(number), bool(is_new), self._sources, self._robot))
 
     def merged(self, older: int, younger: int, squared: float, offset: float) -> None:
         """Two landmarks, by number, were merged: their squared Mahalanobis distance, and their offset, m."""
@@ -64,8 +64,6 @@ class StepReports:
 
     def _test(self, index: int, piece: "Piece", squared: float, gate: float) -> CandidateTest:
         """The test that threw a landmark out, if any."""
-        from limslam_agent.slam.consistent.clone_filter import compare
-
         belief, walls = self._estimator.belief, self._estimator.walls
         line, middle = belief.line(index), piece.segment[THETA + 1 : THETA + 3]
         angle = abs(float(angle_between(float(line[1]) - piece.segment[THETA])))
@@ -75,8 +73,6 @@ class StepReports:
         tests = {"direction": angle > MAX_ANGLE, "offset": offset > MAX_OFFSET, "ends": gap > MAX_END_GAP}
         # A short piece may turn farther than the limit, because its direction is uncertain.
         excluded = next((name for name, is_out in tests.items() if is_out), "beams")
-        if excluded == "beams" and compare(belief.arrays, piece.places, piece.readings, index, piece.variances)[2]:
-            excluded = "side"
         if not np.isnan(squared):
             excluded = "gate" if squared > gate else ""
         return CandidateTest(int(walls.table[index, NUMBER]), excluded, angle, offset, gap, squared)

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from limslam_agent.kernels.tables import FLATTEST, LEAST_COSINE, POSE
+from limslam_agent.kernels.tables import FLATTEST, LEAST_DIVISOR, POSE
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import angle_between
 
@@ -270,7 +270,7 @@ def by_range_errors(
     beams
         Number of beams of the robot; 0 if their directions are not estimated.
     """
-    cosines = np.maximum(np.abs(expected[:, 6]), LEAST_COSINE)
+    cosines = np.maximum(np.abs(expected[:, 6]), LEAST_DIVISOR)
     sines = np.sqrt(np.maximum(1.0 - cosines**2, 0.0))
     by_width = -expected[:, 0] * sines / cosines
     by_errors = np.zeros((len(cosines), 2 + beams))

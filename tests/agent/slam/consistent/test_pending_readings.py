@@ -9,12 +9,8 @@ import pytest
 from limslam_agent.config.consistent import ConsistentConfig, PendingReadingsConfig
 from limslam_agent.slam.consistent.pending_readings import (
     BEAM,
-    CLONE,
     DRIVEN,
     DRIVEN_AT,
-    DRIVEN_THEN,
-    FRESH,
-    RANGE,
     SIDES,
     TAKEN_AT,
     TURNED,
@@ -80,17 +76,6 @@ def seen_by(*beams: int) -> FloatArray:
     return np.where(np.isin(np.arange(6), beams), RANGES, FREE)
 
 
-def test_readings_wait_by_side_with_all_that_the_filter_needs() -> None:
-    drive = _Drive()
-    assert drive.step(RANGES)
-    assert drive.step(seen_by(1, 2), distance=0.3)
-    assert drive.beams() == {"left": [0, 1, 1], "right": [4, 5], "none": [2, 3, 2]}
-    assert drive.fill[:, FRESH].tolist() == [3, 2, 3]
-    assert drive.rows("left")[:, [CLONE, TAKEN_AT, RANGE, DRIVEN_THEN]].tolist() == [
-        [10, 0, 0.4, 0.0], [10, 0, 0.6, 0.0], [11, 1, 0.6, 0.3],
-    ]  # fmt: skip
-
-
 # How far apart.
 
 
@@ -116,16 +101,6 @@ def test_many_beams_of_a_side_are_thinned_out_evenly(most: int, kept: int) -> No
         assert (beams["left"][0], beams["left"][-1]) == (0, 39)
         steps = np.diff(beams["left"])
         assert steps.max() - steps.min() <= 1
-
-
-def test_beams_that_are_left_out_are_not_looked_at_for_the_end_of_a_wall() -> None:
-    degrees = (50.0, 70.0, 90.0, 110.0, 130.0)
-    drive = _Drive(RobotSpec(beams=beams_on_rim(degrees, 0.10)), most=2)  # the first and the last
-    drive.step(np.full(5, 0.7))
-    only_between = np.array([1.5, 0.7, 0.7, 0.7, 1.5])
-    assert not drive.step(only_between, distance=0.3)
-    assert drive.beams()["left"] == [0, 4]
-    assert drive.has_ended("left", 0.25)
 
 
 @pytest.mark.parametrize("dead", [math.nan, math.inf, 1.5, 0.05, 0.0])

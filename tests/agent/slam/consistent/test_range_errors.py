@@ -190,17 +190,6 @@ def with_turned_beams(steps: int) -> tuple[LineSlam, tuple[float, ...]]:
     return slam, turns
 
 
-def test_a_correction_keeps_what_is_reported_of_the_turns() -> None:
-    slam, _ = with_turned_beams(300)
-    before, sensor = slam.beam_turns, slam.range_sensor
-    assert before is not None
-    assert before[:, 1].min() < math.radians(0.5)
-    slam.assume(sensor._replace(std=1.2 * sensor.std))
-    assert slam.beam_turns == pytest.approx(before)
-    slam.assume(sensor._replace(turns=(sensor.turns[0] + 0.01, *sensor.turns[1:])))
-    assert slam.beam_turns == pytest.approx(before, abs=1e-3)  # the prior is about the assumed turns
-
-
 def test_what_is_unknown_of_turned_beams_is_in_the_covariance() -> None:
     slam, turns = with_turned_beams(100)
     ekf = slam._estimator._filter
@@ -234,8 +223,3 @@ def test_a_stated_opening_angle_keeps_the_filter_consistent() -> None:
 def test_an_impossible_opening_angle_is_refused(cone: float) -> None:
     with pytest.raises(ValueError, match="half the opening angle"):
         RobotSpec(cone=cone)
-
-
-def test_the_opening_angle_is_kept_in_files() -> None:
-    robot = RobotSpec(cone=CONE)
-    assert RobotSpec.from_json(robot.to_json()) == robot

@@ -10,7 +10,7 @@ from limslam_agent.config.published import AssociationConfig
 from limslam_agent.slam.core.diagnostics import CandidateTest
 from limslam_agent.slam.core.ekf import LineEKF
 from limslam_agent.slam.published import association
-from limslam_agent.slam.published.association import ObservedLine, alike, associate, visible
+from limslam_agent.slam.published.association import ObservedLine, alike, associate
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import normalise, through, to_frame
 from limslam_env.geometry.se2 import transform_points
@@ -18,7 +18,6 @@ from limslam_env.geometry.se2 import transform_points
 # Given here, not left to the defaults: the scenes are drawn around these gaps.
 CONFIG = AssociationConfig(gate=100.0, max_end_gap=0.25, range_slack=0.25)
 MAX_RANGE = 1.6
-ROBOT = np.zeros(3)
 # Scenes are written down about a robot at the origin and then put anywhere: all round, behind the
 # start, turned by more than 90 degrees, and such that the walls of the scenes pass close by the origin.
 PLACES = [(0.0, 0.0, 0.0), (2.0, -1.0, 2.5), (-0.5, 0.2, 1.6), (0.0, 0.499, 3.1)]
@@ -147,22 +146,6 @@ def test_the_nearest_landmark_comes_first_and_the_gate_ends_the_list(place: tupl
     assert [test.distance for test in found] == pytest.approx([30.25, 1.0, 16.0, 225.0], rel=1e-3)
     gated = associate(observation, pose, lines, segments, ekf.innovation, MAX_RANGE, replace(CONFIG, gate=10.0))
     assert possible(gated) == [1]
-
-
-def test_without_landmarks_there_is_no_match() -> None:
-    assert matched(WALL_AHEAD, ROBOT, np.zeros((0, 2)), np.zeros((0, 4))) == []
-
-
-@pytest.mark.parametrize("place", PLACES)
-def test_most_beams_must_see_the_landmark(place: tuple[float, float, float]) -> None:
-    pose = np.array(place)
-    _, segments = landmarks(pose, (-0.5, 1.0, 0.5, 1.0))
-    up, down = (0.0, 0.5), (0.0, -0.5)
-    for ahead, expected in ((10, True), (5, True), (4, False), (0, False)):
-        points = np.array([up] * ahead + [down] * (10 - ahead))
-        scene = ObservedLine(np.array([0.5, 0.5 * math.pi]), np.eye(2), points[:2], np.zeros((10, 2)), points)
-        assert visible(scene, pose, segments, 1.2, 0.0).tolist() == [expected]
-        assert visible(scene, pose, segments, 0.9, 0.0).tolist() == [False]
 
 
 @pytest.mark.parametrize("degrees", range(-180, 181, 90))
