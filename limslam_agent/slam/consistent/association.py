@@ -47,7 +47,6 @@ from limslam_agent.slam.consistent.limits import (
     GAP_AHEAD,
     HUBER,
     ITERATIONS,
-    LEAST_LENGTH,
     LENGTH_IF_COMPLETE,
     MAX_ANGLE,
     MAX_ANGLE_STD,
@@ -190,7 +189,7 @@ def is_used(
         listener.compared(piece, found, gate)
     if best <= gate:
         index = int(found[0, LANDMARK])
-        if not fits(ekf, piece, index, found[0, LEFT], found[0, USED]):
+        if not fits(ekf, piece, index, found[0, LEFT], found[0, USED], settings):
             return False
         update(ekf, walls, piece, index, settings, listener)
         return True
@@ -225,10 +224,10 @@ def candidates(ekf: Filter, walls: Walls, piece: Piece, settings: StepSettings) 
     return found[np.argsort(found[:size, OF_LINE].copy())]
 
 
-def fits(ekf: Filter, piece: Piece, index: int, left: float, used: float) -> bool:
+def fits(ekf: Filter, piece: Piece, index: int, left: float, used: float, settings: StepSettings) -> bool:
     """Whether a piece of a known landmark is good enough to update by."""
     free, segment = max(used - 2.0, 1.0), piece.segment
-    if left > free + RESIDUAL_SIGMAS * math.sqrt(2.0 * free) + 2.0 or segment[EXTENT] < LEAST_LENGTH:
+    if left > free + RESIDUAL_SIGMAS * math.sqrt(2.0 * free) + 2.0 or segment[EXTENT] < settings.segment_length:
         return False
     # A filter that is unsure of its heading would take the next facet of a curved wall for this one, and turn.
     turn = turn_between(line_of(ekf, index)[1], segment[THETA])

@@ -32,9 +32,6 @@ SHORTEST = 0.1
 """Least length of a piece of wall that the error of its direction is based on."""
 
 # Updates of a landmark by a piece of wall.
-LEAST_LENGTH = 0.15
-"""Shorter pieces update nothing."""
-
 RESIDUAL_SIGMAS = 3.0
 """Largest chi-square of the residuals about the best line, in standard deviations of its distribution."""
 

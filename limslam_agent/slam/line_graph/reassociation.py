@@ -1,7 +1,7 @@
 """Association of all readings with lines, repeated after each improvement of the poses. No association is final.
 
-Each round merges lines that are one wall, assigns each reading to the line that predicts it best, solves, and divides
-the lines that are more than one wall.
+Each round merges lines that are one wall, assigns each reading to the line that predicts it best, divides the lines
+that are more than one wall, and solves.
 """
 
 from dataclasses import dataclass, replace
@@ -45,7 +45,7 @@ class Association:
 def reassociate(problem: Problem, state: State, labels: IntArray) -> Association:
     """Poses, lines and associations, from approximate poses and the first associations of some readings.
 
-    Each round merges lines, re-associates readings, solves, and divides bent lines.
+    Each round merges lines, re-associates readings, divides bent lines, and solves.
 
     Parameters
     ----------
@@ -67,8 +67,7 @@ def reassociate(problem: Problem, state: State, labels: IntArray) -> Association
         if board_odds(0.0, *kinds) > SURE:
             # The walls are boards for sure: what was read from one side can be read from the other side.
             seen[..., 0], seen[..., 1] = seen[..., 0].min(axis=1)[:, None], seen[..., 1].max(axis=1)[:, None]
-        labels = assigned(problem, merged.state, seen)
-        found = straightened(solve_again(problem, merged.state, labels))
+        found = straightened(problem, merged.state, assigned(problem, merged.state, seen))
         if np.abs(found.state.poses - before)[..., :2].max() < _SETTLED and not has_merged:
             break
     return found
@@ -92,9 +91,14 @@ def solve_again(problem: Problem, state: State, labels: IntArray) -> Association
     DegenerateError
         If no line is left, or the equations cannot be solved.
     """
-    labels, kept = renumbered(labels)
-    state = replace(state, lines=state.lines[kept], anchors=state.anchors[kept])
+    state, labels = without_lines(state, labels)
     return Association(problem, solve(problem, state, labels), labels)
+
+
+def without_lines(state: State, labels: IntArray) -> tuple[State, IntArray]:
+    """The state without the lines that have too few readings, and the labels (k,) in it."""
+    labels, kept = renumbered(labels)
+    return replace(state, lines=state.lines[kept], anchors=state.anchors[kept]), labels
 
 
 def renumbered(labels: IntArray) -> tuple[IntArray, IntArray]:
@@ -165,11 +169,11 @@ def assigned(problem: Problem, state: State, ends: FloatArray) -> IntArray:
     return np.where(is_clear, best, -1)
 
 
-def straightened(found: Association) -> Association:
-    """The optimum with bent lines divided."""
-    problem = found.problem
-    labels = straight_labels(problem, found.state, found.labels, places_along(problem, found.state, found.labels))
-    return solve_again(problem, with_lines(problem, found.state, labels), labels)
+def straightened(problem: Problem, state: State, labels: IntArray) -> Association:
+    """The optimum for associations with the lines of a state, of which bent ones are divided."""
+    state, labels = without_lines(state, labels)
+    labels = straight_labels(problem, state, labels, places_along(problem, state, labels))
+    return solve_again(problem, with_lines(problem, state, labels), labels)
 
 
 def merge(found: Association) -> tuple[Association, bool, tuple[float, float]]:
