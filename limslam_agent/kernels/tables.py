@@ -37,10 +37,6 @@ THETA, MIDDLE_X, MIDDLE_Y, EXTENT, ANGLE_STD, R, BENT, BEND_AT = range(8)
 """Columns of a segment: the wall's direction, its middle, its length and the direction's standard deviation; then what
 splits it: r about the world's origin, whether it is bent, and where."""
 
-OF_LINE, LEFT, USED, LANDMARK = range(4)
-"""Columns of a landmark that a segment may show: chi-square due to the landmark's line, chi-square that no line
-explains, the number of readings that were compared, and the landmark's index."""
-
 FEWEST = 6
 """Least number of readings of a wall segment."""
 
@@ -62,10 +58,6 @@ AROUND_KINK, DEEPEST = 0.02, 4
 END_ZONE, END_GATE = 0.10, 6.0
 """Points within this distance of an end, m, belong to another wall if chi-square falls by more than this without them.
 """
-
-TURN_SIGMAS = 2.0
-"""A piece of wall that is turned against a landmark by more than ``MIN_KINK``, and by more than this many standard
-deviations of the piece's direction, does not update the landmark."""
 
 NOTHING = 0.5
 """Likelihood that a beam sees nothing at a random place."""

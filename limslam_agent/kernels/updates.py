@@ -129,17 +129,17 @@ def with_zeros(H: FloatArray, begins: IntArray, width: int) -> FloatArray:
 def compare_readings(
     x: FloatArray, P: FloatArray, start: int, places: IntArray, readings: FloatArray, line: int,
     anchor: tuple[float, float], variances: FloatArray,
-) -> tuple[float, float, int]:  # fmt: skip
-    """How badly readings fit the line that begins in the state at the index ``line``, as chi-squares.
+) -> float:  # fmt: skip
+    """How badly readings fit the line that begins in the state at the index ``line``, as a chi-square.
 
     This is the generalised likelihood ratio of the hypotheses "the readings show this line" and "they show another
-    line", both with the joint uncertainty of poses and line (two degrees of freedom); then the chi-square that "another
-    line" leaves, and how many readings were compared. No reading is compared, and all is zero, if there are too few.
+    line", both with the joint uncertainty of poses and line (two degrees of freedom). It is infinite if too few
+    readings meet the line.
     """
     chosen = clear_readings(x, start, places, readings, line, anchor)
     count = len(chosen)
     if count < FEWEST_TO_COMPARE:
-        return 0.0, 0.0, 0
+        return math.inf
     columns, begins = involved(places, chosen, (len(x) - start) // POSE, start, line)
     H, values = np.empty((count, 7)), np.empty((count, 3))
     predict_ranges(x, start, places, readings, chosen, (x[line], x[line + 1]), anchor, H)
@@ -151,8 +151,7 @@ def compare_readings(
     whiten(S, values, count, 3)
     a, b, c = dot(values, 1, 1, count), dot(values, 1, 2, count), dot(values, 2, 2, count)
     along, across = dot(values, 0, 1, count), dot(values, 0, 2, count)
-    of_line = (c * along * along - 2.0 * b * along * across + a * across * across) / (a * c - b * b)
-    return of_line, dot(values, 0, 0, count) - of_line, count
+    return (c * along * along - 2.0 * b * along * across + a * across * across) / (a * c - b * b)
 
 
 @algebra

@@ -81,9 +81,7 @@ def straight_segments(
     return cut_at_bends(ekf.x, ekf.P, start, places, readings, points, members, line, std, variances)
 
 
-def compare(
-    ekf: Filter, places: IntArray, readings: FloatArray, index: int, variances: FloatArray
-) -> tuple[float, float, int]:
+def compare(ekf: Filter, places: IntArray, readings: FloatArray, index: int, variances: FloatArray) -> float:
     """How badly readings fit a line: ``kernels.updates.compare_readings``."""
     line, anchor = line_at(ekf.counts, index), anchor_of(ekf, index)
     return compare_readings(ekf.x, ekf.P, clones_from(ekf.counts), places, readings, line, anchor, variances)

@@ -28,13 +28,7 @@ They update the landmark if every other one has this chi-square or more, and if 
 landmark but for their length. Otherwise they stay pending.
 """
 
-SHORTEST = 0.1
-"""Least length of a piece of wall that the error of its direction is based on."""
-
 # Updates of a landmark by a piece of wall.
-RESIDUAL_SIGMAS = 3.0
-"""Largest chi-square of the residuals about the best line, in standard deviations of its distribution."""
-
 HUBER = 1.5
 """Residuals of more standard deviations than this are weighted down (Huber's weights)."""
 

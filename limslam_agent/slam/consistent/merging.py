@@ -94,11 +94,6 @@ def squared_difference(off: FloatArray, covariance: FloatArray) -> float:
     return float((c * off[0] ** 2 - 2.0 * b * off[0] * off[1] + a * off[1] ** 2) / (a * c - b * b))
 
 
-def turn_between(theta: float, other: float) -> float:
-    """Angle between two lines with normals at these angles, rad."""
-    return abs((theta - other + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
-
-
 def along_line(ekf: Filter, index: int, points: FloatArray) -> FloatArray:
     """Positions (n,) of points (n, 2) along a landmark, m from its anchor."""
     (x, y), theta = anchor_of(ekf, index), line_of(ekf, index)[1]
