@@ -1,7 +1,5 @@
 """BatchSlam and SlamVectorObservation: equal to the single filter, whatever the threads, and what happens when full."""
 
-import copy
-import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -10,11 +8,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from support.drives import ROBOT, along, drive, laps_of_square, room, straight, turn
+from support.drives import ROBOT, along, drive, laps_of_square, room, straight
 
 from limslam_agent.config.consistent import ConsistentConfig, RangeErrorConfig
 from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
-from limslam_agent.kernels.tables import MISSES
 from limslam_agent.mapping.agent import LimSlamAgent
 from limslam_agent.policies.simple_policies import WallFollower
 from limslam_agent.slam.batch.batch_slam import BatchSlam
@@ -26,7 +23,6 @@ from limslam_env.config import NoiseConfig
 from limslam_env.envs.env import LimSlamEnv
 from limslam_env.envs.wrappers import NormalizedObservation
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.segment import lengths
 from limslam_env.interface import NominalNoise, Observation, RobotSpec
 from limslam_env.robots import ring
 
@@ -158,18 +154,6 @@ def test_cones_are_modelled_alike(cone: float) -> None:
     assert np.abs(slam.pose - followed(observations, stated)[0].pose).max() > 1e-3
 
 
-def test_walls_are_taken_back_alike() -> None:
-    walls = np.array([[-1.0, 0.5, 4.0, 0.5], [-1.0, -0.5, 4.0, -0.5]])
-    there, _ = drive(walls, START, straight(2.0))
-    # On the way back the wall to the right is gone.
-    back, _ = drive(walls[:1], np.array([2.0, 0.0, 0.0]), [*turn(180.0), *straight(2.0)])
-    before, _, _ = followed(there, config_of(0.0))
-    after, batch, _ = followed([*there, *back[1:]], config_of(0.0))
-    assert batch._states.walls.counted[0, :, MISSES].sum() > 20
-    right = [sum(lengths(slam.segments[slam.segments[:, 1] < 0.0])) for slam in (before, after)]
-    assert right[1] < right[0] - 0.5
-
-
 def test_other_robots_and_unsteady_beams() -> None:
     robot = ring(20)
     observations, _ = drive(ROOM, START, along(CORRIDOR_LOOP[:3], robot=robot), robot, 0.02)
@@ -256,24 +240,6 @@ def test_bad_input_is_refused_in_one_line(change: Callable[[], Any], message: st
     with pytest.raises(ValueError, match=message) as refusal:
         change()
     assert "\n" not in str(refusal.value)
-
-
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda batch: pickle.loads(pickle.dumps(batch))])  # noqa: S301 (our own)
-def test_a_copy_goes_on_alike_with_threads_of_its_own(copied: Callable[[BatchSlam], BatchSlam]) -> None:
-    batch, driven = BatchSlam(ROBOT, num_envs=4, num_threads=2, size=8), np.full((4, 2), 0.01)
-    batch.step(np.ones((4, 6)), driven)
-    assert batch._pool is not None
-    other = copied(batch)
-    assert other._pool is None
-    batch.close()
-    for _ in range(3):
-        one, two = (each.step(np.ones((4, 6)), driven) for each in (batch, other))
-        np.testing.assert_array_equal(one.pose, two.pose)
-        np.testing.assert_array_equal(one.grid, two.grid)
-    assert other._pool is not None
-    assert other._pool is not batch._pool
-    for each in (batch, other, batch):
-        each.close()
 
 
 def vector(mode: AutoresetMode, steps: int = 15, number: int = 3) -> SyncVectorEnv:

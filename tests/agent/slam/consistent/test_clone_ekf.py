@@ -28,7 +28,6 @@ LEFT = [0, 1]  # the beams at 90 and 45 deg
 MOTION = np.diag([2e-6, 5e-7, 4e-5])
 STEP = np.array([0.05, 0.002, 0.02])
 STD = 0.02
-WALL = np.array([0.6, 0.5 * math.pi])  # to the left of a robot that sets out along x
 places = st.floats(-4.0, 4.0)
 angles = st.floats(-math.pi, math.pi)
 
@@ -237,35 +236,6 @@ def test_the_iterated_update_reaches_the_optimum_of_belief_and_readings_together
     assert_scaled(ekf.P, np.linalg.inv(information), 1e-4)
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_the_birth_of_a_line_equals_least_squares_over_poses_and_line(seed: int) -> None:
-    ekf, readings = driven(seed, clones=10)
-    poses, information = ekf.x.copy(), np.linalg.inv(ekf.P)
-    index = ekf.add_line(WALL[1] + 0.1, np.array([0.25, 0.55]))
-    truth = ekf.x.copy()
-    drawn = np.random.default_rng(seed).multivariate_normal(poses, np.linalg.inv(information), method="eigh")
-    truth[:3], truth[3:5], truth[5:] = drawn[:3], [0.05, WALL[1]], drawn[3:]
-    noise = np.random.default_rng(seed + 100).normal(0.0, STD, len(readings.ranges))
-    seen = readings._replace(ranges=ranges_from(truth, ekf, readings, index) + noise)
-    # The information form: a line that nothing is known of adds rows and columns of zeros.
-    known = np.zeros((len(ekf.x),) * 2)
-    rest = np.concatenate(([0, 1, 2], np.arange(5, len(ekf.x))))
-    known[np.ix_(rest, rest)] = information
-    state, prior = ekf.x.copy(), ekf.x.copy()
-    for _ in range(10):
-        jacobian = derivative(lambda x: ranges_from(x, ekf, seen, index), state)
-        back = np.linalg.inv(carrying(prior, state, ekf))
-        total = back.T @ known @ back + jacobian.T @ jacobian / STD**2
-        off = seen.ranges - ranges_from(state, ekf, seen, index)
-        state = state + np.linalg.solve(total, jacobian.T @ off / STD**2 - back.T @ known @ back @ (state - prior))
-    observe(ekf, seen, index, STD, 10, 0.0)
-    covariance = np.linalg.inv(total)
-    np.testing.assert_allclose((ekf.x - state) / np.sqrt(np.diag(covariance)), 0.0, atol=1e-3)
-    assert_scaled(ekf.P, covariance, 1e-3)
-    # What was seen of one unknown line says nothing of where the robot is across it, and how it heads.
-    np.testing.assert_allclose(ekf.joint_pose_covariance[1, 1], np.linalg.inv(information)[1, 1], rtol=0.2)
-
-
 def known_of_the_world(ekf: CloneEKF) -> FloatArray:
     """Information (3, 3) on where the whole world lies and how it is turned."""
     directions = with_the_world(ekf.x, ekf)
@@ -432,37 +402,6 @@ def test_a_robot_that_is_metres_unsure_learns_nothing_of_its_place_by_merging_tw
 
 
 # Several robots.
-
-
-def test_several_robots_have_clones_of_their_own_and_learn_from_each_other_by_a_shared_wall() -> None:
-    starts = np.array([[0.0, 0.0, 0.0], [1.0, 0.1, 0.2]])
-    ekf = CloneEKF(starts)
-    ekf.P[:] = spread(6, 3, 1e-3)
-    clones = []
-    for _ in range(6):
-        for robot in range(2):
-            clones.append(ekf.clone(robot))
-            np.testing.assert_array_equal(clone_poses(ekf, np.array(clones[-1:]))[0], ekf.poses[robot])
-            np.testing.assert_allclose(ekf.P[-3:], ekf.P[3 * robot : 3 * robot + 3], atol=1e-18)
-            ekf.predict(STEP, MOTION, robot)
-    index = ekf.add_line(WALL[1], np.array([0.5, 0.6]))
-    assert index == 0
-    both = readings_of([clone for clone in clones for _ in LEFT], LEFT * 12)
-    first = int(ekf.arrays.counts[LINES_FROM])
-    assert first == 6
-    ekf.P[first, first], ekf.P[first + 1, first + 1] = 1e-2, 1e-3
-    both = both._replace(ranges=ranges_from(ekf.x, ekf, both, 0) + np.random.default_rng(1).normal(0.0, STD, 24))
-    of_first = both.select(np.nonzero(np.isin(both.clones, clones[::2]))[0])
-    state, covariance = ekf.x.copy(), ekf.P.copy()
-    jacobian = derivative(lambda x: ranges_from(x, ekf, of_first, 0), state)
-    off = of_first.ranges - ranges_from(state, ekf, of_first, 0)
-    wanted, left = dense_update(state, covariance, jacobian, off, STD**2 * np.eye(len(off)))
-    left = carried(left, state, wanted, ekf)
-    observe(ekf, of_first, 0, STD, 1, 0.0)
-    np.testing.assert_allclose(ekf.x, wanted, atol=1e-10)
-    np.testing.assert_allclose(ekf.P, left, atol=1e-12)
-    # Only the first robot's readings were of the wall, and the second one's pose is better known.
-    assert np.linalg.det(ekf.joint_pose_covariance[3:, 3:]) < np.linalg.det(covariance[3:6, 3:6])
 
 
 # Many steps.

@@ -135,22 +135,6 @@ def test_a_wall_drawn_over_a_door_opens_when_beams_pass() -> None:
     check_pose(slam, more[-1], 0.01, 0.3)
 
 
-@pytest.mark.parametrize("yaw", [0.0, 2.5])
-def test_a_wall_seen_from_both_sides_is_one_landmark(yaw: float) -> None:
-    # Up one side of a thin wall, round its end, and down the other side.
-    start = np.array([0.3, -0.2, yaw])
-    between = np.array([0.0, 0.5, 3.0, 0.5])
-    walls = placed(np.vstack((between[None], room(-0.8, -0.5, 4.0, 1.5))), start)
-    wheels = along([(0.0, 0.0), (3.5, 0.0), (3.5, 1.0), (-0.3, 1.0)])
-    observations, poses = drive(walls, start, wheels, noise=0.02)
-    slam, _ = slam_after(observations, NOISY, start)
-    marks = [mark for mark in slam.landmarks if np.abs(local(mark.ends, start)[:, 1] - 0.5).max() < 0.1]
-    assert len(marks) == 1
-    assert np.ptp(local(marks[0].ends, start)[:, 0]) == pytest.approx(3.0, abs=0.15)
-    assert len(slam.landmarks) == 5
-    check_pose(slam, poses[-1], 0.08, 2.0)
-
-
 @pytest.mark.parametrize("radius", [0.3, 0.6])
 @pytest.mark.parametrize("noise", [0.0, 0.02])
 def test_a_rounded_obstacle_is_not_one_wall(radius: float, noise: float) -> None:

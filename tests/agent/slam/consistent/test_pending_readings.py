@@ -12,7 +12,6 @@ from limslam_agent.slam.consistent.pending_readings import (
     DRIVEN,
     DRIVEN_AT,
     SIDES,
-    TAKEN_AT,
     TURNED,
     TURNED_AT,
     WAITING,
@@ -25,7 +24,7 @@ from limslam_agent.slam.consistent.step_settings import step_settings
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import FloatArray
-from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim
+from limslam_env.interface import RobotSpec, beams_on_rim
 
 ROBOT = RobotSpec()  # beams at 90, 45, 15, -15, -45, -90 deg; left are 0 and 1, ahead 2 and 3, right 4 and 5
 RANGES = np.array([0.4, 0.6, 1.0, 1.1, 0.7, 0.5])
@@ -79,12 +78,6 @@ def seen_by(*beams: int) -> FloatArray:
 # How far apart.
 
 
-def test_nothing_is_taken_before_the_robot_has_driven_far_enough() -> None:
-    drive = _Drive()
-    assert [drive.step(RANGES, distance=0.02) for _ in range(9)] == [True, *[False, False, True] * 2, False, False]
-    assert drive.rows("left")[::2, TAKEN_AT].tolist() == [0, 3, 6]
-
-
 # Which beams.
 
 
@@ -112,15 +105,6 @@ def test_a_dead_beam_adds_nothing_and_holds_up_no_other(dead: float) -> None:
     assert drive.beams() == {"left": [1] * 3, "right": [], "none": [2, 3] * 3}
     assert all(np.isfinite(drive.rows(side)).all() for side in SIDES)
     assert not drive.has_ended("right", 0.1)
-
-
-def test_a_slow_beam_waits_only_when_it_has_measured_anew() -> None:
-    beams = (SensorSpec(0.0, 0.1, 0.5 * math.pi, period=3), SensorSpec(0.0, -0.1, -0.5 * math.pi))
-    drive = _Drive(RobotSpec(beams=beams))
-    for _ in range(7):
-        drive.step(np.array([0.5, 0.6]), distance=0.06)
-    assert drive.rows("left")[:, TAKEN_AT].tolist() == [0, 3, 6]
-    assert drive.rows("right")[:, TAKEN_AT].tolist() == list(range(7))
 
 
 # The end of a wall.

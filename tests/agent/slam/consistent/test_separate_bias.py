@@ -93,20 +93,6 @@ def test_the_filter_and_its_separate_bias_know_what_a_filter_with_the_bias_in_it
     np.testing.assert_allclose(separate.P, separate.P.T, rtol=1e-12)
 
 
-def test_the_derivative_by_the_errors_is_that_of_filters_with_other_odometry() -> None:
-    def state(ekf: CloneEKF, assumed: OdometryCalibration) -> FloatArray:
-        Corridor([ekf], AS_SPECIFIED).drive(assumed)
-        return ekf.x.copy()
-
-    ekf = CloneEKF(np.zeros(3), PRIOR)
-    state(ekf, AS_SPECIFIED)
-    for column in range(3):
-        above, below = (
-            state(CloneEKF(np.zeros(3)), OdometryCalibration(*(step * np.eye(3)[column]))) for step in (SMALL, -SMALL)
-        )
-        np.testing.assert_allclose(ekf.by_errors[:, column], (above - below) / (2.0 * SMALL), atol=2e-3)
-
-
 def test_the_evidence_is_the_bayes_factor_of_the_two_hypotheses() -> None:
     generator, prior = np.random.default_rng(1), np.diag([1e-4, 4e-4, 9e-4])
     errors, jacobian = OdometryErrors(1, prior), generator.normal(size=(5, 3))

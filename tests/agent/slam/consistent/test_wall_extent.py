@@ -4,12 +4,12 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from limslam_agent.config.consistent import ExtentConfig
 from limslam_agent.kernels.extents import add_wall, clear_along_beams, count_hits, merge_walls, pass_at
-from limslam_agent.kernels.tables import BIN, FARTHEST, HITS, empty_walls
+from limslam_agent.kernels.tables import BIN, FARTHEST, empty_walls
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.wall_map import WallExtent, WallMap
 from limslam_env.geometry import FloatArray
@@ -70,14 +70,6 @@ def passed(extent: Extent, low: float, high: float, times: int) -> None:
         extent.pass_at(float(along))
 
 
-@given(spots, spots)
-def test_the_ends_are_the_outermost_hits_whatever_their_order(first: FloatArray, second: FloatArray) -> None:
-    both = np.concatenate((first, second))
-    for extent in (hit_at(first, second), hit_at(second, first), hit_at(both), *[hit_at(*both.reshape(-1, 1))]):
-        assert extent.ends == (both.min(), both.max())
-        np.testing.assert_array_equal(extent.intervals(GAP, TOLERANCE), hit_at(both).intervals(GAP, TOLERANCE))
-
-
 @given(spots, st.floats(0.06, 2.0))
 def test_pieces_are_the_hits_cut_at_gaps(along: FloatArray, gap: float) -> None:
     pieces = hit_at(along).intervals(gap, TOLERANCE)
@@ -106,24 +98,6 @@ def test_a_door_that_was_closed_by_mistake_opens_again_when_enough_beams_pass(hi
 
 
 # Two landmarks that turn out to be one wall.
-
-
-@settings(deadline=None)
-@given(spots, spots, st.sampled_from([-1.0, 1.0]), st.floats(-2.0, 2.0), st.floats(0.15, 1.0))
-def test_what_is_absorbed_is_there_as_if_it_had_been_hit_there(
-    own: FloatArray, others: FloatArray, factor: float, shift: float, gap: float
-) -> None:
-    extent, other = hit_at(own), hit_at(others)
-    extent.absorb(other, factor, shift)
-    every = np.concatenate((own, factor * others + shift))
-    assert extent.ends == pytest.approx((every.min(), every.max()), abs=1e-12)
-    pieces = extent.intervals(gap, TOLERANCE)
-    # Bins are moved as a whole, so that places are right to half a bin.
-    assert all(((pieces[:, 0] - BIN <= place) & (place <= pieces[:, 1] + BIN)).any() for place in every)
-    assert np.abs(pieces.reshape(-1, 1) - every).min(axis=1).max() < 1e-12
-    assert extent.walls.counted[0, HITS].sum() == len(every)
-    # The other one is left as it was.
-    np.testing.assert_array_equal(other.intervals(gap, TOLERANCE), hit_at(others).intervals(gap, TOLERANCE))
 
 
 # The map that is drawn of it.

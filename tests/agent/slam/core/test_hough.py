@@ -55,13 +55,6 @@ def test_a_corner_gives_both_walls() -> None:
         assert_line(second, 0.5, turn + 0.5 * math.pi)
 
 
-def test_only_best_takes_the_wall_with_the_most_votes() -> None:
-    points = np.vstack((wall(0.5, 0.0, -0.5, 0.5, count=12), wall(0.5, 0.5 * math.pi, -0.5, 0.5, count=18)))
-    found = extract_lines(points, HoughConfig(only_best=True), 0.005)
-    assert len(found) == 1
-    assert_line(found[0], 0.5, 0.5 * math.pi)
-
-
 @pytest.mark.parametrize("theta", [0.0, 0.7, math.pi])
 def test_walls_are_cut_at_gaps_above_the_setting(theta: float) -> None:
     apart = np.vstack((wall(0.5, theta, -1.0, -0.4, count=15), wall(0.5, theta, 0.4, 1.0, count=15, seed=1)))
@@ -104,19 +97,3 @@ def test_votes_are_those_of_opencv() -> None:
         found = hough_votes(points, votes, 0.06, math.pi / 90)
         expected = expected.reshape(-1, 3)
         np.testing.assert_allclose(found, expected[np.argsort(-expected[:, 0], kind="stable"), 1:], atol=1e-6)
-
-
-@pytest.mark.parametrize("seed", range(4))
-def test_each_point_belongs_to_at_most_one_line(seed: int) -> None:
-    # Four crossing walls, so that many points lie near two of them.
-    generator = np.random.default_rng(seed)
-    parts = [
-        wall(generator.uniform(0.0, 0.3), t, -0.6, 0.6, count=25, std=0.01, seed=seed) for t in (0.1, 0.9, 1.7, 2.6)
-    ]
-    found = extract_lines(np.vstack(parts), CONFIG, 0.01)
-    assert len(found) >= 3
-    members = np.concatenate([line.members for line in found])
-    assert len(members) == len(set(members.tolist()))
-    for line in found:
-        assert len(line.members) >= CONFIG.min_votes
-        assert line.fit.length >= CONFIG.min_length

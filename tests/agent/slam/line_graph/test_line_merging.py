@@ -42,12 +42,6 @@ def test_merged_lines_meet_where_both_say(turned):
     assert lines.covariance[2, 2] == pytest.approx(0.5 * 0.02**2, rel=0.01)
 
 
-def test_what_is_known_of_a_building_decides_about_vague_lines():
-    assert not merged(0.05, 0.2)[0]
-    assert merged(0.05, 0.2, kinds=(20.0, 0.0))[0]
-    assert not merged(0.05, 0.2, kinds=(20.0, 20.0))[0]
-
-
 @pytest.mark.parametrize("turned", [False, True])
 def test_lengths_of_boards_and_walls(turned):
     lines = parallel(0.2, NEGATIVE, turned=turned)

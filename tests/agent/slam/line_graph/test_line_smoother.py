@@ -1,22 +1,18 @@
 """The line smoother: its Jacobians, its optimum, its covariances, and what it can calibrate."""
 
-import math
-
 import numpy as np
 import pytest
 from support.drives import ROBOT
-from support.smoother_runs import WHEEL_VARIANCE, noisy_run, state_from_motions, true_labels
+from support.smoother_runs import noisy_run, state_from_motions, true_labels
 
 from limslam_agent.slam.line_graph import line_smoother
 from limslam_agent.slam.line_graph.factors import expected_readings, motion_jacobians, motions_between
 from limslam_agent.slam.line_graph.line_smoother import pose_columns, solve
 from limslam_agent.slam.line_graph.problem import (
     CALIBRATION_PRIOR,
-    make_problem,
 )
 from limslam_agent.slam.line_graph.reassociation import solve_labels
 from limslam_env.geometry.se2 import wrap_angle
-from limslam_env.interface import NominalNoise
 
 
 def smoothed(problem, poses):
@@ -113,35 +109,6 @@ def test_errors_are_as_large_as_the_covariances_say():
         mean.append(nees(poses[0, 30:], solution.state.poses[0, 30:], covariances[0, 30:]).mean() / 3.0)
     # The mean of 12 runs of strongly correlated poses: chi-square of about 36 degrees of freedom, over 36.
     assert 0.5 < np.mean(mean) < 1.6
-
-
-def test_two_robots_share_their_lines():
-    problem, poses = noisy_run(5, robots=2)
-    both = smoothed(problem, poses)
-    assert len(both.state.lines) == 4
-    assert np.abs(both.state.poses - poses)[..., :2].max() < 0.05
-    alone = [
-        make_problem(
-            ROBOT, NominalNoise(0.02, WHEEL_VARIANCE), poses[[number], 0],
-            np.concatenate((np.zeros((1, 1, 2)), np.moveaxis(problem.wheels[[number], :, :2], 0, 1))),
-            ranges_of(problem, number),
-        )
-        for number in range(2)
-    ]  # fmt: skip
-    for number, single in enumerate(alone):
-        solution = smoothed(single, poses[[number]])
-        deviation = math.sqrt(both.of_poses[number, -1, 0, 0] / solution.of_poses[0, -1, 0, 0])
-        assert deviation < 1.0
-
-
-def ranges_of(problem, number):
-    """The readings (t, 1, n_beams) of one robot of a problem, its maximum where there are none."""
-    ranges = np.full((problem.steps, 1, len(ROBOT.beams)), 1.5)
-    own = problem.readings.places // problem.steps == number
-    ranges[problem.readings.places[own] % problem.steps, 0, problem.readings.beams[own]] = problem.readings.distances[
-        own
-    ]
-    return ranges
 
 
 def test_wheel_sizes_are_found():

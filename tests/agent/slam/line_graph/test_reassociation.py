@@ -48,14 +48,6 @@ def test_lines_of_one_wall_are_merged():
     assert agreeing(found, wanted) == 1.0
 
 
-def test_lines_of_different_walls_are_not_merged():
-    problem, poses = noisy_run(3, noise=0.04)
-    begin = solve_labels(problem, state_from_motions(problem), true_labels(problem, poses))
-    found, has_merged, _ = merge(begin)
-    assert not has_merged
-    assert np.array_equal(found.labels, begin.labels)
-
-
 def test_readings_that_the_filter_did_not_use_are_used():
     problem, poses = noisy_run(4)
     wanted = true_labels(problem, poses)
@@ -63,9 +55,3 @@ def test_readings_that_the_filter_did_not_use_are_used():
     found = reassociate(problem, state_from_motions(problem), few)
     assert (found.labels >= 0).mean() > 0.9
     assert agreeing(found, wanted) > 0.99
-
-
-def test_readings_near_a_corner_that_two_lines_predict_are_not_used():
-    problem, poses = noisy_run(5, noise=0.04)
-    found = reassociate(problem, state_from_motions(problem), true_labels(problem, poses))
-    assert 0.0 < (found.labels < 0).mean() < 0.1

@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -77,15 +76,3 @@ def test_a_wall_that_has_ended_is_handed_on_after_the_gap_and_not_before() -> No
     (scan,) = given_up[12]
     np.testing.assert_allclose(scan.points, [[-0.26, 0.5]], atol=1e-12)
     assert len(buffer.scan) == 0
-
-
-LONG_STEP = np.array([0.4, 0.0, 0.0])
-
-
-@pytest.mark.parametrize(("measuring", "ends"), [((2, 3, 4, 5), False), ((0,), True), ((1, 5), True)])
-def test_only_a_measuring_beam_of_the_own_side_can_miss(measuring: tuple[int, ...], ends: bool) -> None:
-    buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
-    buffer.add(RANGES, ALL, only(0), 0)
-    buffer.move(LONG_STEP)
-    # The other side's hits do not count for this one.
-    assert len(buffer.add(RANGES, only(*measuring), only(5), 1)) == ends
