@@ -13,7 +13,7 @@ from limslam_agent.kernels.measurement import ends_of_beams, error_transport
 from limslam_agent.kernels.segments import cut_at_bends
 from limslam_agent.kernels.tables import CLONES, LINES, LINES_FROM, NEXT_CLONE, POSE, POSES_END, Filter
 from limslam_agent.kernels.updates import compare_readings, update_by_readings
-from limslam_agent.slam.consistent.limits import LINE_PRIOR, STRAIGHTNESS
+from limslam_agent.slam.consistent.limits import EQUALITY_NOISE, LINE_PRIOR
 from limslam_agent.slam.consistent.separate_bias import note_readings, note_update
 from limslam_agent.slam.core.carried_anchors import KNOWN_PLACE, by_carried_anchor
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -221,9 +221,9 @@ def merge(ekf: Filter, older: int, younger: int, iterations: int) -> None:
         innovation = H @ so_far[columns] - off
         S = HP[:, columns] @ H.T
         # With S = L L^T and W = L^-1 H P, the correction is W^T L^-1 y.
-        factor[0, 0] = math.sqrt(S[0, 0] + STRAIGHTNESS[0])
+        factor[0, 0] = math.sqrt(S[0, 0] + EQUALITY_NOISE[0])
         factor[1, 0] = S[1, 0] / factor[0, 0]
-        factor[1, 1] = math.sqrt(S[1, 1] + STRAIGHTNESS[1] - factor[1, 0] ** 2)
+        factor[1, 1] = math.sqrt(S[1, 1] + EQUALITY_NOISE[1] - factor[1, 0] ** 2)
         W[0] = HP[0] / factor[0, 0]
         W[1] = (HP[1] - factor[1, 0] * W[0]) / factor[1, 1]
         first = innovation[0] / factor[0, 0]

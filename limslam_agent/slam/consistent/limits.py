@@ -56,8 +56,11 @@ STRAIGHTNESS = (1e-3**2, 1e-4**2)
 """Variances, m^2 and rad^2, by which one real wall deviates from a line.
 
 They bound the difference of two landmarks from below, because landmarks that were always seen together may have a
-difference that is known more exactly than any wall is straight. Merged landmarks are equal up to them.
+difference that is known more exactly than any wall is straight.
 """
+
+EQUALITY_NOISE = (1e-4**2, 1e-5**2)
+"""Variances, m^2 and rad^2, of the constraint that two merged lines are equal: small, but P stays regular."""
 
 # Extents of landmarks.
 MAX_GAP = 0.30

@@ -1,7 +1,7 @@
 """Association of all readings with lines, repeated after each improvement of the poses. No association is final.
 
-Each round merges lines that are one wall, assigns each reading to the line that predicts it best, divides the lines
-that are more than one wall, and solves.
+Each round merges lines that are one wall, assigns each reading to the line that predicts it best, solves, and divides
+the lines that are more than one wall.
 """
 
 from dataclasses import dataclass, replace
@@ -45,7 +45,7 @@ class Association:
 def reassociate(problem: Problem, state: State, labels: IntArray) -> Association:
     """Poses, lines and associations, from approximate poses and the first associations of some readings.
 
-    Each round merges lines, re-associates readings, divides bent lines, and solves.
+    Each round merges lines, re-associates readings, solves, and divides bent lines.
 
     Parameters
     ----------
@@ -67,7 +67,7 @@ def reassociate(problem: Problem, state: State, labels: IntArray) -> Association
         if board_odds(0.0, *kinds) > SURE:
             # The walls are boards for sure: what was read from one side can be read from the other side.
             seen[..., 0], seen[..., 1] = seen[..., 0].min(axis=1)[:, None], seen[..., 1].max(axis=1)[:, None]
-        found = straightened(problem, merged.state, assigned(problem, merged.state, seen))
+        found = straightened(solve_again(problem, merged.state, assigned(problem, merged.state, seen)))
         if np.abs(found.state.poses - before)[..., :2].max() < _SETTLED and not has_merged:
             break
     return found
@@ -91,14 +91,9 @@ def solve_again(problem: Problem, state: State, labels: IntArray) -> Association
     DegenerateError
         If no line is left, or the equations cannot be solved.
     """
-    state, labels = without_lines(state, labels)
-    return Association(problem, solve(problem, state, labels), labels)
-
-
-def without_lines(state: State, labels: IntArray) -> tuple[State, IntArray]:
-    """The state without the lines that have too few readings, and the labels (k,) in it."""
     labels, kept = renumbered(labels)
-    return replace(state, lines=state.lines[kept], anchors=state.anchors[kept]), labels
+    state = replace(state, lines=state.lines[kept], anchors=state.anchors[kept])
+    return Association(problem, solve(problem, state, labels), labels)
 
 
 def renumbered(labels: IntArray) -> tuple[IntArray, IntArray]:
@@ -169,10 +164,12 @@ def assigned(problem: Problem, state: State, ends: FloatArray) -> IntArray:
     return np.where(is_clear, best, -1)
 
 
-def straightened(problem: Problem, state: State, labels: IntArray) -> Association:
-    """The optimum for associations with the lines of a state, of which bent ones are divided."""
-    state, labels = without_lines(state, labels)
-    labels = straight_labels(problem, state, labels, places_along(problem, state, labels))
+def straightened(found: Association) -> Association:
+    """The optimum with bent lines divided."""
+    problem, state = found.problem, found.state
+    labels = straight_labels(problem, state, found.labels, places_along(problem, state, found.labels))
+    if np.array_equal(labels, found.labels):
+        return found
     return solve_again(problem, with_lines(problem, state, labels), labels)
 
 

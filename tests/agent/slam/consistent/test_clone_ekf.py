@@ -16,7 +16,7 @@ from limslam_agent.kernels.measurement import error_transport
 from limslam_agent.kernels.tables import LINES_FROM
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.clone_filter import begins_of, difference, merge
-from limslam_agent.slam.consistent.limits import STRAIGHTNESS
+from limslam_agent.slam.consistent.limits import EQUALITY_NOISE
 from limslam_agent.slam.consistent.pending_readings import places_of
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import direction, nearest_form, normal, normalise
@@ -355,7 +355,7 @@ def test_making_two_lines_one_equals_the_dense_update_by_their_being_equal(
     before, covariance, anchors = ekf.x.copy(), ekf.P.copy(), ekf.anchors.copy()
     off = apart(before, ekf, older, younger, turned)
     jacobian = derivative(lambda x: apart(x, ekf, older, younger, turned), before)
-    exact = np.diag(STRAIGHTNESS)
+    exact = np.diag(EQUALITY_NOISE)
     wanted, left = dense_update(before, covariance, jacobian, -off, exact)
     # They are one now, but for what is not linear in the small angle between them.
     assert np.abs(apart(wanted, ekf, older, younger, turned)).max() < 0.02 * np.abs(off).max()
