@@ -32,7 +32,6 @@ from limslam_agent.kernels.tables import (
     MIN_KINK,
     POSE,
     THETA,
-    R,
 )
 from limslam_agent.kernels.updates import covariance_of, gathered, involved
 from limslam_env.geometry import FloatArray, IntArray
@@ -59,7 +58,7 @@ def fit_segment(
     std, variances
         Standard deviation of a short range, m, and the variances of the members' ranges (n,), m^2.
     segment, along
-        Filled: the segment (8,), and the position of each member along it (n,), m.
+        Filled: the segment (7,), and the position of each member along it (n,), m.
 
     Returns
     -------
@@ -144,7 +143,6 @@ def describe(
         least, most = min(least, along[i]), max(most, along[i])
     segment[THETA], segment[MIDDLE_X], segment[MIDDLE_Y], segment[EXTENT] = theta, foot[0], foot[1], high - low
     segment[ANGLE_STD] = std / max(math.sqrt(spread), LEAST_DIVISOR)
-    segment[R] = foot[0] * math.cos(theta) + foot[1] * math.sin(theta)
 
 
 @algebra
@@ -251,7 +249,7 @@ def cut_at_bends(
     Returns
     -------
     segments
-        The segments (k, 8), in order along the line.
+        The segments (k, 7), in order along the line.
     owner
         The segment of each member (n,); -1 for none.
     residuals
@@ -259,7 +257,7 @@ def cut_at_bends(
     """
     columns, begins = involved(places, members, (len(x) - start) // POSE, start, -1)
     block, size, count, waiting = dense_block(P, columns), len(members), 0, int(len(members) >= FEWEST)
-    segments, ends, owner, residuals = np.empty((2**DEEPEST, 8)), np.empty((2, 2)), np.full(size, -1), np.empty(size)
+    segments, ends, owner, residuals = np.empty((2**DEEPEST, 7)), np.empty((2, 2)), np.full(size, -1), np.empty(size)
     along, order = np.empty(size), np.arange(size)
     rest = np.empty((2, 2), dtype=np.int64)
     # Parts that wait: where they begin in ``order``, their lengths, how often they may be cut, and their lines.

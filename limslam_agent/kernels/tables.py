@@ -33,9 +33,9 @@ LEAST_DIVISOR = 1e-9
 FEWEST_TO_COMPARE = 4
 """Least number of readings that are compared with a line."""
 
-THETA, MIDDLE_X, MIDDLE_Y, EXTENT, ANGLE_STD, R, BENT, BEND_AT = range(8)
+THETA, MIDDLE_X, MIDDLE_Y, EXTENT, ANGLE_STD, BENT, BEND_AT = range(7)
 """Columns of a segment: the wall's direction, its middle, its length and the direction's standard deviation; then what
-splits it: r about the world's origin, whether it is bent, and where."""
+splits it: whether it is bent, and where."""
 
 FEWEST = 6
 """Least number of readings of a wall segment."""

@@ -71,7 +71,7 @@ class Piece(NamedTuple):
     points
         Their end points (n, 2), m, where the clones are estimated to be.
     segment
-        The fitted piece (8,), whose columns ``kernels.segments`` names.
+        The fitted piece (7,), whose columns ``kernels.segments`` names.
     """
 
     places: IntArray

@@ -189,7 +189,7 @@ def test_fits(recorded: ConsistentEstimator, shape: str, seed: int) -> None:
         state = state + np.linalg.lstsq(by_line, off, rcond=None)[0]
     basis = np.linalg.qr(by_line)[0]
     left = beside(basis, off)
-    start, segment, along_found = clones_from(ekf.arrays.counts), np.empty(8), np.empty(40)
+    start, segment, along_found = clones_from(ekf.arrays.counts), np.empty(7), np.empty(40)
     columns, begins = clones_of(places, members, (len(ekf.x) - start) // POSE, start, -1)
     residuals, _ = fit_segment(
         ekf.x, start, dense_block(ekf.P, columns), begins, places, rows, points, members, tuple(line.tolist()), NOISE,
