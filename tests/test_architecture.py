@@ -322,3 +322,7 @@ def test_importing_the_agent_loads_no_simulator():
 
 def test_the_suspects_would_be_noticed():
     assert loaded_by(["limslam_env.envs.env"], {"pymunk", "numba"}) == {"pymunk", "numba"}
+
+
+def test_only_the_published_estimator_loads_filterpy():
+    assert loaded_by(["limslam_agent.mapping.mapper"], {"filterpy", "scipy.stats"}) == set()

@@ -47,7 +47,6 @@ def add_wall(walls: Walls, index: int) -> None:
     walls.counted[index] = 0
     walls.reached[index, LEAST] = walls.ends[index, LEAST] = np.inf
     walls.reached[index, MOST] = walls.ends[index, MOST] = -np.inf
-    walls.seen[index, :, LEAST], walls.seen[index, :, MOST], walls.behind[index] = np.inf, -np.inf, 0.0
 
 
 def reach(walls: Walls, index: int, place: int) -> int:
@@ -80,14 +79,9 @@ def note_hit(walls: Walls, index: int, place: int, first: float, last: float) ->
     ends[LEAST], ends[MOST] = min(ends[LEAST], first), max(ends[MOST], last)
 
 
-def count_hits(walls: Walls, index: int, along: FloatArray, side: int) -> None:
-    """Count beams that ended on a landmark at positions (n,), m along the line, and that corrected the filter.
-
-    They came from a side of the line.
-    """
-    seen = walls.seen[index, side]
+def count_hits(walls: Walls, index: int, along: FloatArray) -> None:
+    """Count beams that ended on a landmark at positions (n,), m along the line, and that corrected the filter."""
     for position in along:
-        seen[LEAST], seen[MOST] = min(seen[LEAST], position), max(seen[MOST], position)
         place = reach(walls, index, math.floor(position / BIN))
         if place >= 0:
             walls.counted[index, HITS, place] += 1
@@ -105,17 +99,6 @@ def pass_at(walls: Walls, index: int, position: float) -> None:
         place = math.floor(position / BIN) - walls.table[index, LOW]
         walls.counted[index, MISSES, min(max(place, 0), walls.table[index, LENGTH] - 1)] += 1
         walls.table[index, CHANGES] += 1
-
-
-def moved_along(seen: FloatArray, factor: float, shift: float) -> FloatArray:
-    """The outermost hits from each side (2, 2), m, of a line whose position s is ``factor`` (1 or -1) s + ``shift``."""
-    moved = np.empty((2, 2))
-    for side in range(2):
-        if factor > 0.0:
-            moved[side, 0], moved[side, 1] = seen[side, 0] + shift, seen[side, 1] + shift
-        else:
-            moved[1 - side, 0], moved[1 - side, 1] = shift - seen[side, 1], shift - seen[side, 0]
-    return moved
 
 
 def merge_walls(walls: Walls, older: int, younger: int, factor: float, shift: float, count: int) -> None:
@@ -137,13 +120,7 @@ def merge_walls(walls: Walls, older: int, younger: int, factor: float, shift: fl
             first = factor * walls.reached[younger, LEAST, other] + shift
             last = factor * walls.reached[younger, MOST, other] + shift
             note_hit(walls, older, place, min(first, last), max(first, last))
-    own, others = walls.seen[older], moved_along(walls.seen[younger], factor, shift)
-    for side in range(2):
-        own[side, LEAST] = min(own[side, LEAST], others[side, LEAST])
-        own[side, MOST] = max(own[side, MOST], others[side, MOST])
-    walls.behind[older] = max(walls.behind[older], walls.behind[younger])
     for place in range(younger, count - 1):
-        walls.seen[place], walls.behind[place] = walls.seen[place + 1], walls.behind[place + 1]
         walls.table[place] = walls.table[place + 1]
         walls.counted[place] = walls.counted[place + 1]
         walls.reached[place] = walls.reached[place + 1]

@@ -12,9 +12,6 @@ from limslam_agent.kernels.algebra import sort_with, wrapped
 from limslam_agent.kernels.compilation import compiled, entry
 from limslam_env.geometry import FloatArray, IntArray
 
-BESIDE_CORNER = 0.15
-"""A point this close to the end of another line, m along it, may belong to either line."""
-
 MAX_CANDIDATES = 200
 """Largest number of lines that the Hough transform returns."""
 
@@ -200,34 +197,6 @@ def refine_lines(
         if (only_best and size > before) or left < votes:
             break
     return size
-
-
-@entry
-def uncontested(
-    points: FloatArray, owner: IntArray, lines: FloatArray, ends: FloatArray, index: int, most: float
-) -> IntArray:
-    """Indices (n,) of a line's points without those near a corner that could also belong to another line.
-
-    Points, their lines, the lines and the end points of these are those of :func:`refine_lines`. A point may belong to
-    a line that is less than ``most`` away, m.
-    """
-    chosen, count = np.empty(len(points), dtype=np.int64), 0
-    for i in range(len(points)):
-        is_own = owner[i] == index
-        for other in range(len(lines)):
-            if not is_own or other == index:
-                continue
-            cos, sin = math.cos(lines[other, 1]), math.sin(lines[other, 1])
-            first = -sin * ends[other, 0, 0] + cos * ends[other, 0, 1]
-            last = -sin * ends[other, 1, 0] + cos * ends[other, 1, 1]
-            along = -sin * points[i, 0] + cos * points[i, 1]
-            is_beside = min(first, last) - BESIDE_CORNER < along < max(first, last) + BESIDE_CORNER
-            off = abs(points[i, 0] * cos + points[i, 1] * sin - lines[other, 0])
-            is_own = not (is_beside and off < most)
-        if is_own:
-            chosen[count] = i
-            count += 1
-    return chosen[:count]
 
 
 @entry

@@ -20,7 +20,7 @@ import math
 import numpy as np
 
 from limslam_agent.kernels.compilation import algebra, compiled, entry
-from limslam_agent.kernels.tables import FLATTEST, LEAST_COSINE, POSE
+from limslam_agent.kernels.tables import FLATTEST, LEAST_DIVISOR, POSE
 from limslam_env.geometry import FloatArray, IntArray
 
 
@@ -81,7 +81,7 @@ def predict_ranges(
         ux, uy = math.cos(heading), math.sin(heading)
         from_x, from_y = x[at] + offset_x - anchor[0], x[at + 1] + offset_y - anchor[1]
         cosine = nx * ux + ny * uy
-        divisor = math.copysign(max(abs(cosine), LEAST_COSINE), cosine)
+        divisor = math.copysign(max(abs(cosine), LEAST_DIVISOR), cosine)
         reach = (line[0] - nx * from_x - ny * from_y) / divisor
         hit_x, hit_y = from_x + reach * ux, from_y + reach * uy
         turning = (-offset_y * nx + offset_x * ny) + reach * (-uy * nx + ux * ny)

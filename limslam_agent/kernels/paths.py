@@ -9,10 +9,8 @@ from limslam_agent.kernels.compilation import compiled, lean_entry
 from limslam_agent.kernels.tables import STEPS
 from limslam_env.geometry import BoolArray, FloatArray
 
-# Steps to the eight neighbours of a cell, in the order in which they are tried: rows, columns, and half the length.
-_DOWN = tuple(sign * down for sign in (1, -1) for down, _, _ in STEPS[::sign])
-_RIGHT = tuple(sign * right for sign in (1, -1) for _, right, _ in STEPS[::sign])
-_HALVES = tuple(0.5 * length for sign in (1, -1) for _, _, length in STEPS[::sign])
+# Steps to the eight neighbours of a cell, in the order in which they are tried.
+_NEIGHBOURS = (*STEPS, *((-down, -right, length) for down, right, length in reversed(STEPS)))
 
 Cells = NDArray[np.int32]
 
@@ -118,15 +116,15 @@ def search_paths(
         if wanted.size and wanted[row, column]:
             nearest = min(nearest, so_far + (extra[row, column] if extra.size else 0.0))
         price = prices[row, column]
-        for slot in range(len(_DOWN)):
-            to_row, to_column = row + _DOWN[slot], column + _RIGHT[slot]
+        for down, right, length in _NEIGHBOURS:
+            to_row, to_column = row + down, column + right
             if not (0 <= to_row < rows and 0 <= to_column < columns) or not open_cells[to_row, to_column]:
                 continue
             # A diagonal step must not pass between two occupied cells: they may be one wall.
-            if _DOWN[slot] and _RIGHT[slot] and not (open_cells[row, to_column] and open_cells[to_row, column]):
+            if down and right and not (open_cells[row, to_column] and open_cells[to_row, column]):
                 continue
             to = to_row * columns + to_column
-            reached = so_far + _HALVES[slot] * (price + prices[to_row, to_column])
+            reached = so_far + 0.5 * length * (price + prices[to_row, to_column])
             if reached >= cost[to]:
                 continue
             size += cost[to] == math.inf

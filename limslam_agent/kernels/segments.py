@@ -19,34 +19,29 @@ from limslam_agent.kernels.tables import (
     AROUND_KINK,
     BEND_AT,
     BENT,
-    CURVE_GATE,
     DEEPEST,
-    END_GATE,
-    END_ZONE,
     EXTENT,
     FEWEST,
     FEWEST_FOR_SHAPE,
     GRAZING,
     KINK_GATE,
     KINKS_AT,
-    LEAST_GAIN,
-    LEAST_SPREAD,
+    LEAST_DIVISOR,
     MIDDLE_X,
     MIDDLE_Y,
     MIN_KINK,
     POSE,
     THETA,
-    R,
 )
 from limslam_agent.kernels.updates import covariance_of, gathered, involved
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry import FloatArray, IntArray
 
 
 @algebra
 def fit_segment(
     x: FloatArray, start: int, block: FloatArray, begins: IntArray, places: IntArray, readings: FloatArray,
     points: FloatArray, members: IntArray, line: tuple[float, float], std: float, variances: FloatArray,
-    segment: FloatArray, along: FloatArray, loose: BoolArray,
+    segment: FloatArray, along: FloatArray,
 ) -> tuple[FloatArray, IntArray]:  # fmt: skip
     """Fit a line to readings by generalised least squares, and test whether they are straight.
 
@@ -62,8 +57,8 @@ def fit_segment(
         (r, theta) that the fit begins at.
     std, variances
         Standard deviation of a short range, m, and the variances of the members' ranges (n,), m^2.
-    segment, along, loose
-        Filled: the segment (8,), the position of each member along it (n,), m, and which of them are loose ends (n,).
+    segment, along
+        Filled: the segment (7,), and the position of each member along it (n,), m.
 
     Returns
     -------
@@ -106,7 +101,6 @@ def fit_segment(
     sort_with(ordered, chosen, count)
     describe(along, len(members), own, foot, theta, std, segment)
     segment[BENT] = bend(own, ordered, expected, left, basis, factor, segment)
-    mark_loose_ends(own, ordered, expected, left, basis, factor, clear, len(members), loose)
     return left, clear[:count]
 
 
@@ -148,8 +142,7 @@ def describe(
         low, high = min(low, max(least, along[i])), max(high, min(most, along[i]))
         least, most = min(least, along[i]), max(most, along[i])
     segment[THETA], segment[MIDDLE_X], segment[MIDDLE_Y], segment[EXTENT] = theta, foot[0], foot[1], high - low
-    segment[ANGLE_STD] = std / max(math.sqrt(spread), LEAST_SPREAD)
-    segment[R] = foot[0] * math.cos(theta) + foot[1] * math.sin(theta)
+    segment[ANGLE_STD] = std / max(math.sqrt(spread), LEAST_DIVISOR)
 
 
 @algebra
@@ -183,33 +176,21 @@ def bend(
     along: FloatArray, ordered: FloatArray, expected: FloatArray, left: FloatArray, basis: FloatArray,
     factor: FloatArray, segment: FloatArray,
 ) -> float:  # fmt: skip
-    """Whether (1 or 0) a kinked or curved line explains readings much better; fills the position of the best kink."""
-    count = len(along)
-    reach, kinks = ordered[count - 1] - ordered[0], len(KINKS_AT)
-    if count < FEWEST_FOR_SHAPE or reach <= 0.0:
+    """Whether (1 or 0) a kinked line explains readings much better; fills the position of the best kink."""
+    count, kinks = len(along), len(KINKS_AT)
+    if count < FEWEST_FOR_SHAPE or ordered[count - 1] <= ordered[0]:
         return 0.0
-    shapes, places = np.empty((count, kinks + 3)), np.empty(kinks)
+    shapes, places = np.empty((count, kinks)), np.empty(kinks)
     for k in range(kinks):
         places[k] = quantile(ordered, count, KINKS_AT[k])
     for i in range(count):
         for k in range(kinks):
             shapes[i, k] = max(along[i] - places[k], 0.0) / expected[i, 6]
-        scaled = 2.0 * (along[i] - ordered[0]) / reach - 1.0
-        for k in range(3):
-            shapes[i, kinks + k] = scaled ** (2 + k) / expected[i, 6]
-    whiten(factor, shapes, count, kinks + 3)
-    leave_beside(shapes, 0, kinks + 3, basis, count)
+    whiten(factor, shapes, count, kinks)
+    leave_beside(shapes, 0, kinks, basis, count)
     most, best, angle = strongest_kink(shapes, left, kinks)
-    orthonormalise(shapes, kinks, kinks + 3, count)
-    curved = 0.0
-    for k in range(3):
-        product = 0.0
-        for i in range(count):
-            product += left[i] * shapes[i, kinks + k]
-        curved += product * product
     segment[BEND_AT] = places[best]
-    is_kinked = most > KINK_GATE and abs(angle) > MIN_KINK
-    return 1.0 if is_kinked or curved > CURVE_GATE else 0.0
+    return 1.0 if most > KINK_GATE and abs(angle) > MIN_KINK else 0.0
 
 
 @algebra
@@ -221,7 +202,7 @@ def strongest_kink(shapes: FloatArray, left: FloatArray, kinks: int) -> tuple[fl
         for i in range(len(left)):
             square += shapes[i, k] * shapes[i, k]
             product += left[i] * shapes[i, k]
-        square = max(square, LEAST_GAIN)
+        square = max(square, LEAST_DIVISOR)
         gain = (product / square) ** 2 * square
         if gain > most:
             most, best, angle = gain, k, product / square
@@ -229,58 +210,22 @@ def strongest_kink(shapes: FloatArray, left: FloatArray, kinks: int) -> tuple[fl
 
 
 @algebra
-def mark_loose_ends(
-    along: FloatArray, ordered: FloatArray, expected: FloatArray, left: FloatArray, basis: FloatArray,
-    factor: FloatArray, clear: IntArray, number: int, loose: BoolArray,
-) -> None:  # fmt: skip
-    """Mark readings at either end that all lie on one side of the line: they belong to another object."""
-    count, shape = len(along), np.empty((len(along), 1))
-    for i in range(number):
-        loose[i] = False
-    for end in (ordered[0], ordered[count - 1]):
-        inside = 0
-        for i in range(count):
-            is_in = abs(along[i] - end) < END_ZONE
-            inside += is_in
-            shape[i, 0] = (1.0 if is_in else 0.0) / expected[i, 6]
-        whiten(factor, shape, count, 1)
-        leave_beside(shape, 0, 1, basis, count)
-        square, product = dot(shape, 0, 0, count), 0.0
-        for i in range(count):
-            product += left[i] * shape[i, 0]
-        if inside < count and square > LEAST_GAIN and product * product > END_GATE * square:
-            for i in range(count):
-                if abs(along[i] - end) < END_ZONE:
-                    loose[clear[i]] = True
+def cut_part(order: IntArray, first: int, number: int, segment: FloatArray, along: FloatArray, rest: IntArray) -> None:
+    """Cut a part of ``order`` where it is bent.
 
-
-@algebra
-def cut_part(
-    order: IntArray, first: int, number: int, segment: FloatArray, along: FloatArray, loose: BoolArray, rest: IntArray
-) -> int:
-    """Cut a part of ``order`` where it is bent, or cut off its loose ends; into how many parts, 0 if it is straight.
-
-    Fills where these parts begin in ``order``, and their lengths: ``rest`` (2, 2). The last one is to be processed
+    Fills where the two parts begin in ``order``, and their lengths: ``rest`` (2, 2). The last one is to be processed
     first.
     """
-    part, before, behind, firm = order[first : first + number].copy(), 0, 0, 0
-    if segment[BENT] > 0.0:
-        for i in range(number):
-            if along[i] < segment[BEND_AT] - AROUND_KINK:
-                order[first + before] = part[i]
-                before += 1
-        for i in range(number):
-            if along[i] > segment[BEND_AT] + AROUND_KINK:
-                order[first + before + behind] = part[i]
-                behind += 1
-        rest[0, 0], rest[0, 1], rest[1, 0], rest[1, 1] = first + before, behind, first, before
-        return 2
+    part, before, behind = order[first : first + number].copy(), 0, 0
     for i in range(number):
-        if not loose[i]:
-            order[first + firm] = part[i]
-            firm += 1
-    rest[0, 0], rest[0, 1] = first, firm
-    return 1 if firm < number else 0
+        if along[i] < segment[BEND_AT] - AROUND_KINK:
+            order[first + before] = part[i]
+            before += 1
+    for i in range(number):
+        if along[i] > segment[BEND_AT] + AROUND_KINK:
+            order[first + before + behind] = part[i]
+            behind += 1
+    rest[0, 0], rest[0, 1], rest[1, 0], rest[1, 1] = first + before, behind, first, before
 
 
 @entry
@@ -288,7 +233,7 @@ def cut_at_bends(
     x: FloatArray, P: FloatArray, start: int, places: IntArray, readings: FloatArray, points: FloatArray,
     members: IntArray, line: FloatArray, std: float, variances: FloatArray,
 ) -> tuple[FloatArray, IntArray, FloatArray]:  # fmt: skip
-    """Cut readings near one line into straight segments: at bends, and at ends that bend away.
+    """Cut readings near one line into straight segments, at bends.
 
     Parameters
     ----------
@@ -304,7 +249,7 @@ def cut_at_bends(
     Returns
     -------
     segments
-        The segments (k, 8), in order along the line.
+        The segments (k, 7), in order along the line.
     owner
         The segment of each member (n,); -1 for none.
     residuals
@@ -312,8 +257,8 @@ def cut_at_bends(
     """
     columns, begins = involved(places, members, (len(x) - start) // POSE, start, -1)
     block, size, count, waiting = dense_block(P, columns), len(members), 0, int(len(members) >= FEWEST)
-    segments, ends, owner, residuals = np.empty((2**DEEPEST, 8)), np.empty((2, 2)), np.full(size, -1), np.empty(size)
-    along, loose, order = np.empty(size), np.empty(size, dtype=np.bool_), np.arange(size)
+    segments, ends, owner, residuals = np.empty((2**DEEPEST, 7)), np.empty((2, 2)), np.full(size, -1), np.empty(size)
+    along, order = np.empty(size), np.arange(size)
     rest = np.empty((2, 2), dtype=np.int64)
     # Parts that wait: where they begin in ``order``, their lengths, how often they may be cut, and their lines.
     parts, lines = np.empty((DEEPEST + 1, 3), dtype=np.int64), np.empty((DEEPEST + 1, 2))
@@ -326,24 +271,23 @@ def cut_at_bends(
         read = gathered(members, these)
         left, clear = fit_segment(
             x, start, block, gathered(begins, these), places, readings, points, read,
-            (lines[waiting, 0], lines[waiting, 1]), std, gathered(variances, read), segment, along, loose,
+            (lines[waiting, 0], lines[waiting, 1]), std, gathered(variances, read), segment, along,
         )  # fmt: skip
         if not len(clear):
             continue
-        shorter = cut_part(order, first, number, segment, along, loose, rest) if depth else 0
-        for k in range(shorter):
-            begin, length = rest[k, 0], rest[k, 1]
-            if length >= FEWEST:
-                r, theta = segment[R], segment[THETA]
-                if shorter > 1:
+        if depth and segment[BENT] > 0.0:
+            cut_part(order, first, number, segment, along, rest)
+            for k in range(2):
+                begin, length = rest[k, 0], rest[k, 1]
+                if length >= FEWEST:
                     r, theta = fit_line(points, gathered(members, order[begin : begin + length]), ends)
-                parts[waiting, 0], parts[waiting, 1], parts[waiting, 2] = begin, length, depth - 1
-                lines[waiting, 0], lines[waiting, 1] = r, theta
-                waiting += 1
-        if not shorter:
-            for i in range(number):
-                owner[these[i]] = count
-            for i in range(len(clear)):
-                residuals[these[clear[i]]] = left[i]
-            count += 1
+                    parts[waiting, 0], parts[waiting, 1], parts[waiting, 2] = begin, length, depth - 1
+                    lines[waiting, 0], lines[waiting, 1] = r, theta
+                    waiting += 1
+            continue
+        for i in range(number):
+            owner[these[i]] = count
+        for i in range(len(clear)):
+            residuals[these[clear[i]]] = left[i]
+        count += 1
     return segments[:count], owner, residuals

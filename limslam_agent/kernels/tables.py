@@ -27,28 +27,21 @@ GRAZING = 0.2
 FLATTEST = math.acos(GRAZING)
 """Largest angle between a line's normal and the middle of a beam that does not graze the line, rad."""
 
-LEAST_COSINE = 1e-9
-"""Least cosine that a range is divided by. A beam parallel to a line meets it very far away, at a finite range."""
+LEAST_DIVISOR = 1e-9
+"""Least number that is divided by, so that a beam parallel to a line meets it very far away, at a finite range."""
 
 FEWEST_TO_COMPARE = 4
 """Least number of readings that are compared with a line."""
 
-LEAST_RESIDUAL = 1e-9
-"""Least residual that the Huber weight divides by, m."""
-
-THETA, MIDDLE_X, MIDDLE_Y, EXTENT, ANGLE_STD, R, BENT, BEND_AT = range(8)
+THETA, MIDDLE_X, MIDDLE_Y, EXTENT, ANGLE_STD, BENT, BEND_AT = range(7)
 """Columns of a segment: the wall's direction, its middle, its length and the direction's standard deviation; then what
-splits it: r about the world's origin, whether it is bent, and where."""
-
-OF_LINE, LEFT, USED, LANDMARK = range(4)
-"""Columns of a landmark that a segment may show: chi-square due to the landmark's line, chi-square that no line
-explains, the number of readings that were compared, and the landmark's index."""
+splits it: whether it is bent, and where."""
 
 FEWEST = 6
 """Least number of readings of a wall segment."""
 
 FEWEST_FOR_SHAPE = 10
-"""Least number of readings that are tested for a kink or a curve."""
+"""Least number of readings that are tested for a kink."""
 
 KINKS_AT = (0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)
 """Quantiles of the readings' positions at which a kink is tested for."""
@@ -56,25 +49,8 @@ KINKS_AT = (0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)
 KINK_GATE, MIN_KINK = 12.0, math.radians(8.0)
 """Least gain in chi-square (one degree of freedom) of a model with a kink, and least angle of that kink, rad."""
 
-CURVE_GATE = 14.0
-"""Least gain in chi-square (three degrees of freedom) of a smooth curve."""
-
 AROUND_KINK, DEEPEST = 0.02, 4
 """Readings within this distance of a kink, m, are in neither half; a line is cut at most this many times in a row."""
-
-END_ZONE, END_GATE = 0.10, 6.0
-"""Points within this distance of an end, m, belong to another wall if chi-square falls by more than this without them.
-"""
-
-TURN_SIGMAS = 2.0
-"""A piece of wall that is turned against a landmark by more than ``MIN_KINK``, and by more than this many standard
-deviations of the piece's direction, does not update the landmark."""
-
-LEAST_SPREAD = 1e-6
-"""Least root of the summed squared distances of readings from their middle, m, that the angle's error is based on."""
-
-LEAST_GAIN = 1e-9
-"""Least squared norm of a shape that is divided by."""
 
 NOTHING = 0.5
 """Likelihood that a beam sees nothing at a random place."""
@@ -86,10 +62,9 @@ deviations and by this length, m."""
 BIN = 0.05
 """Length of a bin, m."""
 
-LOW, LENGTH, GROUPS, READINGS, NUMBER, CHANGES, IS_KNOWN = range(7)
+LOW, LENGTH, GROUPS, READINGS, NUMBER, CHANGES = range(6)
 """Columns of ``Walls.table``: the first bin, the number of bins, the updates and the readings in them, a number that
-identifies the landmark (an older landmark has a smaller number), how often the extent has changed, and whether the
-landmark is from an earlier map, which does not say from which sides it was seen."""
+identifies the landmark (an older landmark has a smaller number), and how often the extent has changed."""
 
 HITS, MISSES = range(2)
 """Rows of ``Walls.counted``."""
@@ -110,14 +85,11 @@ class Walls(NamedTuple):
     Attributes
     ----------
     table
-        (landmarks, 7), whose columns are named above.
+        (landmarks, 6), whose columns are named above.
     counted, reached
         (landmarks, 2, bins): beams that ended and that passed; least and largest position of a hit, m along the line.
-    ends, seen
-        Positions of the outermost hits (landmarks, 2), and of those from each side of the line (landmarks, 2, 2), m
-        along the line; the sides are ``POSITIVE`` and ``NEGATIVE`` of ``slam.core.wall_faces``.
-    behind
-        Length of the stretch with another face behind it (landmarks,), m, of a landmark that is a face of a wall.
+    ends
+        Positions of the outermost hits (landmarks, 2), m along the line.
     tally
         (3,), whose places are named above.
     """
@@ -126,20 +98,16 @@ class Walls(NamedTuple):
     counted: NDArray[np.int32]
     reached: FloatArray
     ends: FloatArray
-    seen: FloatArray
-    behind: FloatArray
     tally: IntArray
 
 
 def empty_walls(landmarks: int, bins: int, *maps: int) -> Walls:
     """Room for so many landmarks and bins, in one map or in an array of maps."""
     return Walls(
-        table=np.zeros((*maps, landmarks, 7), dtype=np.int64),
+        table=np.zeros((*maps, landmarks, 6), dtype=np.int64),
         counted=np.zeros((*maps, landmarks, 2, bins), dtype=np.int32),
         reached=np.zeros((*maps, landmarks, 2, bins)),
         ends=np.zeros((*maps, landmarks, 2)),
-        seen=np.zeros((*maps, landmarks, 2, 2)),
-        behind=np.zeros((*maps, landmarks)),
         tally=np.zeros((*maps, 3), dtype=np.int64),
     )
 

@@ -18,7 +18,7 @@ from limslam_agent.kernels.covariance import (
     transport_rows,
 )
 from limslam_agent.kernels.measurement import fill_transport, predict_ranges
-from limslam_agent.kernels.tables import FEWEST_TO_COMPARE, GRAZING, LEAST_RESIDUAL, POSE
+from limslam_agent.kernels.tables import FEWEST_TO_COMPARE, GRAZING, LEAST_DIVISOR, POSE
 from limslam_env.geometry import FloatArray, IntArray
 
 
@@ -111,7 +111,7 @@ def huber_weight(residual: float, variance: float, huber: float) -> float:
     """Weight of a range: less than 1 beyond ``huber`` standard deviations, unless that is 0."""
     if huber <= 0.0:
         return 1.0
-    return min(1.0, huber * math.sqrt(variance) / max(abs(residual), LEAST_RESIDUAL))
+    return min(1.0, huber * math.sqrt(variance) / max(abs(residual), LEAST_DIVISOR))
 
 
 @algebra
@@ -129,18 +129,17 @@ def with_zeros(H: FloatArray, begins: IntArray, width: int) -> FloatArray:
 def compare_readings(
     x: FloatArray, P: FloatArray, start: int, places: IntArray, readings: FloatArray, line: int,
     anchor: tuple[float, float], variances: FloatArray,
-) -> tuple[float, float, int, float, float]:  # fmt: skip
-    """How badly readings fit the line that begins in the state at the index ``line``, as chi-squares.
+) -> float:  # fmt: skip
+    """How badly readings fit the line that begins in the state at the index ``line``, as a chi-square.
 
     This is the generalised likelihood ratio of the hypotheses "the readings show this line" and "they show another
-    line", both with the joint uncertainty of poses and line (two degrees of freedom); then the chi-square that "another
-    line" leaves, how many readings were compared, and how far along its normal the readings put a parallel line, m,
-    with the variance of that, m^2. No reading is compared, and all is zero, if there are too few.
+    line", both with the joint uncertainty of poses and line (two degrees of freedom). It is infinite if too few
+    readings meet the line.
     """
     chosen = clear_readings(x, start, places, readings, line, anchor)
     count = len(chosen)
     if count < FEWEST_TO_COMPARE:
-        return 0.0, 0.0, 0, 0.0, 0.0
+        return math.inf
     columns, begins = involved(places, chosen, (len(x) - start) // POSE, start, line)
     H, values = np.empty((count, 7)), np.empty((count, 3))
     predict_ranges(x, start, places, readings, chosen, (x[line], x[line + 1]), anchor, H)
@@ -152,8 +151,7 @@ def compare_readings(
     whiten(S, values, count, 3)
     a, b, c = dot(values, 1, 1, count), dot(values, 1, 2, count), dot(values, 2, 2, count)
     along, across = dot(values, 0, 1, count), dot(values, 0, 2, count)
-    of_line = (c * along * along - 2.0 * b * along * across + a * across * across) / (a * c - b * b)
-    return of_line, dot(values, 0, 0, count) - of_line, count, along / a, 1.0 / a
+    return (c * along * along - 2.0 * b * along * across + a * across * across) / (a * c - b * b)
 
 
 @algebra

@@ -17,7 +17,6 @@ from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import Motion, OdometryCalibration, calibrated, motion_of
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.core.teammates import may_hit_others
-from limslam_agent.slam.published.published import PublishedEstimator
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import Observation, RobotSpec
 
@@ -345,5 +344,8 @@ def _estimator_of(robot: RobotSpec, config: AgentConfig, start: FloatArray, sens
     """The estimator that the settings choose by their type, for robots at start poses (n, 3)."""
     settings, std = config.estimator, config.range_std
     if isinstance(settings, PublishedConfig):
+        # Only this estimator needs filterpy, which loads all of scipy.stats.
+        from limslam_agent.slam.published.published import PublishedEstimator
+
         return PublishedEstimator(robot, settings, std, start)
     return ConsistentEstimator(robot, settings, std, start, sensor)

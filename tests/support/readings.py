@@ -48,16 +48,6 @@ class Expected(NamedTuple):
     cosines: FloatArray
 
 
-class Disagreement(NamedTuple):
-    """Chi-square due to the line, chi-square that no line explains, number of readings, offset and its variance."""
-
-    of_line: float
-    left: float
-    used: int
-    offset: float
-    variance: float
-
-
 def expected_rows(poses: FloatArray, readings: Readings, line: FloatArray, anchor: FloatArray) -> FloatArray:
     """What the kernel says of ranges from a pose each (n, 7)."""
     found, places = np.empty((len(poses), 7)), np.arange(len(poses))
@@ -112,7 +102,6 @@ def observe(ekf: CloneEKF, readings: Readings, index: int, std: float, iteration
     clone_filter.observe(ekf.arrays, places, readings.rows, index, variances, iterations, huber)
 
 
-def compared(ekf: CloneEKF, readings: Readings, index: int, std: float) -> Disagreement | None:
+def compared(ekf: CloneEKF, readings: Readings, index: int, std: float) -> float:
     places, variances = places_of(ekf.arrays, readings.clones), readings.variances(std)
-    told = clone_filter.compare(ekf.arrays, places, readings.rows, index, variances)
-    return Disagreement(*told) if told[2] else None
+    return clone_filter.compare(ekf.arrays, places, readings.rows, index, variances)

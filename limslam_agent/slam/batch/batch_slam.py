@@ -37,7 +37,6 @@ from limslam_agent.slam.batch.compiled_steps import (
     has_ended,
     is_due,
     move,
-    new_memory,
     process,
     prune,
     size_of,
@@ -47,7 +46,6 @@ from limslam_agent.slam.batch.compiled_steps import (
 )
 from limslam_agent.slam.batch.grid import CropArray, crop, update
 from limslam_agent.slam.batch.state import (
-    PERIOD,
     REFUSED,
     STEP,
     Capacity,
@@ -283,8 +281,8 @@ def state_of(states: States, number: int) -> States:
             ekf.counts[number], ekf.errors,
         ),
         Walls(
-            walls.table[number], walls.counted[number], walls.reached[number], walls.ends[number], walls.seen[number],
-            walls.behind[number], walls.tally[number],
+            walls.table[number], walls.counted[number], walls.reached[number], walls.ends[number],
+            walls.tally[number],
         ),
         states.travel[number], states.pending[number], states.fill[number], states.contact[number],
         states.grid[number], states.window[number],
@@ -302,11 +300,11 @@ def accept(
     for beam in range(len(ranges)):
         is_number = math.isfinite(ranges[beam])
         ekf.counts[REFUSED] += not is_number
-        measured[beam] = is_number and ekf.counts[STEP] % int(beams[beam, PERIOD]) == 0
+        measured[beam] = is_number and ekf.counts[STEP] % spec.periods[beam] == 0
         hits[beam] = measured[beam] and beams[beam, TOO_NEAR] < ranges[beam] < beams[beam, TOO_FAR]
     increment, covariance = wheel_motion(wheels, settings.axle, settings.wheel_variance)
     angles, too_near, radius = beams[:, ANGLE], beams[:, TOO_NEAR], settings.radius
-    variance, angle, _ = slip(state.contact, ranges, measured, increment[0], angles, too_near, radius, settings.std)
+    variance, angle = slip(state.contact, ranges, measured, increment[0], angles, too_near, radius, settings.std)
     if variance:
         covariance = covariance + slip_covariance(variance, angle)
     by_pose, by_increment = np.zeros((POSE, POSE)), np.zeros((POSE, POSE))
@@ -377,7 +375,7 @@ def begin(state: States, start: FloatArray, cell: float) -> None:
     state.travel[:] = 0.0
     state.fill[:] = 0
     state.walls.tally[:] = 0
-    state.contact[:] = new_memory(len(state.contact) // 2)
+    state.contact[:] = -1.0
     state.travel[DRIVEN_AT], state.travel[TURNED_AT] = -np.inf, -np.inf
     state.grid[:] = 0
     half = state.grid.shape[0] // 2

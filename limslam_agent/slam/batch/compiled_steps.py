@@ -42,7 +42,6 @@ process, prune = compiled_step(association.process), compiled_step(association.p
 is_due, collect = compiled_step(pending_readings.is_due), compiled_step(pending_readings.collect)
 has_ended = compiled_step(pending_readings.has_ended)
 slip, slip_covariance = compiled_step(contact.slip), compiled_step(contact.slip_covariance)
-new_memory = compiled_step(contact.new_memory)
 clone, size_of = compiled_step(clone_filter.clone), compiled_step(clone_filter.size_of)
 move, clear = compiled_step(move_pose), compiled_step(clear_along_beams)
 wheel_motion = compiled_step(motion.wheel_motion)

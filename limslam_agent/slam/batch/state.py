@@ -11,16 +11,12 @@ from limslam_agent.config.presets import AgentConfig
 from limslam_agent.kernels.tables import POSE, Filter, Walls, empty_walls
 from limslam_agent.slam.consistent.pending_readings import SIDES, most_clones, sides_of
 from limslam_agent.slam.consistent.step_settings import step_settings
-from limslam_agent.slam.core.contact import new_memory
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 
 STEP, REFUSED = range(5, 7)
 """Places in ``Filter.counts`` after those of a single filter: the step, and how many readings were skipped."""
-
-PERIOD = 8
-"""The column of ``Spec.beams`` after those of ``RobotSpec.beam_table``: steps between two measurements of a beam."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +63,7 @@ class States(NamedTuple):
     travel, pending, fill
         (n, 7), (n, 3, most, 5) and (n, 3, 2), as in ``consistent.pending_readings``.
     contact
-        (n, 1 + 2 beams): what :func:`limslam_agent.slam.core.contact.slip` remembers.
+        (n, beams): what :func:`limslam_agent.slam.core.contact.slip` remembers.
     grid, window
         Occupancy (n, cells, cells); the cell (row, column) of the world is stored at these numbers modulo ``cells``.
         Row and column (n, 2) of the lowest world cell that the grid holds.
@@ -91,13 +87,14 @@ class Spec(NamedTuple):
     settings
         An array of one record: ``StepSettings``, and further numbers of ``AgentConfig`` and ``RobotSpec``.
     beams
-        ``RobotSpec.beam_table`` with one more column, which is named above.
-    sides
-        Of each beam, as of ``pending_readings.sides_of``.
+        ``RobotSpec.beam_table``.
+    periods, sides
+        Of each beam: steps between two measurements, and as of ``pending_readings.sides_of``.
     """
 
     settings: NDArray[np.void]
     beams: FloatArray
+    periods: IntArray
     sides: IntArray
 
 
@@ -110,8 +107,8 @@ def spec_of(robot: RobotSpec, config: AgentConfig, estimator: ConsistentConfig) 
     # A record is one argument of a compiled function; a tuple of thirty numbers would be thirty arguments.
     kinds = {bool: np.bool_, int: np.int64, float: np.float64}
     settings = np.array([tuple(given.values())], dtype=[(name, kinds[type(value)]) for name, value in given.items()])
-    beams = np.column_stack((robot.beam_table, [beam.period for beam in robot.beams]))
-    return Spec(settings, np.ascontiguousarray(beams, dtype=float), sides_of(robot, estimator.pending.beams))
+    periods = np.array([beam.period for beam in robot.beams])
+    return Spec(settings, np.array(robot.beam_table), periods, sides_of(robot, estimator.pending.beams))
 
 
 def states_for(robot: RobotSpec, config: ConsistentConfig, num_envs: int, capacity: Capacity) -> States:
@@ -134,7 +131,7 @@ def states_for(robot: RobotSpec, config: ConsistentConfig, num_envs: int, capaci
         travel=np.zeros((num_envs, 7)),
         pending=np.zeros((num_envs, len(SIDES), clones * widest, 5)),
         fill=np.zeros((num_envs, len(SIDES), 2), dtype=np.int64),
-        contact=np.zeros((num_envs, len(new_memory(len(robot.beams))))),
+        contact=np.zeros((num_envs, len(robot.beams))),
         grid=np.zeros((num_envs, capacity.cells, capacity.cells), dtype=np.int16),
         window=np.zeros((num_envs, 2), dtype=np.int64),
     )

@@ -11,21 +11,16 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from limslam_agent.kernels.extents import add_wall, count_hits
-from limslam_agent.kernels.lines import extract_lines, uncontested
+from limslam_agent.kernels.lines import extract_lines
 from limslam_agent.kernels.tables import (
     ANGLE_STD,
     EXTENT,
-    LANDMARK,
-    LEFT,
+    GROUPS,
     MIDDLE_X,
     MIDDLE_Y,
-    MIN_KINK,
     NUMBER,
-    OF_LINE,
     OVERFLOWS,
     THETA,
-    TURN_SIGMAS,
-    USED,
     Filter,
     Walls,
 )
@@ -38,32 +33,23 @@ from limslam_agent.slam.consistent.clone_filter import (
     lines_near,
     num_lines,
     observe,
-    side_of,
     straight_segments,
 )
 from limslam_agent.slam.consistent.limits import (
     COMPLETE_AFTER,
-    END_SLACK,
     FAR_GATE,
-    FIRST_ITERATIONS,
     GAP_AHEAD,
     HUBER,
     ITERATIONS,
-    LEAST_LENGTH,
     LENGTH_IF_COMPLETE,
     MAX_ANGLE,
     MAX_ANGLE_STD,
     MAX_END_GAP,
     MAX_OFFSET,
-    RESIDUAL_SIGMAS,
-    SHORTEST,
 )
 from limslam_agent.slam.consistent.merging import (
     along_line,
     close_loops_of,
-    closes_loop,
-    is_board,
-    turn_between,
 )
 from limslam_agent.slam.consistent.pending_readings import AHEAD, CLONE, DRIVEN_THEN, FRESH, SIDES, WAITING, readings_of
 from limslam_agent.slam.consistent.step_settings import StepSettings
@@ -85,7 +71,7 @@ class Piece(NamedTuple):
     points
         Their end points (n, 2), m, where the clones are estimated to be.
     segment
-        The fitted piece (8,), whose columns ``kernels.segments`` names.
+        The fitted piece (7,), whose columns ``kernels.segments`` names.
     """
 
     places: IntArray
@@ -123,7 +109,7 @@ def process(
     points = end_points(ekf, places, readings, math.nan)
     # Beams ahead meet a wall at points far apart, with nothing in between.
     max_gap = GAP_AHEAD if row % _NUM_SIDES == AHEAD else settings.segment_gap
-    owner, lines, ends = extract_lines(
+    owner, lines, _ = extract_lines(
         points, max_gap, settings.min_votes, settings.r_step, settings.theta_step, settings.near_line,
         settings.segment_length, settings.only_best,
     )  # fmt: skip
@@ -131,7 +117,7 @@ def process(
         listener.extracted(row, points, owner)
     is_kept = np.ones(count, dtype=np.bool_)
     for index in range(len(lines)):
-        members = uncontested(points, owner, lines, ends, index, settings.near_line)
+        members = np.flatnonzero(owner == index)
         # The lines before this one have updated the filter, so the end points are computed anew.
         now = end_points(ekf, places, readings, lines[index, 1])
         segments, segment_of, residuals = straight_segments(
@@ -176,26 +162,18 @@ def is_used(
     ekf: Filter, walls: Walls, piece: Piece, settings: StepSettings, is_complete: bool, listener: "StepReports | None"
 ) -> bool:
     """Associate a piece of wall with a known landmark, or add a new one; whether it was used."""
-    found = candidates(ekf, walls, piece, settings)
-    while len(found) > 1 and found[1, OF_LINE] <= settings.gate:
-        first, second = int(found[0, LANDMARK]), int(found[1, LANDMARK])
-        if not closes_loop(ekf, walls, first, second, settings, 1, listener):
-            break
-        found = candidates(ekf, walls, piece, settings)
-    best = found[0, OF_LINE] if len(found) else np.inf
-    second_best = found[1, OF_LINE] if len(found) > 1 else np.inf
+    squared, landmarks = candidates(ekf, walls, piece)
+    best = squared[0] if len(squared) else np.inf
+    second_best = squared[1] if len(squared) > 1 else np.inf
     segment = piece.segment
     is_enough = len(piece.points) >= settings.new_readings * settings.usual_std
     is_sure = is_enough and segment[ANGLE_STD] <= MAX_ANGLE_STD
     # A filter that is more wrong than it states refuses the right walls, unless nothing else can be meant.
     gate = FAR_GATE if is_sure and second_best >= FAR_GATE else settings.gate
     if listener is not None:
-        listener.compared(piece, found, gate)
+        listener.compared(piece, squared, landmarks, gate)
     if best <= gate:
-        index = int(found[0, LANDMARK])
-        if not fits(ekf, piece, index, found[0, LEFT], found[0, USED]):
-            return False
-        update(ekf, walls, piece, index, settings, ITERATIONS, listener)
+        update(ekf, walls, piece, int(landmarks[0]), settings, listener)
         return True
     least = LENGTH_IF_COMPLETE if is_complete else settings.new_length
     if best < FAR_GATE or segment[EXTENT] < least or not is_sure:
@@ -205,50 +183,21 @@ def is_used(
         return False
     index = add_line(ekf, segment[THETA], segment[MIDDLE_X], segment[MIDDLE_Y])
     add_wall(walls, index)
-    update(ekf, walls, piece, index, settings, FIRST_ITERATIONS, listener)
+    update(ekf, walls, piece, index, settings, listener)
     return True
 
 
-def candidates(ekf: Filter, walls: Walls, piece: Piece, settings: StepSettings) -> FloatArray:
-    """Landmarks (k, 4) that a piece may show, best first."""
+def candidates(ekf: Filter, walls: Walls, piece: Piece) -> tuple[FloatArray, IntArray]:
+    """Chi-squares (k,) and indices (k,) of the landmarks that a piece may show, best first."""
     segment = piece.segment
-    loose = 2.0 * math.atan2(2.0 * settings.usual_std, max(segment[EXTENT], SHORTEST))
-    near = lines_near(ekf, segment[THETA], segment[MIDDLE_X], segment[MIDDLE_Y], MAX_ANGLE + loose, MAX_OFFSET)
-    found, size = np.empty((len(near), 4)), 0
-    for index in near:
+    near = lines_near(ekf, segment[THETA], segment[MIDDLE_X], segment[MIDDLE_Y], MAX_ANGLE, MAX_OFFSET)
+    squared = np.full(len(near), np.inf)
+    for place, index in enumerate(near):
         along = along_line(ekf, index, piece.points)
-        if max(along.min() - walls.ends[index, 1], walls.ends[index, 0] - along.max()) > MAX_END_GAP:
-            continue
-        of_line, left, used, offset, variance = compare(ekf, piece.places, piece.readings, index, piece.variances)
-        if used and may_show(ekf, walls, piece, index, along, offset, variance):
-            found[size, OF_LINE], found[size, LEFT], found[size, USED], found[size, LANDMARK] = (
-                of_line, left, used, index,
-            )  # fmt: skip
-            size += 1
-    return found[np.argsort(found[:size, OF_LINE].copy())]
-
-
-def may_show(
-    ekf: Filter, walls: Walls, piece: Piece, index: int, along: FloatArray, offset: float, variance: float
-) -> bool:
-    """Whether a landmark was seen from the side of a piece near it, or it is a board and not another face of a wall."""
-    side, seen = side_of(ekf, piece.places, piece.readings, index), walls.seen[index]
-    own = np.mean((along > seen[side, 0] - END_SLACK) & (along < seen[side, 1] + END_SLACK))
-    other = np.mean((along > seen[1 - side, 0] - END_SLACK) & (along < seen[1 - side, 1] + END_SLACK))
-    is_close = max(along.min() - seen[side, 1], seen[side, 0] - along.max()) <= MAX_END_GAP
-    if own >= 0.5 or (other < 0.5 and is_close):
-        return True
-    return is_board(walls, num_lines(ekf), 1 - side, offset, variance)[0]
-
-
-def fits(ekf: Filter, piece: Piece, index: int, left: float, used: float) -> bool:
-    """Whether a piece of a known landmark is good enough to update by."""
-    free, segment = max(used - 2.0, 1.0), piece.segment
-    if left > free + RESIDUAL_SIGMAS * math.sqrt(2.0 * free) + 2.0 or segment[EXTENT] < LEAST_LENGTH:
-        return False
-    # A filter that is unsure of its heading would take the next facet of a curved wall for this one, and turn.
-    turn = turn_between(line_of(ekf, index)[1], segment[THETA])
-    return bool(turn <= max(MIN_KINK, TURN_SIGMAS * segment[ANGLE_STD]))
+        if max(along.min() - walls.ends[index, 1], walls.ends[index, 0] - along.max()) <= MAX_END_GAP:
+            squared[place] = compare(ekf, piece.places, piece.readings, index, piece.variances)
+    order = np.argsort(squared)[: np.count_nonzero(squared < np.inf)]
+    return squared[order], near[order]
 
 
 def update(
@@ -257,13 +206,12 @@ def update(
     piece: Piece,
     index: int,
     settings: StepSettings,
-    iterations: int,
     listener: "StepReports | None",
 ) -> None:
     """Update filter and map by a piece of a landmark, and merge the landmark with others that are the same wall."""
-    observe(ekf, piece.places, piece.readings, index, piece.variances, iterations, HUBER)
+    observe(ekf, piece.places, piece.readings, index, piece.variances, ITERATIONS, HUBER)
     points = end_points(ekf, piece.places, piece.readings, line_of(ekf, index)[1])
-    count_hits(walls, index, along_line(ekf, index, points), side_of(ekf, piece.places, piece.readings, index))
+    count_hits(walls, index, along_line(ekf, index, points))
     if listener is not None:
-        listener.updated(walls.table[index, NUMBER], iterations == FIRST_ITERATIONS)
-    close_loops_of(ekf, walls, index, settings, 1, listener)
+        listener.updated(walls.table[index, NUMBER], walls.table[index, GROUPS] == 1)
+    close_loops_of(ekf, walls, index, settings, listener)

@@ -12,11 +12,10 @@ from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import LARGEST_CONE
 
-LEAST_ERRORS = (2e-3, math.radians(0.25), 0.1)
-"""A bias, m, an opening angle, rad, and a delay, in steps, that differ by less are as assumed."""
-
-LEAST_TURN = math.radians(0.25)
-"""Beams that are all turned by less, rad, are as assumed."""
+LEAST_BIAS, LEAST_ANGLE, LEAST_DELAY = 2e-3, math.radians(0.25), 0.1
+"""A bias, m, an opening angle or the directions of all beams, rad, and a delay, in steps, that differ by less are as
+assumed.
+"""
 
 
 class AssumedSensor:
@@ -74,7 +73,7 @@ class AssumedSensor:
         config, sensor, noise = self._config, self.sensor, self._noise.estimate
         change, evidence = errors.estimate_of(COMMON)[0], errors.evidence
         change[1] = np.clip(change[1], -sensor.cone, LARGEST_CONE - sensor.cone)
-        evidence = np.where(np.abs(change) > LEAST_ERRORS, evidence, 0.0)
+        evidence = np.where(np.abs(change) > (LEAST_BIAS, LEAST_ANGLE, LEAST_DELAY), evidence, 0.0)
         gate, noise_gate = config.gate, config.noise_gate
         if not self._is_specified:
             gate = noise_gate = config.further_gate
@@ -116,6 +115,6 @@ class AssumedSensor:
             # The gain is that beside a prior about the assumed directions. The prior of all turns is about zero.
             gain, gate = errors.turn_gain, self._config.further_gate + count
             evidence = gain - 2.0 * float(turns @ np.array(sensor.turns)) / self._config.turn_std**2
-        if evidence < gate or np.abs(turns).max() < LEAST_TURN:
+        if evidence < gate or np.abs(turns).max() < LEAST_ANGLE:
             return None
         return sensor._replace(turns=tuple((turns + (sensor.turns or np.zeros(count))).tolist()))

@@ -13,16 +13,10 @@ from limslam_agent.kernels.measurement import ends_of_beams, error_transport
 from limslam_agent.kernels.segments import cut_at_bends
 from limslam_agent.kernels.tables import CLONES, LINES, LINES_FROM, NEXT_CLONE, POSE, POSES_END, Filter
 from limslam_agent.kernels.updates import compare_readings, update_by_readings
+from limslam_agent.slam.consistent.limits import EQUALITY_NOISE, LINE_PRIOR
 from limslam_agent.slam.consistent.separate_bias import note_readings, note_update
 from limslam_agent.slam.core.carried_anchors import KNOWN_PLACE, by_carried_anchor
-from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-
-LINE_PRIOR = (10.0**2, 3.0**2)
-"""Variances of a new line's d and theta, m^2 and rad^2: large, so that the readings alone determine the line."""
-
-EQUALITY_NOISE = (1e-4**2, 1e-5**2)
-"""Variances, m^2 and rad^2, of the constraint that two merged lines are equal: small, but P stays regular."""
 
 
 def num_lines(ekf: Filter) -> int:
@@ -87,18 +81,10 @@ def straight_segments(
     return cut_at_bends(ekf.x, ekf.P, start, places, readings, points, members, line, std, variances)
 
 
-def compare(
-    ekf: Filter, places: IntArray, readings: FloatArray, index: int, variances: FloatArray
-) -> tuple[float, float, int, float, float]:
+def compare(ekf: Filter, places: IntArray, readings: FloatArray, index: int, variances: FloatArray) -> float:
     """How badly readings fit a line: ``kernels.updates.compare_readings``."""
     line, anchor = line_at(ekf.counts, index), anchor_of(ekf, index)
     return compare_readings(ekf.x, ekf.P, clones_from(ekf.counts), places, readings, line, anchor, variances)
-
-
-def side_of(ekf: Filter, places: IntArray, readings: FloatArray, index: int) -> int:
-    """From which side readings hit a line: ``POSITIVE`` or ``NEGATIVE``."""
-    headings = ekf.x[clones_from(ekf.counts) + POSE * places + 2] + readings[:, 2]
-    return POSITIVE if np.cos(headings - line_of(ekf, index)[1]).sum() < 0.0 else NEGATIVE
 
 
 def clone(ekf: Filter, robot: int) -> int:

@@ -47,9 +47,6 @@ from limslam_env.interface import RobotSpec
 if TYPE_CHECKING:
     from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 
-RENEWAL_ITERATIONS = 3
-"""Iterations of each merge when a map is renewed, since that merges all walls of the map at once."""
-
 KNOWN_SPACING = 0.01
 """Distance, m, between the points by which a wall of an earlier map is counted, as if beams had ended there."""
 
@@ -192,7 +189,7 @@ class ConsistentEstimator(Estimator):
             places = np.flatnonzero(self._map.numbers == number)
             if len(places):
                 index = int(places[0])
-                close_loops_of(self._filter.arrays, self.walls, index, self.settings, RENEWAL_ITERATIONS, reports)
+                close_loops_of(self._filter.arrays, self.walls, index, self.settings, reports)
         self._fill[:] = 0
 
     def predict(self, motion: Motion, robot: int) -> None:
@@ -314,4 +311,4 @@ class ConsistentEstimator(Estimator):
         agreeing = [pairs[chosen] for chosen in self._map.agreeing(pairs, limits.ONE_WALL_GATE)]
         # The younger landmark is removed: the last ones first, so that the others keep their places.
         for older, younger in sorted(agreeing, key=lambda pair: -pair[1]):
-            merge_landmarks(self._filter.arrays, self.walls, older, younger, RENEWAL_ITERATIONS, reports)
+            merge_landmarks(self._filter.arrays, self.walls, older, younger, reports)

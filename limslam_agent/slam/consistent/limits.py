@@ -28,26 +28,17 @@ They update the landmark if every other one has this chi-square or more, and if 
 landmark but for their length. Otherwise they stay pending.
 """
 
-SHORTEST = 0.1
-"""Least length of a piece of wall that the error of its direction is based on."""
-
 # Updates of a landmark by a piece of wall.
-LEAST_LENGTH = 0.15
-"""Shorter pieces update nothing."""
-
-RESIDUAL_SIGMAS = 3.0
-"""Largest chi-square of the residuals about the best line, in standard deviations of its distribution."""
-
-END_SLACK = 0.05
-"""Readings up to this far beyond a landmark's known ends count as inside."""
-
 HUBER = 1.5
 """Residuals of more standard deviations than this are weighted down (Huber's weights)."""
 
-ITERATIONS, FIRST_ITERATIONS = 2, 4
-"""Iterations of the iterated update, and of the first update of a new landmark."""
+ITERATIONS = 2
+"""Iterations of an update, and of the merging of two landmarks."""
 
 # New landmarks.
+LINE_PRIOR = (10.0**2, 3.0**2)
+"""Variances of a new line's d and theta, m^2 and rad^2: large, so that the readings alone determine the line."""
+
 LENGTH_IF_COMPLETE = 0.25
 """Least length of a piece that is complete: no more readings of it will come."""
 
@@ -67,6 +58,9 @@ STRAIGHTNESS = (1e-3**2, 1e-4**2)
 They bound the difference of two landmarks from below, because landmarks that were always seen together may have a
 difference that is known more exactly than any wall is straight.
 """
+
+EQUALITY_NOISE = (1e-4**2, 1e-5**2)
+"""Variances, m^2 and rad^2, of the constraint that two merged lines are equal: small, but P stays regular."""
 
 # Extents of landmarks.
 MAX_GAP = 0.30

@@ -6,14 +6,18 @@ These functions are plain, as those of ``association`` are.
 import math
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from limslam_agent.kernels.extents import merge_walls, moved_along
-from limslam_agent.kernels.tables import IS_KNOWN, NUMBER, Filter, Walls
+from limslam_agent.kernels.extents import merge_walls
+from limslam_agent.kernels.tables import NUMBER, Filter, Walls
 from limslam_agent.slam.consistent.clone_filter import anchor_of, difference, line_of, lines_near, merge, num_lines
-from limslam_agent.slam.consistent.limits import MAX_ANGLE, MAX_OFFSET, MIN_OVERLAP, ONE_WALL_GATE, STRAIGHTNESS
+from limslam_agent.slam.consistent.limits import (
+    ITERATIONS,
+    MAX_ANGLE,
+    MAX_OFFSET,
+    MIN_OVERLAP,
+    ONE_WALL_GATE,
+    STRAIGHTNESS,
+)
 from limslam_agent.slam.consistent.step_settings import StepSettings
-from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, board_evidence, board_odds, is_wall
 from limslam_env.geometry import FloatArray
 
 if TYPE_CHECKING:
@@ -21,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def close_loops_of(
-    ekf: Filter, walls: Walls, index: int, settings: StepSettings, iterations: int, listener: "StepReports | None"
+    ekf: Filter, walls: Walls, index: int, settings: StepSettings, listener: "StepReports | None"
 ) -> None:
     """Merge a landmark that has just changed with all landmarks that are the same wall."""
     found = True
@@ -29,7 +33,7 @@ def close_loops_of(
         found = False
         x, y = anchor_of(ekf, index)
         for other in lines_near(ekf, line_of(ekf, index)[1], x, y, MAX_ANGLE, 2.0 * MAX_OFFSET):
-            if other != index and closes_loop(ekf, walls, other, index, settings, iterations, listener):
+            if other != index and closes_loop(ekf, walls, other, index, settings, listener):
                 # The younger landmark is removed. If that is this one, there is nothing left to compare.
                 if other < index:
                     return
@@ -43,7 +47,6 @@ def closes_loop(
     first: int,
     second: int,
     settings: StepSettings,
-    iterations: int,
     listener: "StepReports | None",
 ) -> bool:
     """Whether two landmarks are one wall; then they are merged, and the younger one is removed."""
@@ -52,17 +55,13 @@ def closes_loop(
     if not settings.closes_loops or overlap < MIN_OVERLAP or offset > MAX_OFFSET:
         return False
     off, covariance = difference(ekf, older, younger)
-    if abs(off[1]) > MAX_ANGLE or not is_one_line(ekf, walls, older, younger, off, covariance):
+    if abs(off[1]) > MAX_ANGLE or squared_difference(off, covariance) > ONE_WALL_GATE:
         return False
-    if squared_difference(off, covariance) > ONE_WALL_GATE:
-        return False
-    merge_landmarks(ekf, walls, older, younger, iterations, listener)
+    merge_landmarks(ekf, walls, older, younger, listener)
     return True
 
 
-def merge_landmarks(
-    ekf: Filter, walls: Walls, older: int, younger: int, iterations: int, listener: "StepReports | None"
-) -> None:
+def merge_landmarks(ekf: Filter, walls: Walls, older: int, younger: int, listener: "StepReports | None") -> None:
     """Merge two landmarks, and remove the younger one."""
     theta, (x, y), count = line_of(ekf, younger)[1], anchor_of(ekf, younger), num_lines(ekf)
     if listener is not None:
@@ -71,58 +70,9 @@ def merge_landmarks(
         listener.merged(
             numbers[0], numbers[1], squared_difference(off, covariance), separation(ekf, walls, older, younger)[1]
         )
-    merge(ekf, older, younger, iterations)
+    merge(ekf, older, younger, ITERATIONS)
     factor = 1.0 if math.cos(theta - line_of(ekf, older)[1]) > 0.0 else -1.0
     merge_walls(walls, older, younger, factor, along_point(ekf, older, x, y), count)
-
-
-def is_one_line(ekf: Filter, walls: Walls, older: int, younger: int, off: FloatArray, covariance: FloatArray) -> bool:
-    """Whether two landmarks share a stretch that is seen from one side, or are a board.
-
-    Their difference (2,) has a covariance (2, 2). It is noted if they are the two faces of a wall.
-    """
-    factor = 1.0 if math.cos(line_of(ekf, older)[1] - line_of(ekf, younger)[1]) > 0.0 else -1.0
-    x, y = anchor_of(ekf, older)
-    seen, other = moved_along(walls.seen[older], factor, along_point(ekf, younger, x, y)), walls.seen[younger]
-    own = max(shared(seen[0], other[0]), shared(seen[1], other[1]))
-    from_positive, from_negative = shared(seen[1], other[0]), shared(seen[0], other[1])
-    opposite = max(from_positive, from_negative)
-    if own >= min(MIN_OVERLAP, opposite):
-        return True
-    # The difference of two parallel lines is their offset alone, given that their directions are equal.
-    share = covariance[0, 1] / covariance[1, 1]
-    offset, variance = off[0] - share * off[1], covariance[0, 0] - share * covariance[0, 1]
-    side = POSITIVE if from_positive >= from_negative else NEGATIVE
-    is_thin, is_face = is_board(walls, num_lines(ekf), side, offset, variance)
-    if is_face:
-        walls.behind[older] = max(walls.behind[older], opposite)
-        walls.behind[younger] = max(walls.behind[younger], opposite)
-    return is_thin
-
-
-def is_board(walls: Walls, count: int, side: int, offset: float, variance: float) -> tuple[bool, bool]:
-    """Whether a line that is seen from one side, and a line seen from the other side, are a board; or a wall.
-
-    Parameters
-    ----------
-    walls, count
-        The landmarks, and their number.
-    side
-        The side from which the line is seen.
-    offset, variance
-        How far along the line's normal the other line is, m, if the two are parallel, and the variance, m^2.
-    """
-    seen, is_known = walls.seen[:count], walls.table[:count, IS_KNOWN]
-    boards = np.minimum(seen[:, 0, 1], seen[:, 1, 1]) - np.maximum(seen[:, 0, 0], seen[:, 1, 0])
-    behind = -offset if side == POSITIVE else offset
-    evidence = board_evidence(behind, variance + STRAIGHTNESS[0])
-    odds = board_odds(evidence, (np.maximum(boards, 0.0) * (1 - is_known)).sum(), 0.5 * walls.behind[:count].sum())
-    return odds > SURE, is_wall(evidence, behind)
-
-
-def shared(first: FloatArray, second: FloatArray) -> float:
-    """Length of the stretch between the outermost hits (2,) of two lines, m; below 0 if there is none."""
-    return float(min(first[1], second[1]) - max(first[0], second[0]))
 
 
 def separation(ekf: Filter, walls: Walls, older: int, younger: int) -> tuple[float, float]:
@@ -142,11 +92,6 @@ def squared_difference(off: FloatArray, covariance: FloatArray) -> float:
     """Squared Mahalanobis distance of two landmarks by their difference (2,), m and rad, with its covariance (2, 2)."""
     a, b, c = covariance[0, 0] + STRAIGHTNESS[0], covariance[0, 1], covariance[1, 1] + STRAIGHTNESS[1]
     return float((c * off[0] ** 2 - 2.0 * b * off[0] * off[1] + a * off[1] ** 2) / (a * c - b * b))
-
-
-def turn_between(theta: float, other: float) -> float:
-    """Angle between two lines with normals at these angles, rad."""
-    return abs((theta - other + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
 
 
 def along_line(ekf: Filter, index: int, points: FloatArray) -> FloatArray:

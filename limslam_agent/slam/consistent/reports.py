@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from limslam_agent.kernels.tables import LANDMARK, NUMBER, OF_LINE, THETA
+from limslam_agent.kernels.tables import NUMBER, THETA
 from limslam_agent.slam.consistent.limits import MAX_ANGLE, MAX_END_GAP, MAX_OFFSET
 from limslam_agent.slam.consistent.pending_readings import BEAM, RANGE, SIDES, TAKEN_AT
 from limslam_agent.slam.core.diagnostics import AssociationRecord, CandidateTest, Closure, Comparison, Extraction
@@ -37,12 +37,12 @@ class StepReports:
         self._sources, is_clear = waiting[:, [TAKEN_AT, BEAM]].astype(int), np.isfinite(residuals)
         self._residuals, self._ranges = residuals[is_clear], waiting[is_clear, RANGE]
 
-    def compared(self, piece: "Piece", candidates: FloatArray, gate: float) -> None:
-        """The landmarks that the piece was compared with, and the gate."""
+    def compared(self, piece: "Piece", squared: FloatArray, landmarks: IntArray, gate: float) -> None:
+        """Chi-squares (k,) and indices (k,) of the landmarks that the piece was compared with, and the gate."""
         listener = self._estimator.on_comparison
         if listener is None:
             return
-        distances = {int(row[LANDMARK]): float(row[OF_LINE]) for row in candidates}
+        distances = dict(zip(landmarks.tolist(), squared.tolist(), strict=True))
         tests = tuple(
             self._test(index, piece, distances.get(index, np.nan), gate)
             for index in range(self._estimator.belief.num_lines)
@@ -56,7 +56,7 @@ class StepReports:
     def updated(self, number: int, is_new: bool) -> None:
         """The piece has corrected a landmark."""
         self._estimator.count_residuals(self._residuals, self._ranges)
-        self._estimator.report(AssociationRecord(int(number), is_new, self._sources, self._robot))
+        self._estimator.report(AssociationRecord(int(number), bool(is_new), self._sources, self._robot))
 
     def merged(self, older: int, younger: int, squared: float, offset: float) -> None:
         """Two landmarks, by number, were merged: their squared Mahalanobis distance, and their offset, m."""
@@ -64,8 +64,6 @@ class StepReports:
 
     def _test(self, index: int, piece: "Piece", squared: float, gate: float) -> CandidateTest:
         """The test that threw a landmark out, if any."""
-        from limslam_agent.slam.consistent.clone_filter import compare
-
         belief, walls = self._estimator.belief, self._estimator.walls
         line, middle = belief.line(index), piece.segment[THETA + 1 : THETA + 3]
         angle = abs(float(angle_between(float(line[1]) - piece.segment[THETA])))
@@ -73,10 +71,7 @@ class StepReports:
         along, (low, high) = (piece.points - belief.anchors[index]) @ direction(line), walls.ends[index].tolist()
         gap = max(float(along.min()) - high, low - float(along.max()))
         tests = {"direction": angle > MAX_ANGLE, "offset": offset > MAX_OFFSET, "ends": gap > MAX_END_GAP}
-        # A short piece may turn farther than the limit, because its direction is uncertain.
         excluded = next((name for name, is_out in tests.items() if is_out), "beams")
-        if excluded == "beams" and compare(belief.arrays, piece.places, piece.readings, index, piece.variances)[2]:
-            excluded = "side"
         if not np.isnan(squared):
             excluded = "gate" if squared > gate else ""
         return CandidateTest(int(walls.table[index, NUMBER]), excluded, angle, offset, gap, squared)

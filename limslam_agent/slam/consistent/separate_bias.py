@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from limslam_agent.kernels.tables import FLATTEST, LEAST_COSINE, POSE
-from limslam_agent.slam.core.triangular import solve_lower
+from limslam_agent.kernels.tables import FLATTEST, LEAST_DIVISOR, POSE
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import angle_between
 
@@ -229,7 +228,7 @@ def note_update(
     measured = jacobian @ by_errors[columns]
     if direct is not None:
         measured[:, -direct.shape[1] :] += direct
-    scaled = solve_lower(factor, np.column_stack((measured, innovation)))
+    scaled = np.linalg.solve(np.tril(factor), np.column_stack((measured, innovation)))
     ekf.errors.learn(scaled[:, :-1], scaled[:, -1])
     by_errors -= whitened.T @ scaled[:, :-1]
     by_errors += moved_again @ by_errors[:POSE]
@@ -275,7 +274,7 @@ def by_range_errors(
     beams
         Number of beams of the robot; 0 if their directions are not estimated.
     """
-    cosines = np.maximum(np.abs(expected[:, 6]), LEAST_COSINE)
+    cosines = np.maximum(np.abs(expected[:, 6]), LEAST_DIVISOR)
     sines = np.sqrt(np.maximum(1.0 - cosines**2, 0.0))
     by_width = -expected[:, 0] * sines / cosines
     by_errors = np.zeros((len(cosines), TURNS.start + beams))

@@ -10,7 +10,6 @@ from limslam_agent.kernels.tables import (
     CHANGES,
     GROUPS,
     HITS,
-    IS_KNOWN,
     LEAST,
     LENGTH,
     LOW,
@@ -23,7 +22,6 @@ from limslam_agent.kernels.tables import (
 )
 from limslam_agent.slam.consistent.limits import MAX_GAP, STRAIGHTNESS, THROUGH_TOLERANCE
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import at, direction
 from limslam_env.geometry.segment import lengths
@@ -96,8 +94,6 @@ class Wall:
         Where along the line there is wall.
     groups, readings
         Number of updates by a wall segment, and of readings in them.
-    seen, behind, is_known
-        As of ``kernels.tables.Walls``.
     known_as
         Number of the landmark that a ``NEW`` one was recognised as while it was seen; ``NEW`` if none.
     """
@@ -106,9 +102,6 @@ class Wall:
     extent: WallExtent
     groups: int
     readings: int
-    seen: FloatArray
-    behind: float = 0.0
-    is_known: bool = False
     known_as: int = NEW
 
     @property
@@ -159,7 +152,7 @@ class WallMap:
                 after[tuple(slice(size) for size in before.shape)] = before
 
     def add_known(self, points: FloatArray) -> None:
-        """Add a landmark of an earlier map, as if beams had ended at points (n, 2), m, from either side.
+        """Add a landmark of an earlier map, as if beams had ended at points (n, 2), m.
 
         Its line is the one that was last added to the filter.
         """
@@ -168,30 +161,20 @@ class WallMap:
         self.make_room(1)
         index = len(self) - 1
         add_wall(self.arrays, index)
-        count_hits(self.arrays, index, self.along(index, points), POSITIVE)
-        self.arrays.seen[index, NEGATIVE], self.arrays.table[index, IS_KNOWN] = self.arrays.seen[index, POSITIVE], 1
+        count_hits(self.arrays, index, self.along(index, points))
 
     @property
     def walls(self) -> list[Wall]:
         """The landmarks at this moment."""
         return [
-            Wall(
-                int(row[NUMBER]),
-                self._extent(index),
-                int(row[GROUPS]),
-                int(row[READINGS]),
-                self.arrays.seen[index].copy(),
-                float(self.arrays.behind[index]),
-                bool(row[IS_KNOWN]),
-            )
+            Wall(int(row[NUMBER]), self._extent(index), int(row[GROUPS]), int(row[READINGS]))
             for index, row in enumerate(self.arrays.table[: len(self)])
         ]
 
     def up_to_date(self, walls: list[Wall]) -> list[Wall]:
         """Landmarks of an earlier moment with what all beams until now say of them, if they still exist."""
         present = {wall.number: wall for wall in self.walls}
-        newest = [(wall, present.get(wall.number, wall)) for wall in walls]
-        return [replace(wall, extent=now.extent, seen=now.seen, behind=now.behind) for wall, now in newest]
+        return [replace(wall, extent=present.get(wall.number, wall).extent) for wall in walls]
 
     def replace(self, walls: list[Wall]) -> list[int]:
         """Replace all landmarks, after the filter has replaced their lines.
@@ -207,8 +190,7 @@ class WallMap:
                 new.append(number)
                 number += 1
             own = new[-1] if wall.number == NEW else wall.number
-            self.arrays.table[index] = low, length, wall.groups, wall.readings, own, 0, wall.is_known
-            self.arrays.seen[index], self.arrays.behind[index] = wall.seen, wall.behind
+            self.arrays.table[index] = low, length, wall.groups, wall.readings, own, 0
             self.arrays.counted[index, :, :length], self.arrays.ends[index] = extent.counted, extent.ends
             self.arrays.reached[index, :, :length] = extent.reached
         self.arrays.tally[NEXT_NUMBER], self._intervals = number, {}

@@ -6,8 +6,7 @@ goes on towards what the beam sees.
 
 Let a be the distance that a robot should have driven along a beam since that beam first read its minimum m. The surface
 was u away then, between 0 and m, and what exceeds u is slip. The mean square of max(a - u, 0) is
-(a^3 - max(a - m, 0)^3) / (3 m). If a beam comes to its minimum by a jump, the robot has met an edge between its beams,
-and may have touched it for some time.
+(a^3 - max(a - m, 0)^3) / (3 m).
 
 Contact with an edge that no beam sees, as behind the robot, remains unnoticed. Beams whose minimum exceeds three
 quarters of the body's radius say nothing about contact. The row "bumping" of the scoreboard feels the numbers below.
@@ -18,6 +17,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from limslam_agent.kernels.tables import LEAST_DIVISOR
 from limslam_agent.slam.core.motion import Motion
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
@@ -35,36 +35,11 @@ LONGEST = 1.0
 """No contact holds a robot back for longer than this distance by the wheels, m. A beam that still reads its minimum
 then is broken or covered, or its driver reports 0 where it sees nothing."""
 
-LEAST_MINIMUM = 1e-6
-"""A beam's minimum counts as at least this, m."""
-
-JUMP, SURE_JUMP = 0.3, 4.0
-"""A reading has jumped to the minimum from at least so much more, m, and so many standard deviations more.
-
-Smaller jumps are frequent where a robot passes the edges of a narrow door without touching them.
-"""
-
-LEAST_AHEAD = 0.002
-"""After a jump, contact needs a motion of at least this much along the beam in the step, m."""
-
-FORGOTTEN = 0.2
-"""Share of the recent travel that is forgotten in a step. The rest is that of about the last five steps."""
-
-JUMP_STEPS = 5
-"""Number of steps over which the slip before a jump may have happened."""
-
 ALONG, ACROSS = 0.8, 0.2
 """Shares of the slip's variance along the beam and across it: the surface's normal is within some 45 degrees of it."""
 
 TURN = 0.5
 """Standard deviation of the heading's slip for each metre of slip, rad/m."""
-
-
-def new_memory(beams: int) -> FloatArray:
-    """What has to be known of earlier steps (1 + 2 beams,): see :func:`slip`. Nothing is known yet."""
-    memory = np.zeros(1 + 2 * beams)
-    memory[1 : 1 + beams] = -1.0
-    return memory
 
 
 def slip(
@@ -76,7 +51,7 @@ def slip(
     too_near: FloatArray,
     radius: float,
     std: float,
-) -> tuple[float, float, bool]:
+) -> tuple[float, float]:
     """How much of the wheels' travel may have been slip by contact.
 
     Plain numbers and loops, because the batch compiles the same function.
@@ -84,8 +59,7 @@ def slip(
     Parameters
     ----------
     memory
-        Is changed: recent travel, m; for each beam the distance along it since it first read its minimum, m, -1 where
-        it does not; and for each beam the latest reading, m.
+        Is changed: for each beam the distance along it since it first read its minimum, m, -1 where it does not.
     ranges, measured
         Readings (n_beams,), m, and which of them are new.
     ahead
@@ -99,27 +73,20 @@ def slip(
     -------
     variance, angle
         Variance of the slip in this step, m^2, 0 without contact, and the direction of the beam that shows it, rad.
-    is_earlier
-        Whether the slip may as well have happened in the steps before.
     """
-    beams, most, angle, is_earlier = len(ranges), 0.0, 0.0, False
-    memory[0] = (1.0 - FORGOTTEN) * memory[0] + abs(ahead)
-    for beam in range(beams):
-        least, old, before = max(too_near[beam], LEAST_MINIMUM), memory[1 + beam], memory[1 + beams + beam]
-        if measured[beam]:
-            memory[1 + beams + beam] = ranges[beam]
+    most, angle = 0.0, 0.0
+    for beam in range(len(ranges)):
+        least, old = max(too_near[beam], LEAST_DIVISOR), memory[beam]
         if least > NEAR * radius or (old < 0.0 and not (measured[beam] and ranges[beam] <= least)):
             continue
-        driven, gained, has_jumped = ahead * math.cos(angles[beam]), 0.0, False
+        driven, gained = ahead * math.cos(angles[beam]), 0.0
         if old < 0.0:
-            memory[1 + beam] = 0.0
-            has_jumped = driven > LEAST_AHEAD and before > least + driven + JUMP + SURE_JUMP * std
-            gained = memory[0] ** 2 if has_jumped else 0.0
+            memory[beam] = 0.0
         elif measured[beam] and ranges[beam] > least + LASTING * std:
-            memory[1 + beam] = -1.0
+            memory[beam] = -1.0
         else:
             # A robot that has driven back has to come near again.
-            memory[1 + beam] = new = 0.0 if driven < 0.0 else min(old + driven, LONGEST)
+            memory[beam] = new = 0.0 if driven < 0.0 else min(old + driven, LONGEST)
             gained = (new**3 - max(new - least, 0.0) ** 3) / (3.0 * least)
             counted = (old**3 - max(old - least, 0.0) ** 3) / (3.0 * least)
             if gained < LEAST_SLIP**2:
@@ -127,8 +94,8 @@ def slip(
             elif counted >= LEAST_SLIP**2:
                 gained -= counted
         if gained > most:
-            most, angle, is_earlier = gained, angles[beam], has_jumped
-    return most, angle, is_earlier
+            most, angle = gained, angles[beam]
+    return most, angle
 
 
 def slip_covariance(variance: float, angle: float) -> FloatArray:
@@ -154,9 +121,9 @@ class Contacts:
     """
 
     def __init__(self, robot: RobotSpec, std: float) -> None:
-        self._robot, self._std, self._memory = robot, std, new_memory(len(robot.beams))
+        self._robot, self._std, self._memory = robot, std, np.full(len(robot.beams), -1.0)
 
-    def slip(self, ahead: float, ranges: FloatArray, measured: BoolArray) -> tuple[float, float, bool]:
+    def slip(self, ahead: float, ranges: FloatArray, measured: BoolArray) -> tuple[float, float]:
         """:func:`slip` in the next step."""
         robot = self._robot
         return slip(
@@ -165,7 +132,7 @@ class Contacts:
 
     def loosened(self, motion: Motion, ranges: FloatArray, measured: BoolArray) -> Motion:
         """The motion of the next step, with the slip that its readings allow in its covariance."""
-        variance, angle, _ = self.slip(float(motion.increment[0]), ranges, measured)
+        variance, angle = self.slip(float(motion.increment[0]), ranges, measured)
         if not variance:
             return motion
         return replace(motion, covariance=motion.covariance + slip_covariance(variance, angle))
@@ -193,9 +160,7 @@ def slip_covariances(
         contacts = Contacts(robot, std)
         contacts.slip(0.0, ranges[0, number], measured[0, number])
         for motion, ahead in enumerate(wheels[number].mean(axis=1).tolist()):
-            variance, angle, is_earlier = contacts.slip(ahead, ranges[motion + 1, number], measured[motion + 1, number])
+            variance, angle = contacts.slip(ahead, ranges[motion + 1, number], measured[motion + 1, number])
             if variance:
-                count = min(JUMP_STEPS, motion + 1) if is_earlier else 1
-                covariance = by_increment @ slip_covariance(variance / count, angle) @ by_increment.T
-                found[number, motion + 1 - count : motion + 1] += covariance
+                found[number, motion] = by_increment @ slip_covariance(variance, angle) @ by_increment.T
     return found

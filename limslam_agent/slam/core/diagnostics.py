@@ -46,8 +46,7 @@ class CandidateTest:
     excluded
         The test that threw the landmark out: ``"direction"``, ``"offset"``, ``"ends"``, ``"range"``, ``"hidden"`` (the
         beams cannot see it), ``"beams"`` (the readings cannot show it, for example because too few beams meet it at a
-        sufficient angle), ``"side"`` (it was only seen from the other side, and is not known to be a board) or
-        ``"gate"``. Empty if none did.
+        sufficient angle) or ``"gate"``. Empty if none did.
     angle, offset, gap
         Difference of direction, rad, offset across the landmark, m, and gap along it, m. A negative gap is an overlap.
     distance

@@ -9,15 +9,12 @@ from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from scipy.linalg.blas import dgemm
+from filterpy.kalman import ExtendedKalmanFilter
 
 from limslam_agent.kernels.tables import POSE
-from limslam_agent.slam.core.light_filterpy import ExtendedKalmanFilter
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import from_frame, from_frame_jacobians, nearest_form, to_frame, to_frame_jacobians
 from limslam_env.geometry.se2 import compose, compose_jacobians, wrap_angle
-
-_BLOCK = 130_000
 
 
 class LineEKF(ExtendedKalmanFilter):
@@ -142,7 +139,7 @@ class LineEKF(ExtendedKalmanFilter):
         # With S = L L^T, W = L^-1 H P: the gain's correction is W^T L^-1 y, and P loses W^T W.
         W, whitened = _whiten(self.S, HP, self.y)
         self.x += whitened @ W
-        self._subtract_square(W)
+        self.P -= W.T @ W
         self._restore_angles()
 
     def columns_of(self, index: int, robot: int = 0) -> IntArray:
@@ -207,18 +204,6 @@ class LineEKF(ExtendedKalmanFilter):
         self.P = P
         self.dim_x = old + 2
         return self.num_lines - 1
-
-    def _subtract_square(self, W: FloatArray) -> None:
-        """P -= W^T W, in place.
-
-        P is symmetric and stored by rows, so the transpose of some of its rows is in the column order that BLAS can
-        change in place. Blocks are smaller than the size from which BLAS uses threads, because starting the threads
-        takes longer than the product.
-        """
-        rows = max(1, _BLOCK // self.P.shape[0])
-        for first in range(0, self.P.shape[0], rows):
-            part = slice(first, first + rows)
-            dgemm(-1.0, W.T, W[:, part].T, beta=1.0, c=self.P[part].T, trans_b=1, overwrite_c=1)
 
     def _part(self, index: int) -> slice:
         first = self._first + 2 * index

@@ -2,14 +2,10 @@
 
 import numpy as np
 
-from limslam_agent.kernels.tables import POSE
+from limslam_agent.kernels.tables import POSE, THROUGH_SIGMAS, THROUGH_SLACK
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
-
-# A beam is dropped if it may have hit a teammate whose pose errs by so many standard deviations. The length (m) is
-# added to that distance, because the covariance of the published filter is too small.
-_SIGMAS, _SLACK = 3.0, 0.05
 
 
 def may_hit_others(
@@ -23,7 +19,7 @@ def may_hit_others(
     """Which beams (n_beams,) of one robot may end on another robot's body.
 
     A beam may have hit another robot if its end point is closer to that robot's estimated position than the body's
-    radius plus a margin for the uncertainty of both positions.
+    radius plus a margin for the uncertainty of both positions, the same as that of beams that pass through walls.
 
     Parameters
     ----------
@@ -40,7 +36,7 @@ def may_hit_others(
     """
     from limslam_agent.kernels.nearness import beams_on_robot
 
-    margins, suspicious = (float(robot.radius), _SIGMAS, _SLACK), np.zeros(len(ranges), bool)
+    margins, suspicious = (float(robot.radius), THROUGH_SIGMAS, THROUGH_SLACK), np.zeros(len(ranges), bool)
     for other in range(len(poses)):
         if other != index:
             beams_on_robot(

@@ -7,7 +7,6 @@ __all__ = ["compiled", "entry"]
 entry = entry_of(
     "limslam_agent.kernels.measurement",
     "limslam_agent.kernels.tables",
-    "limslam_agent.slam.core.wall_faces",
     "limslam_agent.slam.line_graph",
 )
 """The decorator for kernels of the line graph that Python calls."""

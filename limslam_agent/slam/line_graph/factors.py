@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.kernels.tables import LEAST_COSINE
+from limslam_agent.kernels.tables import LEAST_DIVISOR
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import angle_between
 
@@ -103,7 +103,7 @@ def expected_readings(
     ux, uy, nx, ny = np.cos(heading), np.sin(heading), np.cos(lines[:, 1]), np.sin(lines[:, 1])
     cosine = nx * ux + ny * uy
     # A beam exactly parallel to the line does not meet it. A very large finite distance is used instead.
-    divisor = np.where(np.abs(cosine) > LEAST_COSINE, cosine, LEAST_COSINE)
+    divisor = np.where(np.abs(cosine) > LEAST_DIVISOR, cosine, LEAST_DIVISOR)
     x, y = poses[:, 0] + arm_x - anchors[:, 0], poses[:, 1] + arm_y - anchors[:, 1]
     ranges = (lines[:, 0] - nx * x - ny * y) / divisor
     swept = arm_x * ny - arm_y * nx + ranges * (ux * ny - uy * nx)

@@ -10,11 +10,9 @@ import numpy as np
 
 from limslam_agent.kernels.measurement import read_share
 from limslam_agent.kernels.tables import BIN, GRAZING
-from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_agent.slam.line_graph.compilation import compiled, entry
+from limslam_agent.slam.line_graph.wall_faces import NEGATIVE, POSITIVE
 from limslam_env.geometry import FloatArray, IntArray
-
-_FAR = 1e9
 
 
 @compiled
@@ -51,7 +49,7 @@ def best_lines(
     """
     normals = _normals(lines, anchors)
     for k in range(len(places)):
-        best[k], misfits[k, 0], misfits[k, 1] = -1, _FAR, _FAR
+        best[k], misfits[k, 0], misfits[k, 1] = -1, math.inf, math.inf
         x, y, ux, uy = ray(poses[places[k]], beams[k])
         for line in range(len(lines)):
             nx, ny = normals[line, 0], normals[line, 1]

@@ -10,7 +10,15 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.slam.consistent.limits import MIN_OVERLAP, ONE_WALL_GATE, STRAIGHTNESS
-from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, THICKEST, board_evidence, board_odds, is_wall
+from limslam_agent.slam.line_graph.wall_faces import (
+    NEGATIVE,
+    POSITIVE,
+    SURE,
+    THICKEST,
+    board_evidence,
+    board_odds,
+    is_wall,
+)
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import angle_between, direction, normal
 

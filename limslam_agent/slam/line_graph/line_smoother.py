@@ -12,13 +12,13 @@ import numpy as np
 from scipy.sparse.linalg import SuperLU
 
 from limslam_agent.kernels.tables import GRAZING
+from limslam_agent.slam.consistent.limits import LINE_PRIOR
 from limslam_agent.slam.least_squares.normal_equations import DegenerateError, NormalEquations
 from limslam_agent.slam.line_graph.factors import Expected, motion_jacobians
 from limslam_agent.slam.line_graph.problem import Problem, State, expected, moved
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 _MOST_ITERATIONS = 6  # of a solution; those that have not converged then have wrong associations
-_LINE_STD = np.array([100.0, 10.0])  # m and rad: keeps the equations of a line regular if it was read only once
 _MOST_HALVINGS, _CHOOSING = 6, 2  # of a step; iterations after which the set of grazing readings is fixed
 _CONVERGED = 1e-3  # m or rad: the last step; what remains is of the order of its square
 _BLOCK = 150  # poses of a block, about
@@ -194,8 +194,9 @@ class _Graph:
         equations.restart()
         self._add_motions(state)
         self._add_readings(state, readings, weights)
+        # Each line has a wide prior, which keeps its equations regular if it was read only once.
         lines = np.arange(unknowns.first_line, unknowns.size).reshape(-1, 2)
-        equations.add(lines, np.tile(np.diag(1.0 / _LINE_STD), (len(lines), 1, 1)), np.zeros(lines.shape))
+        equations.add(lines, np.tile(np.diag(1.0 / np.sqrt(LINE_PRIOR)), (len(lines), 1, 1)), np.zeros(lines.shape))
         # The unknowns that are eliminated last get an entry for each pair, since their joint covariance is asked for.
         count = len(unknowns.kept)
         equations.add_blocks(unknowns.kept[None], np.zeros((1, count, count)), np.zeros((1, count)))

@@ -11,6 +11,7 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from limslam_agent.config.consistent import SelfCalibrationConfig
+from limslam_agent.config.presets import AgentConfig
 from limslam_agent.slam.core.contact import slip_covariances
 from limslam_agent.slam.core.motion import LEAST_VARIANCE
 from limslam_agent.slam.core.range_sensor import RangeSensor
@@ -18,7 +19,7 @@ from limslam_agent.slam.line_graph.factors import Expected, drive, expected_read
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import NominalNoise, RobotSpec
 
-LEAST_RANGE_STD = 0.005  # m
+LEAST_RANGE_STD = AgentConfig.min_range_std
 ASIDE_STD = 1e-5
 """Motion aside, m, that keeps the equations regular, and adds up to less than a millimetre in a run."""
 

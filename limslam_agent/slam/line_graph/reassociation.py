@@ -10,13 +10,13 @@ import numpy as np
 
 from limslam_agent.kernels.tables import FEWEST
 from limslam_agent.slam.core.line_fit import fit_line
-from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE, SURE, board_odds
 from limslam_agent.slam.line_graph import line_kernels as kernels
 from limslam_agent.slam.line_graph.factors import expected_readings, rays
 from limslam_agent.slam.line_graph.line_merging import Lines, merge_lines, wall_kinds
 from limslam_agent.slam.line_graph.line_smoother import Solution, solve
 from limslam_agent.slam.line_graph.problem import Problem, State
 from limslam_agent.slam.line_graph.straightness import straight_labels
+from limslam_agent.slam.line_graph.wall_faces import NEGATIVE, POSITIVE, SURE, board_odds
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import direction
 
@@ -67,8 +67,7 @@ def reassociate(problem: Problem, state: State, labels: IntArray) -> Association
         if board_odds(0.0, *kinds) > SURE:
             # The walls are boards for sure: what was read from one side can be read from the other side.
             seen[..., 0], seen[..., 1] = seen[..., 0].min(axis=1)[:, None], seen[..., 1].max(axis=1)[:, None]
-        labels = assigned(problem, merged.state, seen)
-        found = straightened(solve_again(problem, merged.state, labels))
+        found = straightened(solve_again(problem, merged.state, assigned(problem, merged.state, seen)))
         if np.abs(found.state.poses - before)[..., :2].max() < _SETTLED and not has_merged:
             break
     return found
@@ -161,15 +160,17 @@ def assigned(problem: Problem, state: State, ends: FloatArray) -> IntArray:
         ends, _BEYOND, problem.sensor.cone, best, misfits,
     )  # fmt: skip
     misfits /= problem.stds[:, None]
-    is_clear = (misfits[:, 0] < _GATE) & (misfits[:, 1] - misfits[:, 0] > _MARGIN)
+    is_clear = (misfits[:, 0] < _GATE) & (misfits[:, 1] > misfits[:, 0] + _MARGIN)
     return np.where(is_clear, best, -1)
 
 
 def straightened(found: Association) -> Association:
     """The optimum with bent lines divided."""
-    problem = found.problem
-    labels = straight_labels(problem, found.state, found.labels, places_along(problem, found.state, found.labels))
-    return solve_again(problem, with_lines(problem, found.state, labels), labels)
+    problem, state = found.problem, found.state
+    labels = straight_labels(problem, state, found.labels, places_along(problem, state, found.labels))
+    if np.array_equal(labels, found.labels):
+        return found
+    return solve_again(problem, with_lines(problem, state, labels), labels)
 
 
 def merge(found: Association) -> tuple[Association, bool, tuple[float, float]]:

@@ -19,7 +19,7 @@ from limslam_agent.kernels.tables import POSE
 from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with, poses_moved_with
 from limslam_agent.slam.consistent.wall_map import NEW, Wall
 from limslam_agent.slam.line_graph.line_smoother import pose_columns
-from limslam_agent.slam.line_graph.reassociation import Association, seen_ends
+from limslam_agent.slam.line_graph.reassociation import Association
 from limslam_agent.slam.line_graph.smoothed_map import contradictions, drawn_pieces, wall_extents
 from limslam_agent.slam.line_graph.smoother import FilteredRun, filter_labels, settle
 from limslam_env.geometry import FloatArray, IntArray
@@ -71,7 +71,6 @@ def _joined(start: MapState, found: Association, labels: IntArray) -> MapState:
     state, solution = found.state, found.solution
     extents = {index: extent for index, extent in wall_extents(found).items() if len(drawn_pieces(extent))}
     kept, counts = np.array(list(extents), dtype=int), np.bincount(found.labels + 1)[1:]
-    seen = seen_ends(found.problem, state, found.labels)
     lines, anchors, last = state.lines[kept], state.anchors[kept], state.poses[0, -1]
     columns = np.append(
         pose_columns(solution.unknowns.ends[-1:]), solution.unknowns.first_line + 2 * kept[:, None] + np.arange(2)
@@ -96,7 +95,7 @@ def _joined(start: MapState, found: Association, labels: IntArray) -> MapState:
             *start.walls,
             *(
                 Wall(
-                    NEW, extents[index], 1, int(counts[index]), seen[index],
+                    NEW, extents[index], 1, int(counts[index]),
                     known_as=_most_frequent(labels[found.labels == index]),
                 )
                 for index in kept.tolist()

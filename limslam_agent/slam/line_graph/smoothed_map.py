@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from limslam_agent.config.consistent import ExtentConfig
 from limslam_agent.kernels.tables import BIN, THROUGH_SIGMAS, THROUGH_SLACK
 from limslam_agent.slam.consistent.limits import MAX_GAP, THROUGH_TOLERANCE
 from limslam_agent.slam.consistent.wall_map import WallExtent
@@ -18,9 +19,7 @@ from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.geometry.line import direction, normal, normalise
 from limslam_env.geometry.segment import lengths
 
-_FEWEST_SHOWN = 10  # readings of a line that is drawn
-# The least length of a drawn segment: in m, and in standard deviations of a range.
-_SHORTEST_SHOWN, _SHORTEST_IN_STDS = 0.20, 7.5
+_SHORTEST_IN_STDS = 7.5  # least length of a drawn segment in standard deviations of a range
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +123,7 @@ def wall_extents(found: Association) -> dict[int, WallExtent]:
         index: WallExtent(
             int(counted.low[index]), np.stack((counted.hits[index], counted.misses[index])), counted.reached[index]
         )
-        for index in np.flatnonzero(counted.hits.sum(axis=1) >= _FEWEST_SHOWN).tolist()
+        for index in np.flatnonzero(counted.hits.sum(axis=1) >= ExtentConfig.min_readings).tolist()
     }
 
 
@@ -140,7 +139,7 @@ def _drawn(found: Association) -> tuple[FloatArray, IntArray]:
         drawn.append(_points(found.state, index, drawn_pieces(extent)).reshape(-1, 4))
         owners.append(np.full(len(drawn[-1]), index))
     every, owner = np.concatenate(drawn), np.concatenate(owners)
-    is_long = lengths(every) >= max(_SHORTEST_SHOWN, _SHORTEST_IN_STDS * found.problem.range_std)
+    is_long = lengths(every) >= max(ExtentConfig.min_length, _SHORTEST_IN_STDS * found.problem.range_std)
     return np.asarray(every[is_long]), np.asarray(owner[is_long])
 
 

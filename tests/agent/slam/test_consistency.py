@@ -17,7 +17,7 @@ from support.readings import Readings, clone_poses, hit_points, keep_clones, obs
 
 from limslam_agent.config.presets import AgentConfig, ConsistentConfig, preset
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
-from limslam_agent.slam.consistent.limits import FIRST_ITERATIONS, HUBER, ITERATIONS
+from limslam_agent.slam.consistent.limits import HUBER, ITERATIONS
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.motion import motion_from_wheels
 from limslam_agent.slam.slam import LineSlam
@@ -78,7 +78,7 @@ class OracleEstimator:
         self._waiting[wall] = waiting = [reading for reading in waiting if reading.driven >= oldest]
         if len(waiting) < settings.pending.batch:
             return
-        readings, iterations = self._readings(waiting), ITERATIONS
+        readings = self._readings(waiting)
         if wall not in self._index:
             points = hit_points(clone_poses(self.filter, readings.clones), readings)
             middle = points.mean(axis=0)
@@ -86,8 +86,7 @@ class OracleEstimator:
             if np.ptp((points - middle) @ across[0]) < self._min_length:
                 return
             self._index[wall] = self.filter.add_line(math.atan2(across[1][1], across[1][0]), middle)
-            iterations = FIRST_ITERATIONS
-        observe(self.filter, readings, self._index[wall], self.config.range_std, iterations, HUBER)
+        observe(self.filter, readings, self._index[wall], self.config.range_std, ITERATIONS, HUBER)
         self._waiting[wall] = []
 
     def _readings(self, waiting: list[Waiting]) -> Readings:
@@ -167,15 +166,6 @@ def runs(find: Callable[[LapLog, AgentConfig], list[float]], noise: float, count
     """Normalised errors (count, 4), a run a seed."""
     config = preset("consistent", NominalNoise(noise))
     return np.array([find(laps_of_square(noise, seed), config) for seed in range(count)])
-
-
-def test_the_band_is_that_of_chi_square() -> None:
-    generator = np.random.default_rng(0)
-    # Independent moments make it narrow, those that are all the same make it as wide as that of one moment a run.
-    independent = generator.chisquare(DEGREES, (4000, MOMENTS))
-    alike = np.repeat(generator.chisquare(DEGREES, (4000, 1)), MOMENTS, axis=1)
-    for values, freedom in ((independent, 3 * 4000 * MOMENTS), (alike, 3 * 4000)):
-        np.testing.assert_allclose(band_of_mean(values), chi2.ppf((0.025, 0.975), freedom) / freedom * 3.0, rtol=2e-3)
 
 
 @pytest.mark.parametrize("noise", [0.0, 0.02, 0.04])

@@ -1,7 +1,5 @@
 """BatchSlam and SlamVectorObservation: equal to the single filter, whatever the threads, and what happens when full."""
 
-import copy
-import pickle
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -10,11 +8,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from support.drives import FOUR_BEAMS, ROBOT, along, drive, laps_of_square, room, straight, turn
+from support.drives import ROBOT, along, drive, laps_of_square, room, straight
 
 from limslam_agent.config.consistent import ConsistentConfig, RangeErrorConfig
 from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
-from limslam_agent.kernels.tables import MISSES
 from limslam_agent.mapping.agent import LimSlamAgent
 from limslam_agent.policies.simple_policies import WallFollower
 from limslam_agent.slam.batch.batch_slam import BatchSlam
@@ -26,7 +23,6 @@ from limslam_env.config import NoiseConfig
 from limslam_env.envs.env import LimSlamEnv
 from limslam_env.envs.wrappers import NormalizedObservation
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.segment import lengths
 from limslam_env.interface import NominalNoise, Observation, RobotSpec
 from limslam_env.robots import ring
 
@@ -158,26 +154,6 @@ def test_cones_are_modelled_alike(cone: float) -> None:
     assert np.abs(slam.pose - followed(observations, stated)[0].pose).max() > 1e-3
 
 
-def test_walls_are_taken_back_alike() -> None:
-    walls = np.array([[-1.0, 0.5, 4.0, 0.5], [-1.0, -0.5, 4.0, -0.5]])
-    there, _ = drive(walls, START, straight(2.0))
-    # On the way back the wall to the right is gone.
-    back, _ = drive(walls[:1], np.array([2.0, 0.0, 0.0]), [*turn(180.0), *straight(2.0)])
-    before, _, _ = followed(there, config_of(0.0))
-    after, batch, _ = followed([*there, *back[1:]], config_of(0.0))
-    assert batch._states.walls.counted[0, :, MISSES].sum() > 20
-    right = [sum(lengths(slam.segments[slam.segments[:, 1] < 0.0])) for slam in (before, after)]
-    assert right[1] < right[0] - 0.5
-
-
-def test_more_clones_than_are_kept_are_let_go_alike() -> None:
-    # A robot that turns in front of posts sees a lot and finds nothing.
-    posts = np.vstack([room(x, y, x + 0.05, y + 0.05) for x in (-0.6, 0.0, 0.6) for y in (-0.6, 0.6)])
-    observations, _ = drive(posts, START, turn(3000.0), noise=0.02)
-    slam, _, most = followed(observations, config_of(0.02))
-    assert most >= slam.config.estimator.pending.max_clones
-
-
 def test_other_robots_and_unsteady_beams() -> None:
     robot = ring(20)
     observations, _ = drive(ROOM, START, along(CORRIDOR_LOOP[:3], robot=robot), robot, 0.02)
@@ -224,18 +200,6 @@ def test_a_reset_of_some_leaves_the_others() -> None:
     assert np.abs(beliefs.pose[0] - beliefs.pose[1]).max() > 0.1
 
 
-def test_who_is_masked_stands_still() -> None:
-    batch, single = batch_of(2, num_threads=2), batch_of(1, num_threads=1)
-    for number, seen in enumerate(DRIVE[:120]):
-        mask = np.array([True, number % 2 == 0])
-        beliefs = batch.step([seen["ranges"]] * 2, [seen["wheels"]] * 2, mask)
-        if mask[1]:
-            alone = single.step(seen["ranges"][None], seen["wheels"][None])
-            np.testing.assert_array_equal(beliefs.pose[1], alone.pose[0])
-        else:
-            assert not beliefs.pose[1].any()
-
-
 def test_without_room_for_landmarks_none_is_founded() -> None:
     full, roomy = batch_of(1, capacity=Capacity(landmarks=2)), batch_of(1)
     for seen in DRIVE:
@@ -245,34 +209,6 @@ def test_without_room_for_landmarks_none_is_founded() -> None:
     assert full.overflows[0] > 0
     assert roomy.overflows[0] == 0
     assert np.linalg.eigvalsh(beliefs.covariance[0]).min() > 0.0
-
-
-def test_without_room_for_clones_the_oldest_are_given_up() -> None:
-    batch = batch_of(1, capacity=Capacity(clones=5))
-    for seen in DRIVE:
-        beliefs = batch.step(seen["ranges"][None], seen["wheels"][None])
-    clones = batch._states.filter.clones[0]
-    assert len(clones) == 5
-    assert clones.max() > 100
-    assert batch.overflows[0] > 0
-    assert np.isfinite(beliefs.pose).all()
-
-
-def test_a_batch_takes_the_odometry_as_specified_where_one_robot_alone_would_be_calibrated() -> None:
-    log = laps_of_square(0.02, seed=5)
-    config = preset("consistent", NominalNoise(0.02))
-    single = LineSlam(FOUR_BEAMS, config, log.poses[0])
-    # A batch takes the sensor as specified, too; beams would be found to be turned here.
-    never = LineSlam(FOUR_BEAMS, without_sensor_errors(self_calibrating(config, "never")), log.poses[0])
-    batch = BatchSlam(FOUR_BEAMS, config, 1, num_threads=1, size=0)
-    batch.reset(log.poses[:1])
-    for seen in log.observations:
-        wheels = (np.array([1.02, 0.98]) * seen["wheels"]).astype(np.float32)
-        single.step({**seen, "wheels": wheels})
-        never.step({**seen, "wheels": wheels})
-        beliefs = batch.step(seen["ranges"][None], wheels[None])
-    assert single.odometry_calibration is not None
-    np.testing.assert_allclose(beliefs.pose[0], never.pose, atol=1e-6)
 
 
 def test_a_small_grid_goes_along() -> None:
@@ -304,24 +240,6 @@ def test_bad_input_is_refused_in_one_line(change: Callable[[], Any], message: st
     with pytest.raises(ValueError, match=message) as refusal:
         change()
     assert "\n" not in str(refusal.value)
-
-
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda batch: pickle.loads(pickle.dumps(batch))])  # noqa: S301 (our own)
-def test_a_copy_goes_on_alike_with_threads_of_its_own(copied: Callable[[BatchSlam], BatchSlam]) -> None:
-    batch, driven = BatchSlam(ROBOT, num_envs=4, num_threads=2, size=8), np.full((4, 2), 0.01)
-    batch.step(np.ones((4, 6)), driven)
-    assert batch._pool is not None
-    other = copied(batch)
-    assert other._pool is None
-    batch.close()
-    for _ in range(3):
-        one, two = (each.step(np.ones((4, 6)), driven) for each in (batch, other))
-        np.testing.assert_array_equal(one.pose, two.pose)
-        np.testing.assert_array_equal(one.grid, two.grid)
-    assert other._pool is not None
-    assert other._pool is not batch._pool
-    for each in (batch, other, batch):
-        each.close()
 
 
 def vector(mode: AutoresetMode, steps: int = 15, number: int = 3) -> SyncVectorEnv:
@@ -370,16 +288,6 @@ def test_the_vector_tells_what_single_wrappers_tell(mode: AutoresetMode) -> None
     env.close()
 
 
-def test_closing_ends_the_threads() -> None:
-    env = SlamVectorObservation(vector(AutoresetMode.NEXT_STEP), config_of(0.02), size=8, num_threads=2)
-    env.reset(seed=0)
-    threads = list(env.slam._pool._threads)  # type: ignore[union-attr]
-    assert threads
-    env.close()
-    assert not any(thread.is_alive() for thread in threads)
-    env.close()
-
-
 def test_what_cannot_be_wrapped_is_refused() -> None:
     with pytest.raises(ValueError, match="a grid needs at least one cell, not 0"):
         SlamVectorObservation(vector(AutoresetMode.NEXT_STEP), size=0)
@@ -389,10 +297,3 @@ def test_what_cannot_be_wrapped_is_refused() -> None:
         SlamVectorObservation(SyncVectorEnv([lambda: NormalizedObservation(LimSlamEnv("env1"))]))
     with pytest.raises(ValueError, match="preset consistent"):
         SlamVectorObservation(vector(AutoresetMode.NEXT_STEP), preset("paper"))
-
-
-def test_the_filters_are_told_the_largest_nominal_noise_of_the_environments() -> None:
-    made = gym.make_vec("LimSlam-Env1-v0", num_envs=2, sensor_noise=np.array([0.01, 0.03]))
-    assert SlamVectorObservation(made, size=8, num_threads=1).slam.config.noise == NominalNoise(0.03)
-    separate = SyncVectorEnv([lambda: LimSlamEnv("env1", sensor_noise=0.02), lambda: LimSlamEnv("env1")])
-    assert SlamVectorObservation(separate, size=8, num_threads=1).slam.config.noise == NominalNoise(0.02)

@@ -3,8 +3,7 @@
 import math
 
 import numpy as np
-import pytest
-from hypothesis import assume, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.readings import Readings, expected_ranges, hit_points
 
@@ -66,46 +65,3 @@ def test_a_reading_as_expected_ends_on_the_line(pose: FloatArray, line: FloatArr
     clear = np.nonzero(np.abs(expected.cosines) > 0.05)[0]
     points = hit_points(stacked[clear], readings._replace(ranges=expected.ranges).select(clear))
     np.testing.assert_allclose(distance(line, points - anchor), 0.0, atol=1e-11)
-
-
-@settings(deadline=None, max_examples=200)
-@given(poses, st.integers(0, 5), st.floats(0.05, 3.0), angles)
-def test_a_line_through_the_point_that_was_hit_is_expected_at_the_range_that_was_measured(
-    pose: FloatArray, beam: int, measured: float, theta: float
-) -> None:
-    readings = readings_of([beam], np.array([measured]))
-    point = hit_points(pose[None], readings)[0]
-    for anchor in (point, point + 0.7 * np.array([-math.sin(theta), math.cos(theta)]), np.zeros(2)):
-        offset = (point - anchor) @ np.array([math.cos(theta), math.sin(theta)])
-        expected = expected_ranges(pose[None], readings, np.array([offset, theta]), anchor)
-        assume(abs(expected.cosines[0]) > 0.05)
-        assert expected.ranges[0] == pytest.approx(measured, abs=1e-11)
-
-
-@settings(deadline=None, max_examples=100)
-@given(poses, lines, anchors, anchors)
-def test_neither_the_anchor_nor_the_side_of_the_normal_changes_what_is_expected(
-    pose: FloatArray, line: FloatArray, anchor: FloatArray, other: FloatArray
-) -> None:
-    stacked, readings = one_pose(pose)
-    unit = np.array([math.cos(line[1]), math.sin(line[1])])
-    moved = np.array([line[0] + unit @ (anchor - other), line[1]])
-    first, second = (
-        expected_ranges(stacked, readings, line, anchor),
-        expected_ranges(stacked, readings, moved, other),
-    )
-    behind = expected_ranges(stacked, readings, np.array([-line[0], line[1] + math.pi]), anchor)
-    clear = np.abs(first.cosines) > 0.05
-    for same in (second, behind):
-        np.testing.assert_allclose(same.ranges[clear], first.ranges[clear], atol=1e-9)
-        np.testing.assert_allclose(same.by_pose[clear], first.by_pose[clear], atol=1e-9)
-    np.testing.assert_allclose(behind.cosines, -first.cosines, atol=1e-12)
-
-
-def test_beams_exactly_along_a_line_are_told_by_their_cosine_and_stay_numbers() -> None:
-    for heading in np.linspace(-math.pi, math.pi, 73):
-        stacked, readings = one_pose(np.array([0.3, 0.2, heading]))
-        expected = expected_ranges(stacked, readings, np.array([0.5, heading]), np.zeros(2))
-        assert np.abs(expected.cosines[[0, 5]]).max() < 1e-12
-        assert all(np.isfinite(part).all() for part in expected)
-        assert np.abs(expected.ranges[[0, 5]]).min() > 1e6

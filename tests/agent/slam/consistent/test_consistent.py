@@ -23,20 +23,15 @@ from support.drives import (
 
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import preset
-from limslam_agent.kernels.extents import add_wall, count_hits
-from limslam_agent.kernels.tables import IS_KNOWN
 from limslam_agent.mapping.team import LimSlamTeam
-from limslam_agent.slam.consistent.consistent import ConsistentEstimator
-from limslam_agent.slam.consistent.merging import closes_loop
-from limslam_agent.slam.core.diagnostics import AssociationRecord, Comparison
+from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import nearest_form, through
-from limslam_env.geometry.se2 import compose, inverse, wrap_angle
-from limslam_env.geometry.segment import distances, lengths, polygon_edges
+from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.geometry.segment import lengths, polygon_edges
 from limslam_env.interface import NominalNoise, Observation, RobotSpec
 from limslam_env.metrics.association import AssociationEvent, association_metrics, closure_metrics
 from limslam_env.robots import four_beam_drone, ring
@@ -138,41 +133,6 @@ def test_a_wall_drawn_over_a_door_opens_when_beams_pass() -> None:
     assert left[1][0] == pytest.approx(2.3, abs=0.08)
     assert len(slam.segments) == 3
     check_pose(slam, more[-1], 0.01, 0.3)
-
-
-@pytest.mark.parametrize("yaw", [0.0, 2.5])
-def test_a_wall_seen_from_both_sides_is_one_landmark(yaw: float) -> None:
-    # Up one side of a thin wall, round its end, and down the other side.
-    start = np.array([0.3, -0.2, yaw])
-    between = np.array([0.0, 0.5, 3.0, 0.5])
-    walls = placed(np.vstack((between[None], room(-0.8, -0.5, 4.0, 1.5))), start)
-    wheels = along([(0.0, 0.0), (3.5, 0.0), (3.5, 1.0), (-0.3, 1.0)])
-    observations, poses = drive(walls, start, wheels, noise=0.02)
-    slam, _ = slam_after(observations, NOISY, start)
-    marks = [mark for mark in slam.landmarks if np.abs(local(mark.ends, start)[:, 1] - 0.5).max() < 0.1]
-    assert len(marks) == 1
-    assert np.ptp(local(marks[0].ends, start)[:, 0]) == pytest.approx(3.0, abs=0.15)
-    assert len(slam.landmarks) == 5
-    check_pose(slam, poses[-1], 0.08, 2.0)
-
-
-@pytest.mark.parametrize("degrees", [60.0, 120.0])
-@pytest.mark.parametrize("yaw", [0.0, 2.8])
-def test_a_corner_gives_two_walls_at_its_angle(degrees: float, yaw: float) -> None:
-    # The wall to the left turns right, and the robot with it, from as far as it has always been.
-    start, bend = np.array([1.0, -1.0, yaw]), math.radians(-degrees)
-    corner = np.array([2.0, 0.5])
-    beyond = corner + 4.0 * np.array([math.cos(bend), math.sin(bend)])
-    walls = placed(np.array([[-2.0, 0.5, *corner], [*corner, *beyond]]), start)
-    until = 2.0 - 0.5 * math.tan(math.radians(0.5 * degrees))
-    observations, poses = drive(walls, start, [*straight(until), *turn(-degrees), *straight(2.0)])
-    slam, _ = slam_after(observations, CONFIG, start)
-    assert len(slam.landmarks) == len(slam.segments) == 2
-    for mark, wall in zip(slam.landmarks, walls, strict=True):
-        assert np.abs(off_line(mark, wall)).max() < 0.01
-        # Neither goes on past the corner.
-        assert distances(mark.ends, wall[None]).max() < 0.03
-    check_pose(slam, poses[-1], 0.01, 0.5)
 
 
 @pytest.mark.parametrize("radius", [0.3, 0.6])
@@ -290,33 +250,6 @@ def test_beams_on_teammates_make_no_wall() -> None:
     assert shared
 
 
-def test_the_map_of_one_robot_helps_the_other() -> None:
-    # The first maps the corridor; the second comes from 3 m away, where there is nothing to see, with bad wheels.
-    walls = np.array([[0.0, 0.4, 8.0, 0.4], [0.0, -0.4, 8.0, -0.4]])
-    ahead, behind = np.array([0.3, 0.0, 0.0]), np.array([-3.0, 0.0, 0.0])
-    good, _ = drive(walls, ahead, straight(5.0))
-    bad, poses = drive(walls, behind, straight(5.0))
-    lying = [
-        Observation(ranges=each["ranges"], wheels=(np.asarray(each["wheels"]) * (1.0, 1.003)).astype(np.float32))
-        for each in bad
-    ]
-    alone, _ = slam_after(lying, CONFIG, behind)
-    team, records = LineSlam(ROBOT, CONFIG, np.array([ahead, behind])), list[AssociationRecord]()
-    team.on_association = records.append
-    still = Observation(wheels=np.zeros(2, dtype=np.float32))
-    for each in good:
-        team.step(each, still)
-    for each in lying:
-        team.step(still, each)
-    team.finish()
-    errors = [abs(wrap_angle(float(pose[2] - poses[-1, 2]))) for pose in (alone.pose, team.poses[1])]
-    assert errors[0] > math.radians(1.5)
-    assert errors[1] < math.radians(0.3)
-    assert len(team.landmarks) == 2
-    assert not any(record.is_new for record in records if record.robot == 1)
-    assert sum(record.robot == 1 for record in records) > 5
-
-
 def rounds(noise: float = 0.02) -> tuple[list[Observation], FloatArray]:
     """Once round a block in a room and a side more."""
     return drive(ROOM, np.zeros(3), along(LOOP), noise=noise)
@@ -385,78 +318,3 @@ def test_other_robots_map_a_room_in_bounded_time(robot: RobotSpec, milliseconds:
         assert (np.abs(off) < [0.10, math.radians(4.0)]).all(axis=1).any()
     check_pose(slam, poses[-1], 0.10, 3.0)
     check_covariance(slam)
-
-
-@pytest.mark.parametrize("yaw", [-2.9])
-def test_odometry_poses_serve_in_place_of_wheels(yaw: float) -> None:
-    start = np.array([1.0, 2.0, yaw])
-    walls = placed(ROOM, start)
-    observations, poses = drive(walls, start, along(LOOP), noise=0.02)
-    logged, before = list[Observation](), poses[0]
-    for observation, pose in zip(observations, poses, strict=True):
-        logged.append(Observation(ranges=observation["ranges"], odometry=compose(inverse(before), pose)))
-        before = pose
-    # The heading of this odometry drifts by 0.2 degrees a metre.
-    for each in logged:
-        each["odometry"][2] += math.radians(0.2) * each["odometry"][0]
-    slam, records = slam_after(logged, NOISY, start)
-    assert len(slam.landmarks) == len(ROOM)
-    check_pose(slam, poses[-1], 0.25, 4.0)
-    check_covariance(slam)
-    check_each_reading_is_used_once(records)
-
-
-def test_a_comparison_names_the_test_with_sides() -> None:
-    # As above, with a wall that is too thick to be a board.
-    walls = np.vstack(([[0.0, 0.45, 3.0, 0.45], [0.0, 0.6, 3.0, 0.6]], room(-0.8, -0.5, 4.0, 1.5)))
-    observations, _ = drive(walls, np.zeros(3), along([(0.0, 0.0), (3.5, 0.0), (3.5, 1.1), (-0.3, 1.1)]), noise=0.02)
-    slam, heard = LineSlam(ROBOT, NOISY, np.zeros(3)), list[Comparison]()
-    slam.on_comparison = heard.append
-    for observation in observations:
-        slam.step(observation)
-    near = [test for each in heard if abs(each.ends[0, 1] - 0.6) < 0.1 for test in each.tests if test.offset < 0.25]
-    sides = [test for test in near if test.excluded == "side"]
-    assert len(sides) >= 3
-    assert all(math.isnan(test.distance) and test.angle < 0.2 for test in sides)
-
-
-def two_landmarks(behind: float, std: float, sides: tuple[int, int]) -> ConsistentEstimator:
-    """An estimator with two parallel landmarks of 2 m, seen from given sides, the second ``behind`` m behind."""
-    slam = ConsistentEstimator(RobotSpec(), ConsistentConfig(), 0.02, np.zeros((1, 3)))
-    along = np.column_stack((np.linspace(-1.0, 1.0, 20), np.zeros(20)))
-    for place, side in zip((3.0, 3.0 - behind), sides, strict=True):
-        line, spread = np.array([place, 0.5 * np.pi]), np.diag([0.5 * std**2, 1e-5])
-        index = slam.belief.add_known_line(line, spread, np.array([0.0, place]))
-        add_wall(slam.walls, index)
-        count_hits(slam.walls, index, -along[:, 0], side)
-    return slam
-
-
-def kinds(slam: ConsistentEstimator) -> tuple[float, float]:
-    """Length of the landmarks that are boards, and of the walls that have two faces, m."""
-    walls, count = slam.walls, slam.belief.num_lines
-    seen, is_known = walls.seen[:count], walls.table[:count, IS_KNOWN]
-    boards = np.minimum(seen[:, 0, 1], seen[:, 1, 1]) - np.maximum(seen[:, 0, 0], seen[:, 1, 0])
-    return float((np.maximum(boards, 0.0) * (1 - is_known)).sum()), float(0.5 * walls.behind[:count].sum())
-
-
-@pytest.mark.parametrize(
-    ("behind", "std", "opposite", "is_one"),
-    [
-        (0.003, 0.01, True, True),
-        (0.15, 0.08, True, False),
-        (0.15, 0.08, False, True),
-        (0.15, 0.01, True, False),
-        (0.02, 0.2, True, False),
-        (-0.1, 0.08, True, False),
-    ],
-)
-def test_landmarks_seen_from_opposite_sides_are_merged_if_they_are_a_board(
-    behind: float, std: float, opposite: bool, is_one: bool
-) -> None:
-    slam = two_landmarks(behind, std, (POSITIVE, NEGATIVE if opposite else POSITIVE))
-    assert closes_loop(slam.belief.arrays, slam.walls, 0, 1, slam.settings, 1, None) == is_one
-    # The length of a board, and that of a wall whose thickness is known.
-    boards, walls = kinds(slam)
-    assert boards == pytest.approx(2.0 if is_one and opposite else 0.0)
-    assert walls == pytest.approx(2.0 if opposite and std < 0.05 < behind else 0.0)

@@ -9,14 +9,9 @@ import pytest
 from limslam_agent.config.consistent import ConsistentConfig, PendingReadingsConfig
 from limslam_agent.slam.consistent.pending_readings import (
     BEAM,
-    CLONE,
     DRIVEN,
     DRIVEN_AT,
-    DRIVEN_THEN,
-    FRESH,
-    RANGE,
     SIDES,
-    TAKEN_AT,
     TURNED,
     TURNED_AT,
     WAITING,
@@ -29,7 +24,7 @@ from limslam_agent.slam.consistent.step_settings import step_settings
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import FloatArray
-from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim
+from limslam_env.interface import RobotSpec, beams_on_rim
 
 ROBOT = RobotSpec()  # beams at 90, 45, 15, -15, -45, -90 deg; left are 0 and 1, ahead 2 and 3, right 4 and 5
 RANGES = np.array([0.4, 0.6, 1.0, 1.1, 0.7, 0.5])
@@ -80,24 +75,7 @@ def seen_by(*beams: int) -> FloatArray:
     return np.where(np.isin(np.arange(6), beams), RANGES, FREE)
 
 
-def test_readings_wait_by_side_with_all_that_the_filter_needs() -> None:
-    drive = _Drive()
-    assert drive.step(RANGES)
-    assert drive.step(seen_by(1, 2), distance=0.3)
-    assert drive.beams() == {"left": [0, 1, 1], "right": [4, 5], "none": [2, 3, 2]}
-    assert drive.fill[:, FRESH].tolist() == [3, 2, 3]
-    assert drive.rows("left")[:, [CLONE, TAKEN_AT, RANGE, DRIVEN_THEN]].tolist() == [
-        [10, 0, 0.4, 0.0], [10, 0, 0.6, 0.0], [11, 1, 0.6, 0.3],
-    ]  # fmt: skip
-
-
 # How far apart.
-
-
-def test_nothing_is_taken_before_the_robot_has_driven_far_enough() -> None:
-    drive = _Drive()
-    assert [drive.step(RANGES, distance=0.02) for _ in range(9)] == [True, *[False, False, True] * 2, False, False]
-    assert drive.rows("left")[::2, TAKEN_AT].tolist() == [0, 3, 6]
 
 
 # Which beams.
@@ -118,16 +96,6 @@ def test_many_beams_of_a_side_are_thinned_out_evenly(most: int, kept: int) -> No
         assert steps.max() - steps.min() <= 1
 
 
-def test_beams_that_are_left_out_are_not_looked_at_for_the_end_of_a_wall() -> None:
-    degrees = (50.0, 70.0, 90.0, 110.0, 130.0)
-    drive = _Drive(RobotSpec(beams=beams_on_rim(degrees, 0.10)), most=2)  # the first and the last
-    drive.step(np.full(5, 0.7))
-    only_between = np.array([1.5, 0.7, 0.7, 0.7, 1.5])
-    assert not drive.step(only_between, distance=0.3)
-    assert drive.beams()["left"] == [0, 4]
-    assert drive.has_ended("left", 0.25)
-
-
 @pytest.mark.parametrize("dead", [math.nan, math.inf, 1.5, 0.05, 0.0])
 def test_a_dead_beam_adds_nothing_and_holds_up_no_other(dead: float) -> None:
     drive = _Drive()
@@ -137,15 +105,6 @@ def test_a_dead_beam_adds_nothing_and_holds_up_no_other(dead: float) -> None:
     assert drive.beams() == {"left": [1] * 3, "right": [], "none": [2, 3] * 3}
     assert all(np.isfinite(drive.rows(side)).all() for side in SIDES)
     assert not drive.has_ended("right", 0.1)
-
-
-def test_a_slow_beam_waits_only_when_it_has_measured_anew() -> None:
-    beams = (SensorSpec(0.0, 0.1, 0.5 * math.pi, period=3), SensorSpec(0.0, -0.1, -0.5 * math.pi))
-    drive = _Drive(RobotSpec(beams=beams))
-    for _ in range(7):
-        drive.step(np.array([0.5, 0.6]), distance=0.06)
-    assert drive.rows("left")[:, TAKEN_AT].tolist() == [0, 3, 6]
-    assert drive.rows("right")[:, TAKEN_AT].tolist() == list(range(7))
 
 
 # The end of a wall.

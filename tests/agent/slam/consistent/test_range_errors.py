@@ -16,9 +16,8 @@ from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.output.summary import record_summary, turn_records
 from limslam_agent.slam.consistent.range_noise import RangeNoise
-from limslam_agent.slam.consistent.separate_bias import DELAY, TURNS, by_range_errors
+from limslam_agent.slam.consistent.separate_bias import DELAY, by_range_errors
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import NominalNoise, Observation, RobotSpec
@@ -39,14 +38,6 @@ def one_reading(bearing: float, cone: float) -> Readings:
 def distance_to(line: FloatArray, bearing: float, cone: float, pose: FloatArray) -> float:
     """Range of one beam that meets a line."""
     return float(expected_ranges(pose[None], one_reading(bearing, cone), line, ANCHOR).ranges[0])
-
-
-@settings(deadline=None, max_examples=100)
-@given(st.floats(-1.2, 1.2), st.floats(0.001, 0.3))
-def test_a_cone_reads_the_nearest_point_inside_it(slant: float, cone: float) -> None:
-    pose, bearing = np.array([-0.5, 0.2, 0.3]), LINE[1] + slant - 0.3
-    rays = [distance_to(LINE, bearing + share * cone, 0.0, pose) for share in np.linspace(-1.0, 1.0, 2001)]
-    assert distance_to(LINE, bearing, cone, pose) == pytest.approx(min(rays), abs=1e-6)
 
 
 @settings(deadline=None, max_examples=100)
@@ -214,41 +205,6 @@ def test_a_beam_that_always_reads_the_same_is_left_out_and_named(beam: int, read
     assert named in "".join(record_summary(result))
 
 
-def with_turned_beams(steps: int) -> tuple[LineSlam, tuple[float, ...]]:
-    """SLAM after some steps of a robot whose beams are turned by known angles, rad."""
-    turns = tuple(np.radians([3.0, -4.0, 3.0, -3.0, 4.0, -3.0]).tolist())
-    slam = LineSlam(ROBOT, config_of(), sensor=RangeSensor(NOISE, turns=turns))
-    for seen in observed(0.0, 3, turns=turns)[0][:steps]:
-        slam.step(seen)
-    return slam, turns
-
-
-def test_a_correction_keeps_what_is_reported_of_the_turns() -> None:
-    slam, _ = with_turned_beams(300)
-    before, sensor = slam.beam_turns, slam.range_sensor
-    assert before is not None
-    assert before[:, 1].min() < math.radians(0.5)
-    slam.assume(sensor._replace(std=1.2 * sensor.std))
-    assert slam.beam_turns == pytest.approx(before)
-    slam.assume(sensor._replace(turns=(sensor.turns[0] + 0.01, *sensor.turns[1:])))
-    assert slam.beam_turns == pytest.approx(before, abs=1e-3)  # the prior is about the assumed turns
-
-
-def test_what_is_unknown_of_turned_beams_is_in_the_covariance() -> None:
-    slam, turns = with_turned_beams(100)
-    ekf = slam._estimator._filter
-    errors, by_filter, before = ekf.range_errors, ekf.P[:3, :3].copy(), slam.covariance
-    by_turns = ekf.by_errors[:3, -errors.count :][:, TURNS]
-    np.testing.assert_allclose(
-        before - by_filter, by_turns @ errors.estimate_of(slice(None))[1][TURNS, TURNS] @ by_turns.T
-    )
-    assert np.linalg.eigvalsh(before - by_filter)[-1] > 1e-8
-    # A correction begins to estimate anew, and keeps what is unknown.
-    slam.assume(slam.range_sensor._replace(turns=(turns[0] + 0.001, *turns[1:])))
-    np.testing.assert_allclose(ekf.P[:3, :3], before, rtol=0.01, atol=1e-9)
-    np.testing.assert_allclose(slam.covariance, ekf.P[:3, :3])
-
-
 def test_a_stated_opening_angle_keeps_the_filter_consistent() -> None:
     robot, squared, without = replace(ROBOT, cone=CONE), [], []
     for seed in range(4):
@@ -267,8 +223,3 @@ def test_a_stated_opening_angle_keeps_the_filter_consistent() -> None:
 def test_an_impossible_opening_angle_is_refused(cone: float) -> None:
     with pytest.raises(ValueError, match="half the opening angle"):
         RobotSpec(cone=cone)
-
-
-def test_the_opening_angle_is_kept_in_files() -> None:
-    robot = RobotSpec(cone=CONE)
-    assert RobotSpec.from_json(robot.to_json()) == robot

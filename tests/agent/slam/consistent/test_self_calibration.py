@@ -62,11 +62,6 @@ def test_each_robot_has_wheels_of_its_own() -> None:
     assert slam.covariances[1][0, 0] > 1.8 * slam.covariances[0][0, 0]
 
 
-def test_only_the_consistent_estimator_can() -> None:
-    with pytest.raises(ValueError, match="only the consistent estimator can calibrate"):
-        self_calibrating(preset("paper"))
-
-
 @pytest.mark.parametrize("name", ["size_std", "uneven_std", "axle_std"])
 @pytest.mark.parametrize("value", [-0.1, math.nan, math.inf])
 def test_what_is_known_beforehand_must_make_sense(name: str, value: float) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from limslam_agent.config.presets import preset
-from limslam_agent.slam.core.contact import JUMP_STEPS, LONGEST, Contacts, slip_covariance, slip_covariances
+from limslam_agent.slam.core.contact import LONGEST, Contacts, slip_covariance, slip_covariances
 from limslam_agent.slam.line_graph.problem import make_problem, state_from_poses
 from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_run, with_breaks
 from limslam_agent.slam.slam import LineSlam
@@ -74,34 +74,21 @@ def test_steps_without_a_scan_do_not_end_a_contact() -> None:
     assert np.count_nonzero(found[0, :, 0, 0]) > 20
 
 
-def test_an_edge_between_the_beams_may_have_been_touched_before_it_is_seen() -> None:
-    contacts = Contacts(ROBOT, STD)
-    for _ in range(8):
-        assert variance_of(contacts, 0.02, 1.0) == 0.0
-    variance, angle, is_earlier = contacts.slip(0.02, seen(LEAST), ALL)
-    assert is_earlier
-    assert angle == ROBOT.beam_angles[RIGHT_OF_FRONT]
-    assert 0.06 < math.sqrt(variance) < 0.1
-    # A robot that turns on the spot passes edges without touching them.
-    turning = Contacts(ROBOT, STD)
-    assert [variance_of(turning, 0.0, near) for near in (1.0, 1.0, LEAST)] == [0.0] * 3
-
-
 def test_beams_to_the_sides_and_beams_that_cannot_measure_near_the_body_show_no_contact() -> None:
     blind = replace(ROBOT, beams=tuple(replace(beam, min_range=0.1) for beam in ROBOT.beams))
     for contacts, near, beam in ((Contacts(ROBOT, STD), LEAST, 0), (Contacts(blind, STD), 0.1, RIGHT_OF_FRONT)):
         assert sum(variance_of(contacts, 0.02, near, beam) for _ in range(10)) < 1e-12
 
 
-def test_the_smoother_allows_the_same_slip_and_earlier_for_an_edge() -> None:
+def test_the_smoother_allows_the_same_slip() -> None:
     ranges = np.array([*[seen(1.0)] * 9, *[seen(LEAST)] * 6])[:, None]
     wheels = np.full((1, len(ranges) - 1, 2), 0.02)
     slips = slip_covariances(ROBOT, STD, wheels, ranges, np.ones(ranges.shape, dtype=bool))[0]
     contacts, total = Contacts(ROBOT, STD), np.zeros((3, 3))
     contacts.slip(0.0, ranges[0, 0], ALL)
     for row in ranges[1:, 0]:
-        total += slip_covariance(*contacts.slip(0.02, row, ALL)[:2])
-    assert np.flatnonzero(slips[:, 0, 0]).tolist() == list(range(8 - JUMP_STEPS + 1, len(ranges) - 1))
+        total += slip_covariance(*contacts.slip(0.02, row, ALL))
+    assert np.flatnonzero(slips[:, 0, 0]).tolist() == list(range(9, len(ranges) - 1))
     # The mean of the wheels is the motion ahead.
     ahead = np.array([0.5, 0.5, 0.0])
     assert ahead @ slips.sum(axis=0) @ ahead == pytest.approx(total[0, 0])
@@ -167,7 +154,7 @@ def consistency(seed: int) -> tuple[float, float]:
 
 def test_a_robot_that_pushes_against_walls_knows_how_uncertain_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
     honest = np.array([consistency(seed) for seed in range(2)])
-    monkeypatch.setattr(Contacts, "slip", lambda *_: (0.0, 0.0, False))
+    monkeypatch.setattr(Contacts, "slip", lambda *_: (0.0, 0.0))
     blind = np.array([consistency(seed) for seed in range(2)])
     assert blind.mean(axis=0).min() > 10.0
     assert honest.mean(axis=0).max() < 3.0

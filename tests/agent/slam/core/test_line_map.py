@@ -51,14 +51,3 @@ def test_segments_follow_their_line_when_it_moves(degrees: int) -> None:
     assert np.linalg.norm(segment - wall(0.2, 1.2, before), axis=1).max() < 0.12
     np.testing.assert_allclose(distance(np.array([0.0, after[1] + 0.5 * math.pi]), segment),
                                along(after, wall(0.2, 1.2, before)), atol=1e-12)  # fmt: skip
-
-
-def test_a_line_that_turns_round_at_the_origin_keeps_its_wall() -> None:
-    # r passes 0 and the filter writes the same line in its other form: the wall must not jump.
-    walls = LineMap()
-    walls.add(wall(0.2, 1.2, np.array([0.01, 0.5])))
-    turned = np.array([[0.01, 0.5 - math.pi]])
-    segment = walls.segments(turned)[0].reshape(2, 2)
-    assert np.linalg.norm(segment - wall(0.2, 1.2, np.array([0.01, 0.5])), axis=1).max() < 0.021
-    walls.grow(0, turned[0], wall(-1.5, -1.1, turned[0]))
-    assert extent(walls.segments(turned)[0], turned[0]) == pytest.approx([-1.5, -0.2])

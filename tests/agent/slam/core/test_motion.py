@@ -70,32 +70,6 @@ def test_the_bias_is_made_up_for_in_proportion_to_the_distance(x: float, y: floa
     np.testing.assert_array_equal(motion.increment[:2], [x, y])
 
 
-def test_odometry_is_less_certain_the_farther_and_the_more_it_turns() -> None:
-    config = OdometryConfig()
-    still = motion_from_odometry(np.zeros(3), config).covariance
-    driven = motion_from_odometry(np.array([1.0, 0.0, 0.0]), config).covariance
-    turned = motion_from_odometry(np.array([0.0, 0.0, 1.0]), config).covariance
-    assert driven[0, 0] == pytest.approx(config.distance_variance, rel=1e-6)
-    assert driven[2, 2] == pytest.approx(config.turn_variance_per_metre, rel=1e-6)
-    assert turned[2, 2] == pytest.approx(config.turn_variance_per_radian, rel=1e-6)
-    assert np.diag(still).max() < 1e-9
-
-
-def test_an_observation_is_read_by_its_wheels_or_by_its_odometry() -> None:
-    ranges = np.zeros(6)
-    config = OdometryConfig(distance_scale=2.0)
-    wheels = motion_of({"ranges": ranges, "wheels": np.float32([0.02, 0.02])}, ROBOT, NOISE, config)
-    odometry = motion_of({"ranges": ranges, "odometry": np.array([0.02, 0.0, 0.0])}, ROBOT, NOISE, config)
-    np.testing.assert_allclose(wheels.increment, [0.02, 0.0, 0.0], atol=1e-9)
-    np.testing.assert_allclose(odometry.increment, [0.04, 0.0, 0.0], atol=1e-15)
-
-
-@pytest.mark.parametrize("bad", [[math.nan, 0.0], [0.0, math.inf], [0.1], [0.1, 0.1, 0.1], [[0.1, 0.1]], 0.1])
-def test_wheels_that_are_not_two_finite_numbers_are_refused(bad: object) -> None:
-    with pytest.raises(ValueError, match="wheels must be 2 finite numbers"):
-        motion_of({"ranges": np.zeros(6), "wheels": np.array(bad)}, ROBOT, NOISE, OdometryConfig())
-
-
 @pytest.mark.parametrize("bad", [[math.nan, 0.0, 0.0], [0.0, 0.0, -math.inf], [0.1, 0.1], [0.1] * 4])
 def test_odometry_that_is_not_three_finite_numbers_is_refused(bad: object) -> None:
     with pytest.raises(ValueError, match="odometry must be 3 finite numbers"):

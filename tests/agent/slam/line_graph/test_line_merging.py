@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from limslam_agent.slam.core.wall_faces import NEGATIVE, POSITIVE
 from limslam_agent.slam.line_graph.line_merging import Lines, merge_lines, wall_kinds
+from limslam_agent.slam.line_graph.wall_faces import NEGATIVE, POSITIVE
 
 UNSEEN = [np.inf, -np.inf]
 
@@ -40,12 +40,6 @@ def test_merged_lines_meet_where_both_say(turned):
     heights = lines.anchors[:, 1] + lines.lines[:, 0] * np.sin(lines.lines[:, 1])
     assert heights == pytest.approx([-0.01, -0.01], abs=1e-4)
     assert lines.covariance[2, 2] == pytest.approx(0.5 * 0.02**2, rel=0.01)
-
-
-def test_what_is_known_of_a_building_decides_about_vague_lines():
-    assert not merged(0.05, 0.2)[0]
-    assert merged(0.05, 0.2, kinds=(20.0, 0.0))[0]
-    assert not merged(0.05, 0.2, kinds=(20.0, 20.0))[0]
 
 
 @pytest.mark.parametrize("turned", [False, True])

@@ -1,24 +1,18 @@
 """The line smoother: its Jacobians, its optimum, its covariances, and what it can calibrate."""
 
-import math
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from support.drives import ROBOT
-from support.smoother_runs import START, WHEEL_VARIANCE, noisy_run, state_from_motions, true_labels
+from support.smoother_runs import noisy_run, state_from_motions, true_labels
 
-from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph import line_smoother
-from limslam_agent.slam.line_graph.factors import drive, expected_readings, motion_jacobians, motions_between
+from limslam_agent.slam.line_graph.factors import expected_readings, motion_jacobians, motions_between
 from limslam_agent.slam.line_graph.line_smoother import pose_columns, solve
 from limslam_agent.slam.line_graph.problem import (
     CALIBRATION_PRIOR,
-    make_problem,
 )
 from limslam_agent.slam.line_graph.reassociation import solve_labels
-from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
-from limslam_env.interface import NominalNoise
+from limslam_env.geometry.se2 import wrap_angle
 
 
 def smoothed(problem, poses):
@@ -29,17 +23,6 @@ def nees(true, estimated, covariances):
     error = true - estimated
     error[..., 2] = wrap_angle(error[..., 2])
     return np.einsum("ni,ni->n", error, np.linalg.solve(covariances, error[..., None])[..., 0])
-
-
-def test_motions_are_the_arcs_of_wheels():
-    travel = np.array([[0.02, 0.03], [0.03, -0.01], [0.0, 0.0], [-0.02, -0.02]])
-    motions = np.column_stack((travel, np.zeros(4)))
-    poses = drive(START, motions, ROBOT.axle)
-    pose = START
-    for number, wheels in enumerate(travel):
-        pose = compose(pose, arc(*wheels_to_arc(wheels, ROBOT.axle)))
-        assert poses[number + 1] == pytest.approx(pose, abs=1e-12)
-    assert motions_between(poses, ROBOT.axle) == pytest.approx(motions, abs=1e-12)
 
 
 @pytest.mark.parametrize("turn", [0.0, 1e-5, 0.3, -1.2])
@@ -68,14 +51,6 @@ def test_derivatives_of_readings_are_differences(width):
         change[column] = 1e-6
         ends = [expected_at(pose + sign * change[:3], line + sign * change[3:]).ranges[0] for sign in (1.0, -1.0)]
         assert derivatives[column] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=1e-6)
-
-
-def test_far_readings_count_less_where_the_noise_grows():
-    problem, poses = noisy_run(8)
-    sensor = RangeSensor(0.02, 0.06)
-    solution = smoothed(replace(problem, sensor=sensor), poses)
-    used = solution.weights > 0.0
-    assert solution.weights[used] == pytest.approx(1.0 / sensor.variances(problem.readings.distances[used]))
 
 
 @pytest.fixture(params=[1, 7, 100_000])
@@ -134,35 +109,6 @@ def test_errors_are_as_large_as_the_covariances_say():
         mean.append(nees(poses[0, 30:], solution.state.poses[0, 30:], covariances[0, 30:]).mean() / 3.0)
     # The mean of 12 runs of strongly correlated poses: chi-square of about 36 degrees of freedom, over 36.
     assert 0.5 < np.mean(mean) < 1.6
-
-
-def test_two_robots_share_their_lines():
-    problem, poses = noisy_run(5, robots=2)
-    both = smoothed(problem, poses)
-    assert len(both.state.lines) == 4
-    assert np.abs(both.state.poses - poses)[..., :2].max() < 0.05
-    alone = [
-        make_problem(
-            ROBOT, NominalNoise(0.02, WHEEL_VARIANCE), poses[[number], 0],
-            np.concatenate((np.zeros((1, 1, 2)), np.moveaxis(problem.wheels[[number], :, :2], 0, 1))),
-            ranges_of(problem, number),
-        )
-        for number in range(2)
-    ]  # fmt: skip
-    for number, single in enumerate(alone):
-        solution = smoothed(single, poses[[number]])
-        deviation = math.sqrt(both.of_poses[number, -1, 0, 0] / solution.of_poses[0, -1, 0, 0])
-        assert deviation < 1.0
-
-
-def ranges_of(problem, number):
-    """The readings (t, 1, n_beams) of one robot of a problem, its maximum where there are none."""
-    ranges = np.full((problem.steps, 1, len(ROBOT.beams)), 1.5)
-    own = problem.readings.places // problem.steps == number
-    ranges[problem.readings.places[own] % problem.steps, 0, problem.readings.beams[own]] = problem.readings.distances[
-        own
-    ]
-    return ranges
 
 
 def test_wheel_sizes_are_found():

@@ -10,15 +10,14 @@ from limslam_agent.config.published import AssociationConfig
 from limslam_agent.slam.core.diagnostics import CandidateTest
 from limslam_agent.slam.core.ekf import LineEKF
 from limslam_agent.slam.published import association
-from limslam_agent.slam.published.association import ObservedLine, alike, associate, visible
+from limslam_agent.slam.published.association import ObservedLine, associate
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.line import normalise, through, to_frame
+from limslam_env.geometry.line import through, to_frame
 from limslam_env.geometry.se2 import transform_points
 
 # Given here, not left to the defaults: the scenes are drawn around these gaps.
 CONFIG = AssociationConfig(gate=100.0, max_end_gap=0.25, range_slack=0.25)
 MAX_RANGE = 1.6
-ROBOT = np.zeros(3)
 # Scenes are written down about a robot at the origin and then put anywhere: all round, behind the
 # start, turned by more than 90 degrees, and such that the walls of the scenes pass close by the origin.
 PLACES = [(0.0, 0.0, 0.0), (2.0, -1.0, 2.5), (-0.5, 0.2, 1.6), (0.0, 0.499, 3.1)]
@@ -56,30 +55,15 @@ WALL_AHEAD = observed((0.0, 0.5), (0.6, 0.5))
 
 # What is observed, the landmark, and the one exclusion that keeps them apart.
 SCENES = {
-    # Slanted beams, drawn out past the wall that they saw, would meet the landmark beyond the door.
-    "beyond a door of 0.8 m": (
-        observed((0.0, 0.5), (0.3, 0.5), *[(x - 0.4 * math.sqrt(0.75), 0.3) for x in np.linspace(0.0, 0.3, 10)]),
-        (1.1, 0.8, 1.6, 0.8),
-        "near_ends",
-    ),
     # Most beams meet the landmark lengthened by the slack of 0.5 m.
     "before a gap of 0.4 m": (observed((0.0, 0.5), (0.15, 0.5)), (-1.4, 0.5, -0.4, 0.5), "near_ends"),
-    "before a gap of 0.26 m": (observed((0.0, 0.5), (0.3, 0.5)), (-1.4, 0.5, -0.26, 0.5), "near_ends"),
     # Beside a long observation that its few last beams alone reach.
     "seen by too few": (observed((-1.2, 0.5), (0.6, 0.5)), (0.4, 0.6, 1.0, 0.6), "visible"),
-    # The robot drives in the wall's strip: the beams look away from it, though it is near and parallel.
-    "at the beams' backs": (
-        observed((0.0, 0.2), (0.6, 0.2), *[(x, 0.1) for x in np.linspace(0.0, 0.6, 10)]),
-        (0.0, -0.1, 0.6, -0.1),
-        "visible",
-    ),
     # Observed to the left and a landmark that is crossed on the right only.
     "behind the robot": (observed((-0.3, 0.15), (0.3, 0.15), (0.0, 0.1)), (-0.3, -0.15, 0.3, -0.15), "visible"),
     # Points of a long way back: their wall's continuation is near them, but out of sight from here.
     "out of range": (observed((-2.2, 0.5), (-1.8, 0.5)), (-3.5, 0.5, -2.4, 0.5), "in_range"),
-    "out of range ahead": (observed((1.7, -0.5), (2.2, -0.5)), (2.3, -0.5, 3.0, -0.5), "in_range"),
     "turned by 30 degrees": (WALL_AHEAD, (0.05, 0.35, 0.55, 0.64), "alike"),
-    "turned by -30 degrees": (WALL_AHEAD, (0.05, 0.64, 0.55, 0.35), "alike"),
     "parallel, 0.5 m farther": (WALL_AHEAD, (0.0, 1.0, 0.6, 1.0), "alike"),
 }  # fmt: skip
 EXCLUSIONS = ("near_ends", "visible", "in_range", "alike")
@@ -113,11 +97,8 @@ def test_one_exclusion_alone_keeps_the_pair_apart(
 
 SEEN_AGAIN = {
     "beside": (WALL_AHEAD, (0.0, 0.5, 0.6, 0.5)),
-    "a little off": (WALL_AHEAD, (0.1, 0.58, 0.7, 0.62)),
     "its continuation": (WALL_AHEAD, (0.8, 0.5, 1.5, 0.5)),
     "part of it": (WALL_AHEAD, (-1.0, 0.5, 1.5, 0.5)),
-    "on the right": (observed((-0.6, -0.7), (0.2, -0.7)), (-0.5, -0.7, 0.5, -0.7)),
-    "behind": (observed((-0.8, -0.3), (-0.8, 0.3)), (-0.8, -0.2, -0.8, 0.5)),
     "askew": (observed((0.4, 0.9), (1.0, 0.3)), (0.5, 0.8, 0.9, 0.4)),
 }
 
@@ -147,34 +128,3 @@ def test_the_nearest_landmark_comes_first_and_the_gate_ends_the_list(place: tupl
     assert [test.distance for test in found] == pytest.approx([30.25, 1.0, 16.0, 225.0], rel=1e-3)
     gated = associate(observation, pose, lines, segments, ekf.innovation, MAX_RANGE, replace(CONFIG, gate=10.0))
     assert possible(gated) == [1]
-
-
-def test_without_landmarks_there_is_no_match() -> None:
-    assert matched(WALL_AHEAD, ROBOT, np.zeros((0, 2)), np.zeros((0, 4))) == []
-
-
-@pytest.mark.parametrize("place", PLACES)
-def test_most_beams_must_see_the_landmark(place: tuple[float, float, float]) -> None:
-    pose = np.array(place)
-    _, segments = landmarks(pose, (-0.5, 1.0, 0.5, 1.0))
-    up, down = (0.0, 0.5), (0.0, -0.5)
-    for ahead, expected in ((10, True), (5, True), (4, False), (0, False)):
-        points = np.array([up] * ahead + [down] * (10 - ahead))
-        scene = ObservedLine(np.array([0.5, 0.5 * math.pi]), np.eye(2), points[:2], np.zeros((10, 2)), points)
-        assert visible(scene, pose, segments, 1.2, 0.0).tolist() == [expected]
-        assert visible(scene, pose, segments, 0.9, 0.0).tolist() == [False]
-
-
-@pytest.mark.parametrize("degrees", range(-180, 181, 90))
-def test_likeness_holds_all_round_the_circle_and_across_its_seam(degrees: int) -> None:
-    theta = math.radians(degrees)
-    line = np.array([1.0, theta])
-    middle = np.array([[math.cos(theta), math.sin(theta)]])
-    for off, expected in ((0.0, True), (10.0, True), (-10.0, True), (20.0, False), (-20.0, False), (90.0, False)):
-        # Turned about the observation's middle, so that only the angle counts.
-        turned = theta + math.radians(off)
-        candidate = np.array([[math.cos(turned - theta), turned]])
-        for form in (candidate, normalise(candidate), np.array([[-candidate[0, 0], turned + math.pi]])):
-            assert alike(line, middle, form, CONFIG.max_angle, 0.35).tolist() == [expected]
-    for r, expected in ((1.3, True), (0.7, True), (1.4, False), (0.6, False)):
-        assert alike(line, middle, np.array([[r, theta]]), CONFIG.max_angle, 0.35).tolist() == [expected]

@@ -6,8 +6,8 @@ from support.drives import ranges_at
 
 from limslam_agent.config.ablations import ablated
 from limslam_agent.config.presets import AgentConfig, preset
-from limslam_agent.config.published import LoopClosingConfig, MapConfig, PublishedConfig
-from limslam_agent.slam.published.loop_closing import agree, squared_distance
+from limslam_agent.config.published import LoopClosingConfig, PublishedConfig
+from limslam_agent.slam.published.loop_closing import agree
 from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, inverse, wrap_angle
@@ -15,7 +15,6 @@ from limslam_env.geometry.segment import polygon_edges
 from limslam_env.interface import NominalNoise, RobotSpec, beams_on_rim
 
 CONFIG = LoopClosingConfig()
-SMALL = np.diag([1e-4, 1e-4])
 
 
 def wall(y: float, x1: float, x2: float) -> np.ndarray:
@@ -41,29 +40,7 @@ def test_walls_far_apart_or_at_an_angle_are_two():
     assert not agree(0, 1, lines, np.array([wall(1.0, 0.0, 2.0), slanted]), 1.0, CONFIG)
 
 
-def test_walls_that_the_filter_tells_apart_are_two():
-    first, second = wall(1.0, 0.0, 2.0), wall(1.1, 0.0, 2.0)
-    assert both(first, second, CONFIG.gate)
-    assert not both(first, second, CONFIG.gate + 0.1)
-
-
-def test_the_floor_keeps_a_difference_from_being_known_too_well():
-    difference = np.array([0.01, 0.0])
-    assert squared_distance(difference, np.zeros((2, 2)), np.array([0.01, 0.01])) == pytest.approx(1.0)
-    assert squared_distance(difference, SMALL, np.zeros(2)) == pytest.approx(1.0)
-
-
 ROBOT = RobotSpec(beams=beams_on_rim((90.0, 60.0, -60.0, -90.0), 0.1))
-WALL = np.array([[0.0, 1.0, 2.0, 1.0]])
-
-
-def drive(slam: LineSlam, true: np.ndarray, end: float, drift: float) -> np.ndarray:
-    """Along the wall to x = ``end``, with wheels that turn ``drift`` (rad) too little a step; the true pose."""
-    while (end - true[0]) * np.cos(true[2]) > 0.0:
-        wheels = np.array([0.02 + 0.5 * drift * ROBOT.axle, 0.02 - 0.5 * drift * ROBOT.axle])
-        true = compose(true, np.array([0.02, 0.0, 0.0]))
-        slam.step({"ranges": ranges_at(true, WALL, ROBOT), "wheels": wheels})
-    return true
 
 
 def test_without_loop_closing_there_are_no_closures_and_the_ablations_are_one_switch_each():
@@ -74,22 +51,6 @@ def test_without_loop_closing_there_are_no_closures_and_the_ablations_are_one_sw
     assert ablated(base, "only-best-line").estimator.hough.only_best
     with pytest.raises(ValueError, match="no ablation is called 'no-brain'"):
         ablated(base, "no-brain")
-
-
-def test_a_landmark_is_a_wall_of_the_map_when_it_is_long_enough_and_seen_again():
-    estimator = PublishedConfig(map=MapConfig(min_observations=2, min_length=0.5))
-    config = AgentConfig(estimator=estimator, noise=NominalNoise(0.005))
-    slam = LineSlam(ROBOT, config, np.array([-0.5, 0.3, 0.0]))
-    sizes, known = [], []
-    slam.on_association = lambda record: known.append(record.landmark)
-    true = np.array([-0.5, 0.3, 0.0])
-    for end in np.arange(0.0, 2.6, 0.1):
-        true = drive(slam, true, end, 0.0)
-        sizes.append((len(known), len(slam.segments)))
-    assert (1, 0) in sizes, "seen once, it is provisional"
-    assert sizes[-1][1] == 1
-    assert [mark.number for mark in slam.landmarks] == [0]
-    assert slam.landmarks[0].observations >= 2
 
 
 def walled_loop() -> tuple[FloatArray, FloatArray]:

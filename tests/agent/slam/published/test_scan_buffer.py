@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -11,7 +10,7 @@ from limslam_agent.config.published import BufferConfig
 from limslam_agent.slam.published.scan_buffer import Scan, ScanBuffer
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import arc, compose, transform_points
-from limslam_env.interface import RobotSpec, beams_on_rim
+from limslam_env.interface import RobotSpec
 
 ROBOT = RobotSpec()  # beams at 90, 45, 15, -15, -45, -90 deg; left are 0 and 1, right are 4 and 5
 ALL = np.ones(6, dtype=bool)
@@ -76,73 +75,4 @@ def test_a_wall_that_has_ended_is_handed_on_after_the_gap_and_not_before() -> No
     assert [index for index, scans in enumerate(given_up) if scans] == [12]
     (scan,) = given_up[12]
     np.testing.assert_allclose(scan.points, [[-0.26, 0.5]], atol=1e-12)
-    assert len(buffer.scan) == 0
-
-
-LONG_STEP = np.array([0.4, 0.0, 0.0])
-
-
-@pytest.mark.parametrize("between", ["a long step", "steps without a measurement"])
-def test_a_miss_before_the_distance_ends_the_wall_before_the_hit_that_comes_after(between: str) -> None:
-    buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
-    buffer.add(RANGES, ALL, only(0), 0)
-    buffer.move(np.array([0.1, 0.0, 0.0]))
-    handed_on = buffer.add(RANGES, ALL, NOTHING, 1)
-    assert handed_on == []
-    if between == "a long step":
-        buffer.move(LONG_STEP)
-    else:
-        for _ in range(4):
-            buffer.move(np.array([0.1, 0.0, 0.0]))
-            handed_on += buffer.add(RANGES, NOTHING, NOTHING, 1)
-    handed_on += buffer.add(RANGES, ALL, only(0), 2)
-    # Once, and the new hit is none of the old wall's points.
-    assert [scan.readings.tolist() for scan in handed_on] == [[[0, 0]]]
-    assert buffer.scan.readings.tolist() == [[2, 0]]
-
-
-@pytest.mark.parametrize(("measuring", "ends"), [((2, 3, 4, 5), False), ((0,), True), ((1, 5), True)])
-def test_only_a_measuring_beam_of_the_own_side_can_miss(measuring: tuple[int, ...], ends: bool) -> None:
-    buffer = ScanBuffer(ROBOT, "left", BufferConfig(max_gap=0.25))
-    buffer.add(RANGES, ALL, only(0), 0)
-    buffer.move(LONG_STEP)
-    # The other side's hits do not count for this one.
-    assert len(buffer.add(RANGES, only(*measuring), only(5), 1)) == ends
-
-
-def test_left_and_right_are_apart_and_front_beams_go_to_neither() -> None:
-    left, right = (ScanBuffer(ROBOT, side, BufferConfig()) for side in ("left", "right"))
-    for buffer in (left, right):
-        buffer.add(RANGES, ALL, ALL, 3)
-    assert left.scan.readings.tolist() == [[3, 0], [3, 1]]
-    assert right.scan.readings.tolist() == [[3, 4], [3, 5]]
-    assert (left.scan.points[:, 1] > 0.0).all()
-    assert (right.scan.points[:, 1] < 0.0).all()
-
-
-def test_standing_still_adds_nothing() -> None:
-    buffer = ScanBuffer(ROBOT, "left", BufferConfig(size=4))
-    buffer.add(RANGES, ALL, ALL, 0)
-    for step in range(1, 50):
-        buffer.move(np.zeros(3))
-        assert buffer.add(RANGES, ALL, ALL, step) == []
-    assert buffer.scan.readings[:, 0].tolist() == [0, 0]
-
-
-def test_creeping_adds_a_point_once_it_adds_up_to_the_least_distance() -> None:
-    buffer = ScanBuffer(ROBOT, "left", BufferConfig(min_distance=0.01))
-    for step in range(9):
-        buffer.move(np.array([0.003, 0.0, 0.0]))
-        buffer.add(RANGES, ALL, only(0), step)
-    assert buffer.scan.readings[:, 0].tolist() == [0, 4, 8]
-
-
-@pytest.mark.parametrize("side", ["left", "right"])
-def test_a_side_without_beams_stays_empty(side: str) -> None:
-    robot = RobotSpec(beams=beams_on_rim((0.0, 180.0), 0.1))
-    buffer = ScanBuffer(robot, side, BufferConfig())
-    both = np.ones(2, dtype=bool)
-    for step in range(3):
-        buffer.move(np.array([1.0, 0.0, 0.0]))
-        assert buffer.add(np.array([0.5, 0.5]), both, both if step else ~both, step) == []
     assert len(buffer.scan) == 0

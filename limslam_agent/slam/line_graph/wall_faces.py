@@ -4,8 +4,7 @@ A beam hits a wall from one side. A thin board is one line from both sides. A wa
 as far apart as the wall is thick. What was measured of the line decides between the two hypotheses, together with the
 kind of the walls for which this is known already: most buildings have walls of one kind.
 
-The functions are scalar and use nothing but :mod:`math`, so that kernels can compile them. The row "thick walls" of the
-scoreboard feels the numbers below.
+The rows "drive 4 cm" and "thick walls" of the scoreboard feel the numbers below.
 """
 
 import math
