@@ -17,23 +17,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.replay.local_views import LocalViews, moves_of
+from limslam_agent.replay.local_views import AFTER, BEFORE, LocalViews, moves_of
 from limslam_agent.slam.graph.key_poses import LogData, integrate
-from limslam_agent.slam.graph.loop_search import TURN_STEP
+from limslam_agent.slam.graph.loop_search import SCORES, TURN_STEP
 from limslam_agent.slam.graph.matching import NO_MATCH, Window
 from limslam_env.geometry import FloatArray, IntArray
 
 _LEAST_REACH = 2.5  # m: logs whose beams reach less are not judged, since they see too little ahead of a stop
-_UNSIGNED = 1e-3  # odometry reports no driving backwards if at most this share of its path is driven backwards
 _LEAST_PERIOD = 0.2  # s, over which a speed is measured
 _SLOW = 0.35  # the robot may turn round where it is slower than this share of its median speed
 _LEAST_LENGTH = 0.15  # m: shorter stretches between such events are not judged
-# The last metres before a stretch are compared with its first metres, and with this distance beyond a short stretch, m.
-_BEFORE, _AFTER, _BEYOND = 3.5, 2.0, 1.0
 _WINDOW = Window(0.4, math.radians(9.0), TURN_STEP)
-# A stretch was driven backwards if this fits with at least this score, and better than driving ahead by the lead and by
-# this for each metre, since in a corridor both directions fit.
-_LEAST_SCORE, _LEAD, _LEAD_PER_METRE = 0.45, 0.12, 0.06
+# A stretch was driven backwards if this fits, and better than driving ahead by the lead and by this for each metre,
+# since in a corridor both directions fit.
+_LEAD, _LEAD_PER_METRE = 0.12, 0.06
 
 
 def with_reversing(data: LogData, config: GraphConfig) -> LogData:
@@ -71,9 +68,9 @@ def reversed_distance(data: LogData, directed: LogData) -> tuple[float, int]:
 
 
 def _is_unsigned(views: LocalViews) -> bool:
-    """Whether odometry has never reported driving backwards."""
+    """Whether odometry has never reported driving backwards, but for noise."""
     ahead = views.moves[:, 0]
-    return bool(-ahead[ahead < 0.0].sum() <= _UNSIGNED * views.travel[-1])
+    return bool(-ahead[ahead < 0.0].sum() < _LEAST_LENGTH)
 
 
 @dataclass(frozen=True)
@@ -90,9 +87,6 @@ class _Judgement:
 
     lead: float
     contradicted: float
-
-
-_UNKNOWN = _Judgement(NO_MATCH, 0.0)
 
 
 @dataclass(eq=False)
@@ -125,24 +119,23 @@ class _Drive:
     def near(self, number: int) -> IntArray:
         """The stretches whose comparison uses this stretch."""
         begins, ends = self.views.travel[self.stretches.T]
-        reach = _BEFORE + _AFTER
+        reach = BEFORE + AFTER
         return np.flatnonzero((begins <= ends[number] + reach) & (ends >= begins[number] - reach))
 
     def judged(self, number: int) -> _Judgement:
         """What speaks for a stretch having been driven backwards."""
         begin, end = map(int, self.stretches[number])
         views = self.views
-        known = views.known(begin, _BEFORE)
+        known = views.known(begin)
         if known is None:
-            return _UNKNOWN
-        length = float(views.travel[end] - views.travel[begin])
-        moves = views.moves[begin : views.last_event(begin, min(_AFTER, length + _BEYOND))].copy()
+            return _Judgement(NO_MATCH, 0.0)
+        moves = views.next_moves(begin)
         ahead = views.fit(known, begin, moves)
         moves[: end - begin, :2] *= -1.0
         backwards = views.fit(known, begin, moves)
-        if backwards.score < _LEAST_SCORE:
-            return _UNKNOWN
-        needed = _LEAD + _LEAD_PER_METRE * length
+        if backwards.score < SCORES[0]:
+            return _Judgement(NO_MATCH, 0.0)
+        needed = _LEAD + _LEAD_PER_METRE * float(views.travel[end] - views.travel[begin])
         return _Judgement(backwards.score - ahead.score - needed, ahead.contradicted)
 
 

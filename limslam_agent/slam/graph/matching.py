@@ -25,7 +25,7 @@ _VOLUME_CELLS, _VOLUME_TURNS = 10, 5
 _PRIOR = 0.05  # penalty of a match at the border of its window, for shift and for turn
 _SHARPNESS = 0.25  # from a difference in score to one in log-likelihood, for each point
 _FLOOR_POSITION, _FLOOR_TURN = 0.06, math.radians(1.2)  # least standard deviations of a match, m and rad
-NO_MATCH = -9.0
+NO_MATCH = -math.inf
 LEAST_POINTS = 20
 """Fewer points are not matched, since they fit nearly anywhere. By ``_SHARPNESS``, a perfect fit of 20 points is only
 e^5 = 150 times as likely as a fit in unknown cells, and a search compares thousands of poses."""

@@ -10,9 +10,8 @@ from support.corridors import SIX_BEAMS, corridor_log, loop_errors, walls
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.config.presets import preset
 from limslam_agent.logs.recorded_log import RecordedLog
-from limslam_agent.logs.relations import Relations
 from limslam_agent.output.finished_run import FolderError, read_run
-from limslam_agent.replay.replay import relation_scores, replay_log, write_replay
+from limslam_agent.replay.replay import replay_log, write_replay
 from limslam_agent.replay.smoothing import draw_walls
 from limslam_agent.runs.inspection import inspect_log
 from limslam_agent.slam.graph.point_links import PointCloud
@@ -65,16 +64,6 @@ def test_the_map_is_drawn_from_the_smoothed_path(smoothed):
     assert np.median(off) < 0.1 + drift
     assert replay.segments.shape == (len(replay.landmarks), 4)
     assert replay.grid.free.sum() > 100
-
-
-def test_known_motions_score_the_smoothed_path_too(smoothed):
-    replay, truth = smoothed
-    rows = np.arange(0, len(truth) - LAP, 20)
-    time = replay.log.time
-    known = Relations(time[rows], time[rows + LAP], se2.between(truth[rows], truth[rows + LAP]))
-    scores = relation_scores(replay, known)
-    assert scores["smoothed_relation_error_m"] < 0.1
-    assert scores["raw_odometry_relation_error_m"] > 5.0 * scores["smoothed_relation_error_m"]
 
 
 def test_the_folder_holds_both_paths_and_the_loops(smoothed, tmp_path):

@@ -3,7 +3,6 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from limslam_agent.config.graph import PointConfig
 from limslam_agent.slam.graph.key_poses import (
@@ -12,11 +11,7 @@ from limslam_agent.slam.graph.key_poses import (
     choose_keys,
     corrected,
     delayed,
-    event_poses,
     joined_bias,
-    odometry_trajectory,
-    points_in_keys,
-    to_world,
 )
 from limslam_env.geometry import se2
 
@@ -36,30 +31,6 @@ def wandering(count=200, beams=3):
 
 def keys_of(log):
     return choose_keys(log, PointConfig())
-
-
-def test_without_correction_every_event_is_where_odometry_has_it():
-    log = wandering()
-    start = np.array([3.0, -2.0, 1.0])
-    poses = event_poses(keys_of(log), odometry_trajectory(keys_of(log), start))
-    wanted = se2.compose(start, se2.between(log.odometry[0], log.odometry))
-    assert np.allclose(poses[:, :2], wanted[:, :2])
-    assert np.allclose(se2.wrap_angle(poses[:, 2] - wanted[:, 2]), 0.0, atol=1e-6)  # motions are rounded to 1e-7
-
-
-def test_points_lie_where_their_beams_end():
-    log = wandering()
-    keys = keys_of(log)
-    trajectory = odometry_trajectory(keys, log.odometry[0])
-    points, origins = points_in_keys(keys, trajectory.bias)
-    world, begin = (to_world(trajectory.poses[keys.point_key], each) for each in (points, origins))
-    row = 57
-    event = keys.point_event[row]
-    lengths = np.hypot(*(world - begin).T)
-    assert lengths[row] == pytest.approx(lengths[row])
-    assert np.min(np.abs(log.ranges[event] - lengths[row])) < 1e-9
-    beam = int(np.argmin(np.abs(log.ranges[event] - lengths[row])))
-    assert np.allclose(begin[row], se2.transform_points(log.odometry[event], log.origins[beam][None])[0])
 
 
 def test_constant_errors_of_odometry_are_undone():
