@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.replay.local_views import AFTER, BEFORE, LocalViews
 from limslam_agent.slam.graph.key_poses import LogData
+from limslam_agent.slam.graph.local_views import AFTER, BEFORE, LocalViews
 from limslam_agent.slam.graph.matching import NO_MATCH, Window
 from limslam_env.geometry import FloatArray, se2
 
