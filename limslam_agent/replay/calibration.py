@@ -178,7 +178,9 @@ def _fit(reported: FloatArray, known: FloatArray, variance: FloatArray, *, angle
         return (se2.wrap_angle(rest) if angles else rest) / np.sqrt(variance)
 
     found = least_squares(residuals, 0.0, loss="huber", f_scale=_HUBER)
-    return float(found.x[0]), 1.0 / float(np.linalg.norm(found.jac))
+    far = np.maximum(np.abs(residuals(found.x)), _HUBER) / _HUBER
+    information = float(np.sum(reported**2 / (far * variance)))
+    return float(found.x[0]), 1.0 / math.sqrt(max(information, 1e-12))
 
 
 def _sums(steps: FloatArray) -> FloatArray:

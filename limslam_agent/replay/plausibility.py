@@ -33,9 +33,12 @@ LEAST_DRIVEN = 1.0
 FASTEST = 20.0
 """A robot that is faster than this on average, m/s, has odometry in another unit, or times in another unit."""
 
-MOST_TURNS = 10.0
+MOST_TURNS = 4.0
 """If a robot turns by more than this on each metre, rad/m, its heading is probably in degrees. Both benchmark logs have
 0.4 to 0.7 rad/m."""
+
+LEAST_ALIGNED = 0.5
+"""A robot with wheels drives along its heading, and this is 1. It is 0 where the heading is in another unit."""
 
 MOST_NAMED = 5
 """A warning names at most so many times."""
@@ -184,9 +187,16 @@ def _about_odometry(log: RecordedLog) -> list[str]:
     if speed > FASTEST:
         return [f"by odometry the robot drives at {speed:.0f} m/s on average: is odometry in metres?"]
     per_metre = float(np.abs(se2.wrap_angle(np.diff(log.odometry[:, 2]))).sum()) / driven
-    if per_metre > MOST_TURNS:
+    if per_metre > MOST_TURNS and _alignment(log.odometry) < LEAST_ALIGNED:
         return [f"by odometry the robot turns by {per_metre:.1f} rad on each metre: is its heading in radians?"]
     return _misread(log, log.odometry)
+
+
+def _alignment(odometry: FloatArray) -> float:
+    """How well the direction of driving follows the heading of poses (n, 3), ahead or back, from 0 to 1."""
+    moves = np.diff(odometry[:, :2], axis=0)
+    turned = np.arctan2(moves[:, 1], moves[:, 0]) - odometry[1:, 2]
+    return float(abs(np.sum(np.hypot(*moves.T) * np.exp(2j * turned))) / max(float(np.hypot(*moves.T).sum()), 1e-9))
 
 
 def _about_wheels(log: RecordedLog, wheels: FloatArray) -> list[str]:

@@ -72,9 +72,9 @@ class LocalViews:
         chunk = LocalMap(event, float(self.travel[event]), places, origins, places, grid, maps.cell)
         return search_grid(chunk, self.window.shift)
 
-    def next_moves(self, event: int) -> FloatArray:
-        """A copy of the motions (k, 3) of the first metres after an event."""
-        end = np.searchsorted(self.travel, self.travel[event] + AFTER, side="right")
+    def next_moves(self, event: int, most: float = AFTER) -> FloatArray:
+        """A copy of the motions (k, 3) of the first metres after an event, of at most ``most`` m."""
+        end = np.searchsorted(self.travel, self.travel[event] + min(AFTER, most), side="right")
         return self.moves[event : end - 1].copy()
 
     def fit(self, known: SearchGrid, event: int, moves: FloatArray) -> Fit:

@@ -29,6 +29,7 @@ _LEAST_PERIOD = 0.2  # s, over which a speed is measured
 _SLOW = 0.35  # the robot may turn round where it is slower than this share of its median speed
 LEAST_LENGTH = 0.15
 """Shorter stretches, m, are not judged. Odometry that reports less driving backwards in all has no sign."""
+_BEYOND = 1.0  # m of driving after a short stretch that are compared with it
 _WINDOW = Window(0.4, math.radians(9.0), TURN_STEP)
 # A stretch was driven backwards if this fits, and better than driving ahead by the lead and by this for each metre,
 # since in a corridor both directions fit.
@@ -146,13 +147,14 @@ class _Drive:
         known = views.known(begin)
         if known is None:
             return _Judgement(NO_MATCH, 0.0)
-        moves = views.next_moves(begin)
+        length = float(views.travel[end] - views.travel[begin])
+        moves = views.next_moves(begin, length + _BEYOND)
         ahead = views.fit(known, begin, moves)
         moves[: end - begin, :2] *= -1.0
         backwards = views.fit(known, begin, moves)
         if backwards.score < SCORES[0]:
             return _Judgement(NO_MATCH, 0.0)
-        needed = _LEAD + _LEAD_PER_METRE * float(views.travel[end] - views.travel[begin])
+        needed = _LEAD + _LEAD_PER_METRE * length
         return _Judgement(backwards.score - ahead.score - needed, ahead.contradicted)
 
 

@@ -43,7 +43,7 @@ def test_readings_that_jump_to_0_are_noticed(tmp_path):
         lines[row] = lines[row].replace("2.9", "0")
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     (warning,) = log_warnings(read_log(path))
-    assert warning.startswith("5.1% of the readings jump from more than 0.3 m to the beam's shortest range or to 0")
+    assert warning.startswith("5.1% of the readings jump from more than 0.5 m to the beam's shortest range or to 0")
     assert "--zero-is-nothing reads a table so, other logs have to be changed" in warning
     assert log_warnings(read_log(path, table=TableOptions(zero_is_nothing=True))) == []
 

@@ -104,26 +104,3 @@ def test_a_drawn_wall_is_the_least_squares_line_and_ends_at_gaps():
         assert abs(se2.wrap_angle(mark.theta - np.pi / 2.0)) < 0.02
         assert np.ptp(mark.ends[:, 0]) == pytest.approx(2.0, abs=0.05)
         assert 1e-5 < np.sqrt(mark.covariance[1, 1]) < 0.01
-
-
-def test_a_log_of_wheel_travel_is_smoothed_by_lines():
-    log, _ = recorded()
-    moves = se2.between(log.odometry[:-1], log.odometry[1:])
-    axle, distance = log.robot.axle, np.hypot(moves[:, 0], moves[:, 1])
-    half = 0.5 * axle * moves[:, 2]
-    wheels = np.vstack((np.zeros((1, 2)), np.column_stack((distance - half, distance + half))))
-    rows = 350  # later the robot is lost and found again, by smoothing with the first preset only
-    log = replace(
-        log,
-        odometry=None,
-        wheels=wheels[:rows],
-        time=log.time[:rows],
-        ranges=log.ranges[:rows],
-        has_scan=log.has_scan[:rows],
-    )
-    replay = replay_log(log, preset("graph"))
-    assert replay.smoothed.loops is None
-    assert not np.array_equal(replay.estimated, replay.smoothed.poses)
-    filtered = replay_log(log, preset("consistent"))
-    assert filtered.smoothed is None
-    np.testing.assert_array_equal(filtered.estimated, replay.estimated)

@@ -7,7 +7,6 @@ import numpy as np
 from limslam_agent.config.graph import PointConfig
 from limslam_agent.slam.graph.key_poses import (
     LogData,
-    calibrated_steps,
     choose_keys,
     corrected,
     delayed,
@@ -31,25 +30,6 @@ def wandering(count=200, beams=3):
 
 def keys_of(log):
     return choose_keys(log, PointConfig())
-
-
-def test_constant_errors_of_odometry_are_undone():
-    truth = wandering()
-    moves = se2.between(truth.odometry[:-1], truth.odometry[1:])
-    bias, scale, gain = 0.03, 0.02, -0.01
-    turn = (moves[:, 2] - bias * moves[:, 0] / (1.0 + scale)) / (1.0 + gain)
-    half = -0.5 * bias * moves[:, 0] / (1.0 + scale)
-    cos, sin = np.cos(half), np.sin(half)
-    x, y = cos * moves[:, 0] - sin * moves[:, 1], sin * moves[:, 0] + cos * moves[:, 1]
-    reported = np.zeros_like(truth.odometry)
-    for row, move in enumerate(np.column_stack((x / (1.0 + scale), y / (1.0 + scale), turn)), 1):
-        reported[row] = se2.compose(reported[row - 1], move)
-    keys = keys_of(replace(truth, odometry=reported))
-    steps = calibrated_steps(keys, np.array([bias, scale, gain, 0.0, 0.0]))
-    wanted = se2.between(truth.odometry[keys.first_event[:-1]], truth.odometry[keys.first_event[1:]])
-    raw = se2.between(reported[keys.first_event[:-1]], reported[keys.first_event[1:]])
-    assert np.abs(steps - wanted).max() < 3e-3
-    assert np.abs(raw - wanted).max() > 6e-3
 
 
 def test_two_corrections_after_each_other_are_one():
