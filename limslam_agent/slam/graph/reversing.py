@@ -24,7 +24,6 @@ from limslam_agent.slam.graph.loop_search import SCORES, TURN_STEP
 from limslam_agent.slam.graph.matching import NO_MATCH, Window
 from limslam_env.geometry import FloatArray, IntArray
 
-_LEAST_REACH = 2.5  # m: logs whose beams reach less are not judged, since they see too little ahead of a stop
 _LEAST_PERIOD = 0.2  # s, over which a speed is measured
 _SLOW = 0.35  # the robot may turn round where it is slower than this share of its median speed
 LEAST_LENGTH = 0.15
@@ -39,11 +38,11 @@ _LEAD, _LEAD_PER_METRE = 0.12, 0.06
 def with_reversing(data: LogData, config: GraphConfig) -> LogData:
     """The log with the motions turned round that the ranges say were driven backwards.
 
-    A log whose odometry reports driving backwards itself stays as it is, and so does a log of short beams, or one in
-    which nearly no stretch contradicts that it was driven ahead.
+    A log whose odometry reports driving backwards itself stays as it is, and so does a log whose beams reach less far
+    than what is compared, or one in which nearly no stretch contradicts that it was driven ahead.
     """
     settings = config.reversing
-    if data.max_range < _LEAST_REACH:
+    if data.max_range < AFTER:
         return data
     views = LocalViews(data, config, _WINDOW)
     if -views.moves[:, 0].clip(max=0.0).sum() >= LEAST_LENGTH:
@@ -67,7 +66,7 @@ def driven_backwards(data: LogData, config: GraphConfig, since: int) -> Iterator
 
     Those are judged, in their order, after which enough has been seen only since the event ``since``.
     """
-    if data.max_range < _LEAST_REACH:
+    if data.max_range < AFTER:
         return
     drive = _Drive(LocalViews(data, config, _WINDOW))
     travel = drive.views.travel

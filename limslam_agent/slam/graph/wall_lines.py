@@ -4,7 +4,6 @@ The points of a line are removed, and lines are searched again until there are n
 line has two unknowns: a rotation about its centre and an offset.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +11,7 @@ import numpy as np
 from limslam_agent.config.graph import WallLineConfig
 from limslam_agent.kernels.lines import extract_lines
 from limslam_agent.slam.graph.key_poses import ERRORS
-from limslam_agent.slam.graph.point_links import PointCloud
+from limslam_agent.slam.graph.point_links import MIN_COSINE, PointCloud
 from limslam_agent.slam.least_squares.normal_equations import NormalEquations
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, no_rows
@@ -22,7 +21,6 @@ from limslam_env.geometry.line import direction, normal
 kernel = entry_of(__name__)
 
 _OFFSET_BIN = 0.08  # m, of the Hough space
-_LEAST_COSINE = math.cos(math.radians(20.0))  # between the normals of a point and its line
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +94,7 @@ def _window(
         voters, owner = voters[owner >= 0], owner[owner >= 0]
         cosines = np.sum(normals[voters] * normal(lines)[owner], axis=1)
         sides = np.sign(np.bincount(owner, cosines, len(lines)))
-        fits = cosines * sides[owner] > _LEAST_COSINE
+        fits = cosines * sides[owner] > MIN_COSINE
         enough = np.bincount(owner[fits], minlength=len(lines)) >= config.min_points
         fits &= enough[owner]
         if not enough.any():
