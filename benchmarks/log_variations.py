@@ -16,11 +16,11 @@ import numpy as np
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.relations import Relations, read_relations, relation_errors, summary
-from limslam_agent.replay.local_views import moves_of
-from limslam_agent.replay.reversing import with_reversing
 from limslam_agent.replay.smoothing import log_data, trusted_path
 from limslam_agent.replay.trust import PathSignals
 from limslam_agent.slam.graph.key_poses import LogData, integrate
+from limslam_agent.slam.graph.local_views import moves_of
+from limslam_agent.slam.graph.reversing import with_reversing
 from limslam_agent.slam.graph.smooth import GraphResult
 from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.metrics.metrics import trajectory_metrics

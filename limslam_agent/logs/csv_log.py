@@ -240,8 +240,7 @@ class _Rows:
         has_scan = np.frombuffer(self.has_scan, dtype=np.bool_)
         robot = self.options.robot
         if robot is None or self.leading == len(_POSE):
-            axes = self.options.zone_axes
-            return pose_log(self.beams, moves[:, 0], moves[:, 1:], ranges, has_scan, robot, axes)
+            return pose_log(self.beams, moves[:, 0], moves[:, 1:], ranges, has_scan, robot)
         return self._wheel_log(robot, moves, ranges, has_scan)
 
     def _wheel_log(self, robot: RobotSpec, moves: FloatArray, ranges: FloatArray, has_scan: BoolArray) -> RecordedLog:
@@ -255,7 +254,6 @@ class _Rows:
             has_scan=has_scan,
             start_pose=np.zeros(3),
             wheels=wheels,
-            zone_axes=self.options.zone_axes,
         )
 
 

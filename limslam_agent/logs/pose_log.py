@@ -92,7 +92,6 @@ def pose_log(
     ranges: FloatArray,
     has_scan: BoolArray,
     robot: RobotSpec | None = None,
-    zone_axes: tuple[float, ...] | None = None,
 ) -> RecordedLog:
     """The log of a robot that recorded poses.
 
@@ -110,8 +109,6 @@ def pose_log(
         Whether ranges were measured (n,).
     robot
         The robot without its beams. By default only a radius of 0.2 m is assumed.
-    zone_axes
-        As in :class:`RecordedLog`.
 
     Returns
     -------
@@ -137,7 +134,6 @@ def pose_log(
         has_scan=has_scan,
         start_pose=np.zeros(3),
         odometry=np.column_stack((odometry[:, :2], se2.wrap_angle(odometry[:, 2]))),
-        zone_axes=zone_axes,
     )
 
 

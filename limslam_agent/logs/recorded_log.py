@@ -78,8 +78,6 @@ class RecordedLog:
     shifted, untimed
         How much was added to all times because they began below 0, s; and the number of lines that were left out
         because their times are impossible.
-    zone_axes
-        Optical axes, deg, along which a table's distances were measured; empty for none. None for other formats.
     negative
         How many ranges were negative when the log was read. They are NaN in ``ranges``.
 
@@ -99,7 +97,6 @@ class RecordedLog:
     true_pose: FloatArray | None = None
     shifted: float = 0.0
     untimed: int = 0
-    zone_axes: tuple[float, ...] | None = None
     negative: int = field(init=False, default=0)
 
     def __post_init__(self) -> None:

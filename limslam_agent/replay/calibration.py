@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from limslam_agent.config.presets import OdometryConfig
 from limslam_agent.logs.recorded_log import RecordedLog
@@ -19,14 +20,10 @@ from limslam_env.messages import counted
 LONGEST_DRIVE = 20.0
 """Relations over more driving (m) than this are left out: they overlap, and one slip would count in many of them."""
 
-LEAST_DRIVE = 1.0
-"""Metres that have to be driven in the relations together."""
-
 # What a measured relation itself may be off by: m, rad.
 _MEASURED_WITHIN = 0.02, math.radians(0.5)
 # Residuals past this many standard deviations count linearly (Huber): a wheel that slipped is no bias.
 _HUBER = 1.5
-_ROUNDS = 30
 _LARGEST_SCALE = 2.0
 
 
@@ -97,7 +94,7 @@ def estimate_bias(log: RecordedLog, relations: Relations, noise: OdometryConfig 
     Raises
     ------
     ValueError
-        If the log has no odometry, too little is driven in the relations, or they do not fit this log.
+        If the log has no odometry, nothing is driven in the relations, or they do not fit this log.
     """
     if log.odometry is None:
         raise ValueError("has wheel travel; a bias can be estimated for odometry poses only")
@@ -107,9 +104,9 @@ def estimate_bias(log: RecordedLog, relations: Relations, noise: OdometryConfig 
     near = inside & (np.abs(path.between(path.driven, relations)) <= LONGEST_DRIVE)
     known = Relations(relations.start_time[near], relations.end_time[near], relations.relative[near])
     driven = np.abs(path.between(path.driven, known))
-    if driven.sum() < LEAST_DRIVE:
+    if not driven.any():
         usable = f"{len(driven)} of {len(inside)} relations lie in the log and are over less than {LONGEST_DRIVE:g} m"
-        raise ValueError(f"{driven.sum():.2f} m are driven in them, too little to calibrate by: {usable}")
+        raise ValueError(f"nothing is driven in them: {usable}")
     heading_variance = (
         noise.turn_variance_per_metre * driven
         + noise.turn_variance_per_radian * np.abs(path.between(path.turned, known))
@@ -175,16 +172,15 @@ class _Path:
 
 def _fit(reported: FloatArray, known: FloatArray, variance: FloatArray, *, angles: bool) -> tuple[float, float]:
     """The factor f with known = f * reported (k,), and its standard deviation: least squares with Huber's weights."""
-    factor, weights = 0.0, 1.0 / variance
-    information = 0.0
-    for _ in range(_ROUNDS):
+
+    def residuals(factor: FloatArray) -> FloatArray:
         rest = known - factor * reported
-        rest = se2.wrap_angle(rest) if angles else rest
-        far = np.abs(rest) / np.sqrt(variance)
-        weights = np.where(far <= _HUBER, 1.0, _HUBER / np.maximum(far, _HUBER)) / variance
-        information = float(np.sum(weights * reported**2))
-        factor += float(np.sum(weights * reported * rest)) / max(information, 1e-12)
-    return factor, 1.0 / math.sqrt(max(information, 1e-12))
+        return (se2.wrap_angle(rest) if angles else rest) / np.sqrt(variance)
+
+    found = least_squares(residuals, 0.0, loss="huber", f_scale=_HUBER)
+    far = np.maximum(np.abs(residuals(found.x)), _HUBER) / _HUBER
+    information = float(np.sum(reported**2 / (far * variance)))
+    return float(found.x[0]), 1.0 / math.sqrt(max(information, 1e-12))
 
 
 def _sums(steps: FloatArray) -> FloatArray:

@@ -12,12 +12,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.replay.local_views import LocalViews
 from limslam_agent.slam.graph.key_poses import LogData
+from limslam_agent.slam.graph.local_views import AFTER, BEFORE, LocalViews
 from limslam_agent.slam.graph.matching import NO_MATCH, Window
 from limslam_env.geometry import FloatArray, se2
 
-_BEFORE, _AFTER, _APART = 3.5, 2.0, 2.0  # m of driving
 _MOST_PLACES = 60
 _WINDOW = Window(0.2, np.radians(4.0), np.radians(2.0))
 
@@ -60,8 +59,8 @@ def misread(data: LogData, config: GraphConfig, *, by_wheels: bool = False) -> s
 def _places(data: LogData, config: GraphConfig) -> list[int]:
     """Events at which what is seen next is compared with what was seen before."""
     travel = LocalViews(data, config, _WINDOW).travel
-    apart = max(_APART, travel[-1] / _MOST_PLACES)
-    return [int(each) for each in np.searchsorted(travel, np.arange(_BEFORE, travel[-1] - _AFTER, apart))]
+    apart = max(AFTER, travel[-1] / _MOST_PLACES)
+    return [int(each) for each in np.searchsorted(travel, np.arange(BEFORE, travel[-1] - AFTER, apart))]
 
 
 def _scores(data: LogData, places: list[int], config: GraphConfig) -> FloatArray:
@@ -71,10 +70,10 @@ def _scores(data: LogData, places: list[int], config: GraphConfig) -> FloatArray
 
 
 def _score(views: LocalViews, place: int) -> float:
-    known, last = views.known(place, _BEFORE), views.last_event(place, _AFTER)
-    if known is None or last <= place:
+    known, moves = views.known(place), views.next_moves(place)
+    if known is None or not len(moves):
         return np.nan
-    score = views.fit(known, place, views.moves[place:last]).score
+    score = views.fit(known, place, moves).score
     return score if score > NO_MATCH else np.nan
 
 

@@ -19,12 +19,13 @@ SHORTEST_PERIOD, LONGEST_PERIOD = 1e-3, 10.0
 CLEARLY_BELOW = 0.85
 """A largest reading below this share of the longest range was probably cut off by the sensor itself."""
 
-SOME_NOTHING = 0.01
-"""Up to this share of readings that saw nothing, the sensor's own maximum does not matter."""
+BY_CHANCE = 0.01
+"""Up to this share of readings may see nothing, be negative, or be at most the beam's shortest range right after a
+reading of something farther away, without a reason that all of them have."""
 
-SUDDENLY_NEAR, SUDDEN_STEP = 0.01, 0.3
-"""Above this share of readings that are at most the beam's shortest range, right after a reading that is this much
-farther, m, the sensor probably reports 0 where it sees nothing: no wall comes so fast."""
+LARGEST_STEP = 0.5
+"""Between two rows no wheel travels farther than this, m, and no wall comes nearer by more than this: otherwise the
+path between the rows is not known, or the sensor reports 0 where it sees nothing."""
 
 LEAST_DRIVEN = 1.0
 """Walls cannot be expected in a log over less driving than this, m."""
@@ -39,26 +40,11 @@ MOST_TURNS = 4.0
 LEAST_ALIGNED = 0.5
 """A robot with wheels drives along its heading, and this is 1. It is 0 where the heading is in another unit."""
 
-ZONES, ONE_PLACE, EVENLY = 4, 0.005, math.radians(0.5)
-LEAST_ZONE, WIDEST_SENSOR = math.radians(4.0), math.radians(65.0)
-"""So many beams from one place (m), evenly spaced by this at least and over this at most, look like the zones of one
-sensor. Sensors with 4 and 8 zones see 45 to 63 degrees."""
-
-MANY_NEGATIVE = 0.01
-"""Above this share of negative readings, a negative number probably says that nothing was seen."""
-
-LARGEST_GAP = 0.5
-"""If a wheel travels farther than this from one row to the next, m, the path between them is not known."""
-
-MOSTLY_APART = 0.5
-"""Above this share of rows that are farther apart than that, the rows are too few, and none is a gap."""
-
 MOST_NAMED = 5
 """A warning names at most so many times."""
 
-CLEARLY_FASTER, MUCH_FASTER = 1.2, 3.0
-"""A wheel whose average speed is this many times its largest one may have travel in another unit. If it is this many
-times, the path by the wheels tells nothing about their order and signs."""
+CLEARLY_FASTER = 1.2
+"""A wheel whose average speed is this many times its largest one may have travel in another unit."""
 
 MANY_NOTHING = 0.3
 """If the other beams saw nothing in a larger share of their readings, a beam may never see a wall."""
@@ -66,17 +52,13 @@ MANY_NOTHING = 0.3
 LEAST_SPREAD = 0.5
 """If the middle half of the readings of a beam has a wider range than this, m, the robot has moved."""
 
-FEWEST_READINGS = 200
-"""Fewer readings of a beam may be the same although its sensor works, as along a corridor."""
-
 
 def log_warnings(log: RecordedLog) -> list[str]:
     """What is unlikely about the times, the ranges and the odometry of a log, one sentence for each finding."""
     about_clock = _about_clock(log)
     about_odometry = [] if about_clock else _about_odometry(log)
     about_ranges = [*_about_ranges(log), *_about_zeros(log), *_about_negatives(log), *_about_beams(log)]
-    about = [*_about_times(log), *about_clock, *_about_gaps(log), *about_ranges, *about_odometry]
-    return [*about, *_about_zones(log)]
+    return [*_about_times(log), *about_clock, *_about_gaps(log), *about_ranges, *about_odometry]
 
 
 def map_warnings(replay: Replay) -> list[str]:
@@ -110,11 +92,7 @@ def _about_gaps(log: RecordedLog) -> list[str]:
     if log.wheels is None:
         return []
     travel = np.abs(log.wheels[1:]).max(axis=1, initial=0.0)
-    (rows,) = np.nonzero(travel > LARGEST_GAP)
-    if len(rows) > MOSTLY_APART * len(travel):
-        apart = f"{np.median(travel):.2f} m between two rows, which are {np.median(np.diff(log.time)):.3g} s apart"
-        advice = "the path between rows is not known, so a log with more rows gives a better map"
-        return [f"a wheel travels {apart} (medians): {advice}"]
+    (rows,) = np.nonzero(travel > LARGEST_STEP)
     gaps = [f"{travel[row]:.1f} m between {log.time[row]:.1f} s and {log.time[row + 1]:.1f} s" for row in rows]
     more = ", ..." if len(gaps) > MOST_NAMED else ""
     consequence = "what the robot did between these rows is not known, so the map may break there"
@@ -130,7 +108,7 @@ def _about_ranges(log: RecordedLog) -> list[str]:
         text = f"{share:.1%} of the readings saw nothing up to {reach:g} m: are the ranges in metres?"
         return [f"{text} --range-unit converts"]
     farthest = float(near.max(initial=0.0))
-    if share > SOME_NOTHING and farthest < CLEARLY_BELOW * reach:
+    if share > BY_CHANCE and farthest < CLEARLY_BELOW * reach:
         numbers = f"the longest range is {reach:g} m, but the largest reading of a wall is {farthest:.2f} m"
         effect = f"the {share:.0%} of the readings that saw nothing clear space that was not seen"
         option = f"--max-range {math.ceil(10.0 * farthest) / 10.0:g} sets another longest range"
@@ -140,7 +118,7 @@ def _about_ranges(log: RecordedLog) -> list[str]:
 
 def _about_negatives(log: RecordedLog) -> list[str]:
     share = log.negative / max(log.ranges.size, 1)
-    if share <= MANY_NEGATIVE:
+    if share <= BY_CHANCE:
         return []
     text = f"{share:.0%} of the readings are negative and were skipped: if the sensors report them where they see"
     return [f"{text} nothing, --zero-is-nothing reads them in a table as that"]
@@ -148,11 +126,11 @@ def _about_negatives(log: RecordedLog) -> list[str]:
 
 def _about_zeros(log: RecordedLog) -> list[str]:
     readings, nearest = log.ranges[log.has_scan].astype(np.float64), log.robot.too_near
-    sudden = (readings[1:] <= nearest) & (readings[:-1] > nearest + SUDDEN_STEP)
+    sudden = (readings[1:] <= nearest) & (readings[:-1] > nearest + LARGEST_STEP)
     share = float(sudden.mean()) if sudden.size else 0.0
-    if share <= SUDDENLY_NEAR:
+    if share <= BY_CHANCE:
         return []
-    text = f"{share:.1%} of the readings jump from more than {SUDDEN_STEP:g} m to the beam's shortest range or to 0"
+    text = f"{share:.1%} of the readings jump from more than {LARGEST_STEP:g} m to the beam's shortest range or to 0"
     remedy = "such a reading must be inf: --zero-is-nothing reads a table so, other logs have to be changed"
     return [f"{text}: if the sensors report 0 where they see nothing, {remedy}"]
 
@@ -164,7 +142,7 @@ def _about_beams(log: RecordedLog) -> list[str]:
     readings = np.minimum(log.ranges[log.has_scan], log.robot.max_ranges)
     lowest, highest = np.fmin.reduce(readings), np.fmax.reduce(readings)  # nan where a beam has no reading
     counts = (~np.isnan(readings)).sum(axis=0)
-    is_dead, saw_nothing = (counts >= FEWEST_READINGS) & (highest == lowest), lowest >= log.robot.too_far
+    is_dead, saw_nothing = highest == lowest, lowest >= log.robot.too_far
     others = readings[:, ~saw_nothing]
     if np.count_nonzero(others >= log.robot.too_far[~saw_nothing]) > MANY_NOTHING * np.isfinite(others).sum():
         is_dead &= ~saw_nothing
@@ -210,43 +188,22 @@ def _alignment(odometry: FloatArray) -> float:
     return float(abs(np.sum(np.hypot(*moves.T) * np.exp(2j * turned))) / max(float(np.hypot(*moves.T).sum()), 1e-9))
 
 
-def _about_zones(log: RecordedLog) -> list[str]:
-    """Whether beams of a table look like the zones of a sensor whose distances are along its optical axis."""
-    if log.zone_axes is None or log.zone_axes:
-        return []
-    order = np.argsort(log.robot.beam_angles)
-    angles, origins = log.robot.beam_angles[order], log.robot.beam_origins[order]
-    steps = np.diff(angles)
-    # A group ends where the next beam is farther away than its beams are from each other, or comes from another place.
-    apart = np.hypot(*np.diff(origins, axis=0).T) > ONE_PLACE
-    ends = apart[1:] | apart[:-1] | (np.abs(np.diff(steps)) > EVENLY)
-    groups = np.split(steps, np.flatnonzero(ends) + 1)
-    for group in groups:
-        if len(group) >= ZONES - 1 and group.mean() * (len(group) + 1) < WIDEST_SENSOR and group.mean() > LEAST_ZONE:
-            text = f"{len(group) + 1} beams look {math.degrees(group.mean()):.3g} deg apart from one place"
-            return [f"{text}: if they are zones of a multi-zone sensor, --zone-axes converts its distances to ranges"]
-    return []
-
-
 def _about_wheels(log: RecordedLog, wheels: FloatArray) -> list[str]:
     """What is unlikely about the travel (n, 2) of both wheels, m: whether they move, how fast, and which way."""
     left, right = np.abs(wheels[1:]).sum(axis=0).tolist()
     if left == right == 0.0:
         return ["the wheels never move: are the encoders connected, and are left and right their columns?"]
     speed, most = max(left, right) / max(float(np.ptp(log.time)), 1e-9), log.robot.max_wheel_speed
-    about_speed = []
     if speed > CLEARLY_FASTER * most:
         text = f"a wheel travels at {speed:.2g} m/s on average, but the robot's max_wheel_speed is {most:g} m/s"
         question = "are left and right travel, not speeds, and are the metres for each tick right?"
-        about_speed = [f"{text}: {question} If the robot is so fast, set max_wheel_speed in its file"]
+        return [f"{text}: {question} If the robot is so fast, set max_wheel_speed in its file"]
     if min(left, right) == 0.0 and max(left, right) >= LEAST_DRIVEN:
         still, moving = ("left", "right") if left == 0.0 else ("right", "left")
         travel = f"while the {moving} wheel travels {max(left, right):.1f} m"
         question = f"is its encoder connected, and is {still} its column?"
-        return [*about_speed, f"the {still} wheel never moves, {travel}: {question}"]
-    if speed > MUCH_FASTER * most:
-        return about_speed
-    return [*about_speed, *_misread(log, _path(wheels, log.robot.axle), by_wheels=True)]
+        return [f"the {still} wheel never moves, {travel}: {question}"]
+    return _misread(log, _path(wheels, log.robot.axle), by_wheels=True)
 
 
 def _path(wheels: FloatArray, axle: float) -> FloatArray:

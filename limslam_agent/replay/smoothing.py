@@ -17,13 +17,13 @@ from limslam_agent.grid.occupancy import GridView, drawn_grid
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.places.revisions import revised
 from limslam_agent.replay.record import Replay, Smoothed
-from limslam_agent.replay.reversing import reversed_distance, with_reversing
 from limslam_agent.replay.trust import PathSignals, path_signals
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_fit import fit_line
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.graph.key_poses import LogData
 from limslam_agent.slam.graph.point_links import PointCloud, point_cloud
+from limslam_agent.slam.graph.reversing import reversed_distance, with_reversing
 from limslam_agent.slam.graph.smooth import GraphResult, Report, rounds
 from limslam_agent.slam.graph.wall_lines import lines_in
 from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, smooth_run

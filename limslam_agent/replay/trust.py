@@ -2,12 +2,10 @@
 
 Three things can be wrong. Nothing holds a stretch of the path: then the posterior covariance of the graph says how far
 off it may be. The wrong places were taken for each other: then other visits contradict what was seen, everywhere or at
-one place, and wrong loops bend the path away from what odometry and the walls along the way say. Or there is no
-evidence: no place was seen twice.
+one place. Or there is no evidence: no place was seen twice.
 
 In 96 made-up logs with 5 to 40 points a metre (4 to 11 beams), the error of a right path was 0.3 to 1.2 times its
-expected one, and other visits contradicted at most 8 % of the points that they had seen. In simulated logs the
-chi-square of a hop of 2.5 m was at most 10 in right paths, and 21 to 45 where wrong loops had bent the path.
+expected one, and other visits contradicted at most 8 % of the points that they had seen.
 """
 
 from dataclasses import dataclass
@@ -22,10 +20,6 @@ from limslam_env.geometry import FloatArray, IntArray
 
 MOST_CONTRADICTED = 0.09
 """A path is doubtful if other visits contradict a larger share of the points that they confirm or contradict."""
-
-MOST_BENT = 11.34
-"""A path is doubtful where its loops bend it away from the local smoothing by a larger chi-square: the 99 % quantile
-of three degrees of freedom."""
 
 MOST_STD = 0.6
 """A path is doubtful if its positions are expected to be farther off than this, m: it would be wrong."""
@@ -50,8 +44,6 @@ class PathSignals:
     loose
         Begin and end of the longest stretch that no loop spans, s from the beginning of the log. None if it has not
         been looked for.
-    bend_times
-        Times at which the loops bend the path more than the local smoothing allows, s from the beginning of the log.
     doubtful_times
         Times around which other visits contradict more than they confirm, s from the beginning of the log.
     """
@@ -62,7 +54,6 @@ class PathSignals:
     contradicted: float
     position_std: float
     loose: tuple[float, float] | None = None
-    bend_times: tuple[float, ...] = ()
     doubtful_times: tuple[float, ...] = ()
 
     @property
@@ -89,11 +80,8 @@ class PathSignals:
         if self.contradicts_itself:
             reasons.append(f"visits of a place contradict each other at {self.contradicted_share:.0%} of the points")
         if self.doubtful_times:
-            times = _listed(self.doubtful_times)
+            times = ", ".join(f"{time:.0f}" for time in self.doubtful_times[:3])
             reasons.append(f"visits contradict what was seen more often than they confirm it after {times} s")
-        if self.bend_times:
-            times = _listed(self.bend_times)
-            reasons.append(f"the path is bent more than odometry and walls allow after {times} s")
         if self.position_std > MOST_STD:
             where = "" if self.loose is None else " from {:.0f} to {:.0f} s".format(*self.loose)
             reasons.append(
@@ -114,14 +102,8 @@ class PathSignals:
             "smoothed_position_std_m": self.position_std,
             "smoothed_points_per_m": self.points_per_metre,
             "smoothed_contradicted_share": self.contradicted_share,
-            "smoothed_bend_times": [round(time, 2) for time in self.bend_times],
             "smoothed_doubtful_times": [round(time, 2) for time in self.doubtful_times],
         }
-
-
-def _listed(times: tuple[float, ...]) -> str:
-    """The first times of a reason, s."""
-    return ", ".join(f"{time:.0f}" for time in times[:3])
 
 
 def path_signals(
@@ -153,7 +135,6 @@ def path_signals(
         contradicted=visits.shares[1],
         position_std=position_std(keys, trajectory, found.relations, config, sensor[1]),
         loose=None if seam else (float(times[loose[0]]), float(times[loose[1]])),
-        bend_times=tuple(times[found.chunk_keys[:-1][found.hop_errors > MOST_BENT]].tolist()),
         doubtful_times=tuple(times[visits.doubtful(seam)].tolist()),
     )
 

@@ -18,8 +18,6 @@ from limslam_env.geometry import BoolArray, FloatArray, se2
 _FURTHEST = 0.4, np.radians(10.0)
 """The smoothed start of the second log, and the path of each log, differ by at most this from the match, m and rad."""
 
-_MATCH_COVARIANCE = np.diag([MATCH_STD[0] ** 2, MATCH_STD[0] ** 2, MATCH_STD[1] ** 2])
-
 
 def joined_by_lines(replays: Replays, frame: FloatArray, report: Report) -> JointReplay | str:
     """Smooth two logs as one run, with the frame of the second one at about a pose (3,); or why they do not fit.
@@ -74,10 +72,11 @@ def joined_run(first: FilteredRun, second: FilteredRun, frame: FloatArray) -> Fi
     ``frame`` (3,) is the pose of the second run's frame in that of the first run.
     """
     seam = len(first.poses)
+    match_covariance = np.diag(np.square([MATCH_STD[0], *MATCH_STD]))
     second = replace(
         second,
         poses=se2.compose(frame, second.poses),
-        covariances=se2.turned(second.covariances, float(frame[2])) + _MATCH_COVARIANCE,
+        covariances=se2.turned(second.covariances, float(frame[2])) + match_covariance,
     )
     apart = 1 + max((record.landmark for record in first.associations), default=-1)
     associations = [

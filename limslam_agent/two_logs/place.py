@@ -5,7 +5,6 @@ which a robot that was carried away is found. A stretch of a corridor fits in ma
 place move the log by the same motion, so that their evidence adds up, and chance fits disagree.
 """
 
-import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -16,14 +15,12 @@ from limslam_agent.places.localisation import LEAD, KnownPlaces
 from limslam_agent.places.search import LARGEST_RUNNER_UP
 from limslam_agent.replay.record import Replay
 from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.slam.graph.agreement import AGREE_DISTANCE, AGREE_TURN
 from limslam_agent.status.known_map import PlaceFit
 from limslam_agent.status.rays import rays_of
 from limslam_env.geometry import BoolArray, FloatArray, se2
 
 _LENGTH, _EVERY = 12.0, 8.0  # m of driving: of a stretch, and between the beginnings of two stretches
-# Two stretches agree if the place of one predicts that of the other within this turn, rad, and within this distance, m,
-# and what the turn makes of the distance between them, because each log may be bent.
-_AGREE_DISTANCE, _AGREE_TURN = 0.7, math.radians(9.0)
 _KEPT = 20  # places of a stretch, all with an evidence that is no chance
 _MOST_CONTRADICTED = 0.25  # share of the readings that contradict the map: furniture moves, and odometry bends walls
 
@@ -120,14 +117,18 @@ def _fits(known: KnownPlaces, replay: Replay, poses: FloatArray) -> list[_Fit]:
 
 
 def _agreements(fits: list[_Fit]) -> BoolArray:
-    """Which fits (k, k) are of the same place. Those of the same stretch agree only with themselves."""
+    """Which fits (k, k) are of the same place. Those of the same stretch agree only with themselves.
+
+    The place of one predicts that of the other as two loops do. What the turn makes of the distance between them is
+    added, because each log may be bent.
+    """
     poses, middles = np.array([each.fit.pose for each in fits]), np.array([each.middle for each in fits])
     placed = np.column_stack((middles, np.zeros(len(fits))))
     predicted, own = se2.compose(poses[:, None], placed[None]), se2.compose(poses, placed)
     off = se2.between(predicted, np.broadcast_to(own[None], predicted.shape))
     between = middles[:, None] - middles[None]
-    far = _AGREE_DISTANCE + _AGREE_TURN * np.hypot(*np.moveaxis(between, -1, 0))
-    agree = (np.hypot(off[..., 0], off[..., 1]) < far) & (np.abs(off[..., 2]) < _AGREE_TURN)
+    far = AGREE_DISTANCE + AGREE_TURN * np.hypot(*np.moveaxis(between, -1, 0))
+    agree = (np.hypot(off[..., 0], off[..., 1]) < far) & (np.abs(off[..., 2]) < AGREE_TURN)
     stretches = np.array([each.stretch for each in fits])
     return np.asarray((agree & agree.T & (stretches[:, None] != stretches[None])) | np.eye(len(fits), dtype=np.bool_))
 

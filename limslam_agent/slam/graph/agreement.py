@@ -25,12 +25,11 @@ NO_SUPPORT = "no other loop nearby agrees"
 OUTVOTED = "its weight in the graph of chunks is too low"
 KEPT = "kept"
 
-# Two loops agree if one predicts the other within these tolerances, m and rad. A loop is supported by loops that begin
-# and end so far from it, m driven.
-_AGREE_DISTANCE, _AGREE_TURN = 0.6, math.radians(9.0)
+AGREE_DISTANCE, AGREE_TURN = 0.6, math.radians(9.0)
+"""Two loops agree if one predicts the other within these tolerances, m and rad."""
+
+# A loop is supported by loops that begin and end so far from it, m driven.
 _SUPPORT_FROM, _SUPPORT_TO = 2.2, 7.8
-_MAX_DISTANCE = 13.0  # m: visits are compared up to this distance
-_LEAST_JUDGED = 100  # points: on a stretch where other visits have seen fewer, nothing is concluded
 _STRETCH = 2  # chunks before and after a chunk
 
 
@@ -61,7 +60,7 @@ def supported(loops: Sequence[Loop], poses: FloatArray, travel: FloatArray) -> B
     after = se2.between(poses[second][:, None], poses[second][None])
     predicted = se2.compose(se2.compose(before, relative[:, None]), after)
     apart = se2.between(predicted, np.broadcast_to(relative[None], predicted.shape))
-    agree = (np.hypot(apart[..., 0], apart[..., 1]) < _AGREE_DISTANCE) & (np.abs(apart[..., 2]) < _AGREE_TURN)
+    agree = (np.hypot(apart[..., 0], apart[..., 1]) < AGREE_DISTANCE) & (np.abs(apart[..., 2]) < AGREE_TURN)
     gaps = [np.abs(travel[ends][:, None] - travel[ends][None]) for ends in (first, second)]
     near = (gaps[0] <= _SUPPORT_TO) & (gaps[1] >= _SUPPORT_FROM) & (gaps[1] <= _SUPPORT_TO)
     return np.asarray((near & agree).any(axis=0))
@@ -107,10 +106,10 @@ class MapScore:
 
         At a confirmed point more other visits have seen a wall than free space, at a contradicted point fewer.
         """
-        far = np.array([ANOTHER_VISIT, _MAX_DISTANCE])
         hits, frees = _votes(
-            self.grids, self.low, self.cell, self.points, self.starts, np.ascontiguousarray(poses), self.travel, far
-        )
+            self.grids, self.low, self.cell, self.points, self.starts, np.ascontiguousarray(poses), self.travel,
+            ANOTHER_VISIT,
+        )  # fmt: skip
         return (hits > 0) & (hits >= frees), frees > hits
 
 
@@ -139,7 +138,7 @@ class VisitCounts:
         around = (np.abs(np.subtract.outer(places := np.arange(len(log)), places)) <= _STRETCH) & (log[:, None] == log)
         contradicted = around @ self.contradicted
         confirmed = around @ self.confirmed
-        return self.middles[(contradicted > confirmed) & (contradicted + confirmed >= _LEAST_JUDGED)]
+        return self.middles[contradicted > confirmed]
 
 
 def visit_counts(keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, max_range: float) -> VisitCounts:
@@ -165,15 +164,15 @@ def _votes(
     starts: IntArray,
     poses: FloatArray,
     travel: FloatArray,
-    far: FloatArray,
+    another: float,
 ) -> tuple[IntArray, IntArray]:
     hits, frees = np.zeros(len(points), np.int64), np.zeros(len(points), np.int64)
     size = grids.shape[1]
     for q in range(len(poses)):
         for p in range(len(poses)):
-            dx, dy = poses[q, 0] - poses[p, 0], poses[q, 1] - poses[p, 1]
-            if abs(travel[p] - travel[q]) < far[0] or dx * dx + dy * dy > far[1] * far[1]:
+            if abs(travel[p] - travel[q]) < another:
                 continue
+            dx, dy = poses[q, 0] - poses[p, 0], poses[q, 1] - poses[p, 1]
             cos, sin = np.cos(poses[p, 2]), np.sin(poses[p, 2])
             x, y = cos * dx + sin * dy, cos * dy - sin * dx
             cos, sin = np.cos(poses[q, 2] - poses[p, 2]), np.sin(poses[q, 2] - poses[p, 2])

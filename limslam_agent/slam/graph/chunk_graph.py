@@ -24,9 +24,7 @@ HOP_KERNEL = 9.0
 LOOP_KERNEL = 3.0
 """The parameter of dynamic covariance scaling of the loops."""
 ANNEALING = 1e4, 1e3, 300.0, 100.0, 30.0, 10.0, 3.0, 1.0
-"""Successive factors of both kernels, from the chain of hops on."""
-REFINING = 5.0, 1.0
-"""Successive factors of both kernels, from a solution that is nearly right."""
+"""Successive factors of both kernels, from the chain of hops on; the last two from a solution that is nearly right."""
 _ITERATIONS, _TOLERANCE = 8, 1e-3  # for each factor: at most, and the step (m, rad) below which they stop
 KEPT_WEIGHT = 0.3
 """Loops with a lower weight are not used further."""
@@ -119,13 +117,6 @@ def carry_over(keys: KeyPoses, trajectory: Trajectory, middles: IntArray, poses:
     moved += share[:, None] * apart
     moved[:, 2] = se2.wrap_angle(moved[:, 2])
     return Trajectory(moved, trajectory.bias)
-
-
-def hop_chi_squares(poses: FloatArray, hops: Hops) -> FloatArray:
-    """How far the motions between poses (c, 3) are from the hops, as chi-squares (c - 1,)."""
-    numbers = np.arange(len(poses) - 1)
-    error, _ = relation_factor(poses, numbers, numbers + 1, hops.motions)
-    return np.asarray(np.einsum("fi,fij,fj->f", error, np.linalg.inv(hops.covariances), error))
 
 
 _Edges = tuple[IntArray, IntArray, FloatArray, FloatArray]

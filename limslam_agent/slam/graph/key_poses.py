@@ -23,11 +23,9 @@ KEY_DISTANCE, KEY_TURN = 0.25, math.radians(12.0)
 
 _SCAN_DISTANCE, _SCAN_TURN = 0.015, math.radians(1.0)  # m, rad: since the last scan that gave points
 # Standard deviations of the motion by odometry along, across and of the heading: m, m, rad per square root of a metre
-# driven, and of a radian turned; and the least variances between two key poses, m^2 and rad^2.
+# driven, and of a radian turned.
 _PER_METRE = 0.05, 0.05, math.radians(2.0)
 _PER_RADIAN = 0.03, 0.03, math.radians(6.0)
-_LEAST_VARIANCES = np.array([1e-3, 1e-3, math.radians(0.05)]) ** 2
-_DECIMALS = 7  # of a motion, m and rad
 _DELAY_STEP = 0.05  # s, of the derivatives by the delay
 _LEAST_NEW_TIMES = 0.9
 ERRORS = 5
@@ -145,7 +143,7 @@ def choose_keys(data: LogData, config: PointConfig) -> KeyPoses:
     """Divide a log into key poses, and collect the points of its scans."""
     count = len(data.time)
     moves = np.zeros((count, 3))
-    moves[1:] = _motions(data.odometry[:-1], data.odometry[1:])
+    moves[1:] = se2.between(data.odometry[:-1], data.odometry[1:])
     length, turn = np.hypot(moves[:, 0], moves[:, 1]), np.abs(moves[:, 2])
     key = _count_ups(length, turn, KEY_DISTANCE, KEY_TURN)
     first = np.searchsorted(key, np.arange(key[-1] + 1))
@@ -158,11 +156,11 @@ def choose_keys(data: LogData, config: PointConfig) -> KeyPoses:
     return KeyPoses(
         event_key=key,
         first_event=first,
-        offset=_motions(data.odometry[first_of], data.odometry),
+        offset=se2.between(data.odometry[first_of], data.odometry),
         offset_forward=forward - forward[first_of],
-        step=_motions(data.odometry[first[:-1]], data.odometry[first[1:]]),
+        step=se2.between(data.odometry[first[:-1]], data.odometry[first[1:]]),
         step_forward=np.diff(forward[first]),
-        step_variances=np.diff(np.cumsum(motion_variances(length, turn), axis=0)[first], axis=0) + _LEAST_VARIANCES,
+        step_variances=np.diff(np.cumsum(motion_variances(length, turn), axis=0)[first], axis=0),
         offset_rate=offset_rate,
         step_rate=step_rate,
         travel=travel,
@@ -181,16 +179,6 @@ def _thinned(hit: BoolArray, most: float) -> BoolArray:
     return np.asarray(hit & ((scans[:, None] + np.arange(hit.shape[1])) % every == 0))
 
 
-def _motions(first: FloatArray, second: FloatArray) -> FloatArray:
-    """Motions (n, 3) between poses of odometry, rounded to 1e-7 m and rad.
-
-    Rounding errors depend on the frame of odometry, and the thresholds of the search amplify them. Without rounding,
-    errors of 1e-14 m decided whether a loop was found.
-    """
-    # Adding zero makes a negative zero a positive one.
-    return np.asarray(np.round(se2.between(first, second), _DECIMALS) + 0.0)
-
-
 def motion_variances(length: FloatArray, turn: FloatArray) -> FloatArray:
     """Variances (k, 3) of motions by odometry of ``length`` (k,), m, and ``turn`` (k,), rad."""
     return np.asarray(length[:, None] * np.array(_PER_METRE) ** 2 + turn[:, None] * np.array(_PER_RADIAN) ** 2)
@@ -201,7 +189,7 @@ def _rates(data: LogData, first: IntArray, second: IntArray) -> FloatArray:
     if not _has_times(data.time):
         return np.zeros((len(first), 3))
     later, earlier = (delayed(data, sign * _DELAY_STEP).odometry for sign in (1.0, -1.0))
-    change = _motions(later[first], later[second]) - _motions(earlier[first], earlier[second])
+    change = se2.between(later[first], later[second]) - se2.between(earlier[first], earlier[second])
     change[:, 2] = se2.wrap_angle(change[:, 2])
     return np.asarray(change / (2.0 * _DELAY_STEP))
 

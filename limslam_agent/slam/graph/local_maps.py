@@ -18,8 +18,6 @@ HIT = 5
 """Value of an occupied cell. Scores are sums of cells divided by this value."""
 FREE = -3
 """Value of a free cell, through which a beam has passed; the value 0 means unknown."""
-_SPARE = 0.5  # m, margin around the area that a chunk can see
-_LEAST_END = 1.0  # m that must be driven after the middle of the last chunk
 
 Cells = NDArray[np.int8]
 
@@ -61,7 +59,7 @@ class LocalMap:
 def chunk_middles(keys: KeyPoses, config: LocalMapConfig, hop: float) -> IntArray:
     """Key poses (c,) in the middle of the chunks, ``hop`` m of driving apart."""
     travel = keys.key_travel
-    wanted = np.arange(config.half, max(travel[-1] - _LEAST_END, config.half + 1e-9), hop)
+    wanted = np.arange(config.half, max(travel[-1], config.half + 1e-9), hop)
     return np.unique(np.minimum(np.searchsorted(travel, wanted), len(keys) - 1))
 
 
@@ -87,7 +85,7 @@ def cut_chunks(
 
 def grid_size(config: LocalMapConfig, max_range: float) -> int:
     """Cells along each side of a chunk's grid."""
-    return 2 * int(np.ceil((config.half + max_range + _SPARE) / config.cell))
+    return 2 * int(np.ceil((config.half + max_range) / config.cell))
 
 
 def united(maps: Sequence[LocalMap], poses: FloatArray, size: int, config: LocalMapConfig) -> LocalMap:

@@ -17,7 +17,7 @@ from limslam_agent.slam.graph.wall_lines import add_lines, find_lines
 from limslam_agent.slam.least_squares.normal_equations import NormalEquations
 from limslam_env.geometry import FloatArray, IntArray
 
-_LINK_STD, _LINE_STD = 0.08, 0.06  # m
+_LINK_STD, _LINE_STD = 0.08, 0.12  # m
 _FIRST_WINDOW = 4.0  # m, in which lines are found in the first iteration
 LINK_KERNEL = 2.0
 """Scale of the Geman-McClure kernel of links, in standard deviations."""

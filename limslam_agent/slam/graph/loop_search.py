@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from limslam_agent.slam.graph.chunk_graph import REFINING, Hops, Loop, joint_covariance, solve
+from limslam_agent.slam.graph.chunk_graph import ANNEALING, Hops, Loop, joint_covariance, solve
 from limslam_agent.slam.graph.key_poses import ANOTHER_VISIT
 from limslam_agent.slam.graph.least_squares import relation_covariances, relation_factor
 from limslam_agent.slam.graph.local_maps import LocalMap
@@ -145,7 +145,7 @@ class ChunkGraph:
         return self._grids[number]
 
     def _solve(self) -> None:
-        self.poses = solve(self.poses, self.hops, self.loops, REFINING).poses
+        self.poses = solve(self.poses, self.hops, self.loops, ANNEALING[-2:]).poses
         self.covariance = joint_covariance(self.poses, self.hops, self.loops)
 
 

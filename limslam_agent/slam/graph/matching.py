@@ -2,7 +2,8 @@
 
 The score of a pose is the mean of the cells at the points, minus a small penalty towards the border of the window. The
 score is 1 if all points lie in occupied cells. All poses of a window are compared, so that no first guess has to be
-good (Olson, "Real-time correlative scan matching", 2009).
+good. The largest cells of small blocks bound the scores of many poses at once (Olson, "Real-time correlative scan
+matching", 2009).
 """
 
 import math
@@ -10,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from limslam_agent.slam.graph.local_maps import Cells, LocalMap
 from limslam_env.compilation import entry_of
@@ -18,11 +20,12 @@ from limslam_env.geometry import FloatArray, IntArray, se2
 # A kernel calls only kernels of its own file.
 kernel = entry_of(__name__)
 
+_BLOCK = 4  # cells along each side of a block of poses
 _VOLUME_CELLS, _VOLUME_TURNS = 10, 5
 _PRIOR = 0.05  # penalty of a match at the border of its window, for shift and for turn
 _SHARPNESS = 0.25  # from a difference in score to one in log-likelihood, for each point
 _FLOOR_POSITION, _FLOOR_TURN = 0.06, math.radians(1.2)  # least standard deviations of a match, m and rad
-NO_MATCH = -9.0
+NO_MATCH = -math.inf
 LEAST_POINTS = 20
 """Fewer points are not matched, since they fit nearly anywhere. By ``_SHARPNESS``, a perfect fit of 20 points is only
 e^5 = 150 times as likely as a fit in unknown cells, and a search compares thousands of poses."""
@@ -41,6 +44,9 @@ class SearchGrid:
     ----------
     padded
         Cells (n, n), padded on all sides by the size of the window.
+    largest
+        The largest cell (b, b, k, k) of a square of b cells, by the first cell of the square: its rest and its quotient
+        by b, along x and y each.
     low
         Lowest x and y of the padded grid, m.
     cell
@@ -50,6 +56,7 @@ class SearchGrid:
     """
 
     padded: Cells
+    largest: Cells
     low: float
     cell: float
     margin: int
@@ -80,7 +87,16 @@ def search_grid(chunk: LocalMap, window: float) -> SearchGrid:
     margin = max(int(window / chunk.cell + 1e-6), _VOLUME_CELLS)
     # A point that lies further outside can be moved nearer, since it still meets only unknown cells.
     pad = 2 * margin + 1
-    return SearchGrid(np.pad(chunk.grid, pad), chunk.low - pad * chunk.cell, chunk.cell, margin)
+    padded = np.pad(chunk.grid, pad)
+    return SearchGrid(padded, _largest(padded), chunk.low - pad * chunk.cell, chunk.cell, margin)
+
+
+def _largest(cells: Cells) -> Cells:
+    """The largest cells of squares, as in :class:`SearchGrid`. Cells beyond the border are unknown."""
+    count = len(cells) // _BLOCK + 2
+    squares = maximum_filter(cells, _BLOCK, mode="constant", origin=-(_BLOCK // 2))
+    squares = np.pad(squares, (0, count * _BLOCK - len(cells)))
+    return np.ascontiguousarray(squares.reshape(count, _BLOCK, count, _BLOCK).transpose(1, 3, 0, 2))
 
 
 def match(grid: SearchGrid, points: FloatArray, guess: FloatArray, window: Window, least: float) -> Match:
@@ -97,7 +113,9 @@ def match(grid: SearchGrid, points: FloatArray, guess: FloatArray, window: Windo
     turns = int(window.turn / window.turn_step + 1e-6)
     if len(points) < LEAST_POINTS:
         return Match(NO_MATCH, guess)
-    score, turn, x, y = _best(grid.padded, points, guess, grid.low, grid.cell, window.turn_step, margin, turns)
+    score, turn, x, y = _best(
+        grid.padded, grid.largest, points, guess, grid.low, grid.cell, window.turn_step, margin, turns, least
+    )
     if score <= least:
         return Match(NO_MATCH, guess)
     return Match(score, guess + np.array([x * grid.cell, y * grid.cell, turn * window.turn_step]))
@@ -188,6 +206,7 @@ def _sums(
 @kernel
 def _best(
     padded: Cells,
+    largest: Cells,
     points: FloatArray,
     guess: FloatArray,
     low: float,
@@ -195,19 +214,32 @@ def _best(
     turn_step: float,
     margin: int,
     turns: int,
+    least: float,
 ) -> tuple[float, int, int, int]:
-    """Score, turn in steps and shifts in cells of the best pose of a window."""
-    best, best_turn, best_x, best_y = -9.0, 0, 0, 0
-    sums = np.empty((2 * margin + 1, 2 * margin + 1), np.int16)
+    """Score, turn in steps and shifts in cells of the best pose of a window; ``least`` if no score is above it."""
+    best, best_turn, best_x, best_y = least, 0, 0, 0
     by_shift, by_turn = _PRIOR / (margin * margin + 1.0), _PRIOR / (turns * turns + 1.0)
+    block = len(largest)
+    count = (2 * margin + block) // block
+    bounds, pixels = np.empty((count, count), np.int16), np.empty((len(points), 2), np.int64)
     for turn in range(-turns, turns + 1):
-        _sums(padded, points, guess[0], guess[1], guess[2] + turn * turn_step, low, cell, sums)
-        for x in range(-margin, margin + 1):
-            for y in range(-margin, margin + 1):
-                penalty = by_shift * (x * x + y * y) + by_turn * turn * turn
-                score = sums[x + margin, y + margin] / (5.0 * len(points)) - penalty
-                if score > best:
-                    best, best_turn, best_x, best_y = score, turn, x, y
+        _pixels(points, guess[0], guess[1], guess[2] + turn * turn_step, low, cell, margin, len(padded), pixels)
+        pixels -= margin
+        bounds[:] = 0
+        for i, j in pixels:
+            _add_rows(bounds, largest[i % block, j % block], i // block, j // block)
+        for a, b in np.ndindex(count, count):
+            if bounds[a, b] / (5.0 * len(points)) - by_turn * turn * turn <= best:
+                continue
+            for x in range(block * a, min(block * (a + 1), 2 * margin + 1)):
+                for y in range(block * b, min(block * (b + 1), 2 * margin + 1)):
+                    total = 0
+                    for i, j in pixels:
+                        total += padded[i + x, j + y]
+                    penalty = by_shift * ((x - margin) ** 2 + (y - margin) ** 2) + by_turn * turn * turn
+                    score = total / (5.0 * len(points)) - penalty
+                    if score > best:
+                        best, best_turn, best_x, best_y = score, turn, x - margin, y - margin
     return best, best_turn, best_x, best_y
 
 

@@ -23,8 +23,9 @@ _NORMAL_RADIUS, _NORMAL_TRAVEL = 0.4, 3.0
 _MIN_NEIGHBOURS, _MIN_SPREAD, _MAX_THICKNESS, _MAX_RATIO, _MIN_INCIDENCE = 5, 0.07, 0.05, 0.15, 0.17
 _RADIUS = 0.35  # m, within which points are linked
 _BANDS = 0.4, 1.2, 3.0, 10.0  # borders of the bands of distance driven, m; the nearest point of each band is linked
-# Least cosine between the normals, and largest distance from the line as a share of the radius.
-_MIN_COSINE, _MAX_OFFSET = 0.85, 0.7
+MIN_COSINE = 0.85
+"""Least cosine between the normals of what lies on one wall."""
+_MAX_OFFSET = 0.7  # largest distance of linked points from the line, as a share of the radius
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,14 +85,14 @@ def find_normals(
 def links_along(cloud: PointCloud) -> IntArray:
     """Links (l, 2) between points of one section of driving, to the nearest point in each band of distance driven."""
     index = _index(cloud.places, cloud.travel, _RADIUS)
-    limits = np.array([_RADIUS, _MIN_COSINE, _MAX_OFFSET * _RADIUS])
+    limits = np.array([_RADIUS, MIN_COSINE, _MAX_OFFSET * _RADIUS])
     return _along(cloud.places, cloud.normals, cloud.good, cloud.travel, cloud.key, *index, np.array(_BANDS), limits)
 
 
 def links_across(cloud: PointCloud, radius: float) -> IntArray:
     """Links (l, 2) to the nearest point of another visit, and to the nearest point of a third visit."""
     index = _index(cloud.places, cloud.travel, radius)
-    limits = np.array([radius, _MIN_COSINE, ANOTHER_VISIT])
+    limits = np.array([radius, MIN_COSINE, ANOTHER_VISIT])
     return _across(cloud.places, cloud.normals, cloud.good, cloud.travel, *index, limits)
 
 

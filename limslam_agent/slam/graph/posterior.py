@@ -17,8 +17,9 @@ from limslam_agent.slam.graph.local_smoothing import cautious_equations
 from limslam_agent.slam.least_squares.normal_equations import NormalEquations
 from limslam_env.geometry import FloatArray
 
-_SPACING, _MOST_POSES = 2.5, 300  # m between the poses that are judged, and at most so many
-_WINDOW, _MOST_WINDOWS = 14.0, 60  # m over which odometry is judged, since its errors last for seconds; and how many
+# Odometry is judged over this distance, m, since its errors last for seconds. Half of it lies between two windows, and
+# between two poses that are judged, unless there would be more than so many.
+_WINDOW, _MOST = 14.0, 60
 _ITERATIONS = 3  # of expectation maximisation; where a path follows odometry alone, nothing changes
 
 
@@ -49,7 +50,7 @@ def position_std(
     for _ in range(_ITERATIONS):
         ratios = odometry_ratios(keys, trajectory, solvable())
         keys = replace(keys, step_variances=keys.step_variances * ratios)
-    numbers = np.unique(np.searchsorted(keys.key_travel, _evenly(keys.key_travel[-1], _SPACING, _MOST_POSES)))
+    numbers = np.unique(np.searchsorted(keys.key_travel, _evenly(keys.key_travel[-1])))
     equations = solvable()
     columns = pose_columns(numbers)[:, :2].ravel()
     rows = np.zeros((equations.size, len(columns)))
@@ -80,7 +81,7 @@ def odometry_ratios(keys: KeyPoses, trajectory: Trajectory, equations: NormalEqu
     some metres, and their posterior variances in the ``equations`` of the path.
     """
     errors, jacobian = odometry_factor(keys, trajectory)
-    begins = np.searchsorted(keys.key_travel, _evenly(keys.key_travel[-1] - _WINDOW, 0.5 * _WINDOW, _MOST_WINDOWS))
+    begins = np.searchsorted(keys.key_travel, _evenly(keys.key_travel[-1] - _WINDOW))
     ends = np.minimum(np.searchsorted(keys.key_travel, keys.key_travel[begins] + _WINDOW), len(errors))
     begins = np.minimum(begins, ends - 1)
     biases = np.arange(3 * len(keys), 3 * len(keys) + jacobian.shape[2] - 6)
@@ -98,6 +99,6 @@ def odometry_ratios(keys: KeyPoses, trajectory: Trajectory, equations: NormalEqu
     return np.asarray(((squares + posterior) / assumed).mean(axis=0))
 
 
-def _evenly(length: float, spacing: float, most: int) -> FloatArray:
-    """Distances along a path from its begin on, m, with a wider spacing where there would be more than ``most``."""
-    return np.arange(0.0, max(length, 1e-9), max(spacing, length / most))
+def _evenly(length: float) -> FloatArray:
+    """Distances along a path from its begin on, m."""
+    return np.arange(0.0, max(length, 1e-9), max(0.5 * _WINDOW, length / _MOST))

@@ -17,7 +17,6 @@ from limslam_agent.slam.graph.chunk_graph import (
     Hops,
     Loop,
     carry_over,
-    hop_chi_squares,
     inflated,
     solve_annealed,
 )
@@ -57,8 +56,6 @@ class GraphResult:
         The verdicts on all loops that were found.
     chunk_keys
         The key poses (c,) in the middle of the chunks.
-    hop_errors
-        How far the motion from each chunk to the next is from the local smoothing, as a chi-square (c - 1,).
     """
 
     kind: str
@@ -67,7 +64,6 @@ class GraphResult:
     errors: FloatArray
     verdicts: list[LoopVerdict]
     chunk_keys: IntArray
-    hop_errors: FloatArray
 
     @property
     def poses(self) -> FloatArray:
@@ -114,7 +110,7 @@ def rounds(data: LogData, start: FloatArray, config: GraphConfig, report: Report
             found = smooth_with_loops(problem, trajectory, report)
         else:
             kind, none = "local" if len(keys.point_key) else "odometry", np.zeros(1, dtype=np.int64)
-            found = GraphResult(kind, keys, local, local.bias, [], none, np.zeros(0))
+            found = GraphResult(kind, keys, local, local.bias, [], none)
         trajectory = found.trajectory
         placed = trajectory.moved(np.asarray(start, dtype=float))
         yield replace(found, trajectory=placed, errors=joined_bias(known, found.errors))
@@ -149,11 +145,9 @@ class LogProblem:
     data: LogData
     config: GraphConfig
 
-    def hops(self, middles: IntArray) -> Hops:
-        """The motions between chunks with the middles (c,) along the trajectory without loops."""
-        poses = self.local.poses[middles]
-        covariances = local_covariances(self.keys, self.local, middles, self.config, self.data.range_std)
-        return Hops(se2.between(poses[:-1], poses[1:]), inflated(covariances))
+    def hop_covariances(self, middles: IntArray) -> FloatArray:
+        """Covariances (c - 1, 3, 3) of the motions between chunks with the middles (c,), by the path without loops."""
+        return inflated(local_covariances(self.keys, self.local, middles, self.config, self.data.range_std))
 
 
 def smooth_with_loops(problem: LogProblem, trajectory: Trajectory, report: Report) -> GraphResult:
@@ -161,8 +155,8 @@ def smooth_with_loops(problem: LogProblem, trajectory: Trajectory, report: Repor
     keys, data, config = problem.keys, problem.data, problem.config
     report("search for loops")
     middles = chunk_middles(keys, config.maps, config.maps.hop)
-    local, poses = problem.hops(middles), trajectory.poses[middles]
-    hops = Hops(se2.between(poses[:-1], poses[1:]), local.covariances)
+    poses = trajectory.poses[middles]
+    hops = Hops(se2.between(poses[:-1], poses[1:]), problem.hop_covariances(middles))
     found = search_loops(cut_chunks(keys, trajectory, config.maps, middles, data.max_range), poses[0], hops)
     good = supported(found, poses, keys.key_travel[middles])
     loops = [loop for loop, agreed in zip(found, good, strict=True) if agreed]
@@ -174,8 +168,7 @@ def smooth_with_loops(problem: LogProblem, trajectory: Trajectory, report: Repor
     smoothed = bundle(keys, moved, kept, config, data.range_std)
     verdicts = [LoopVerdict(loop, KEPT if each else OUTVOTED) for loop, each in zip(loops, strong, strict=True)]
     verdicts += [LoopVerdict(loop, NO_SUPPORT) for loop, agreed in zip(found, good, strict=True) if not agreed]
-    errors = hop_chi_squares(smoothed.poses[middles], local)
-    return GraphResult("loops", keys, smoothed, smoothed.bias, verdicts, middles, errors)
+    return GraphResult("loops", keys, smoothed, smoothed.bias, verdicts, middles)
 
 
 def relations_of(loops: Sequence[Loop], middles: IntArray) -> Relations:

@@ -4,7 +4,6 @@ The points of a line are removed, and lines are searched again until there are n
 line has two unknowns: a rotation about its centre and an offset.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,7 +11,7 @@ import numpy as np
 from limslam_agent.config.graph import WallLineConfig
 from limslam_agent.kernels.lines import extract_lines
 from limslam_agent.slam.graph.key_poses import ERRORS
-from limslam_agent.slam.graph.point_links import PointCloud
+from limslam_agent.slam.graph.point_links import MIN_COSINE, PointCloud
 from limslam_agent.slam.least_squares.normal_equations import NormalEquations
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, no_rows
@@ -22,9 +21,6 @@ from limslam_env.geometry.line import direction, normal
 kernel = entry_of(__name__)
 
 _OFFSET_BIN = 0.08  # m, of the Hough space
-_LEAST_COSINE = math.cos(math.radians(20.0))  # between the normals of a point and its line
-_NO_POINTS = np.zeros(0, dtype=np.int64)
-_INFLATION = 2.0  # of the standard deviation of a point about its line
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +59,8 @@ def lines_in(
     tolerance: float,
 ) -> WallLines:
     """Lines among the points of each span (w, 2), which is given by its first point and its last point (excluded)."""
-    angles, centres, points, owners, count = [np.zeros(0)], [no_rows(2)], [_NO_POINTS], [_NO_POINTS], 0
+    none = np.zeros(0, dtype=np.int64)
+    angles, centres, points, owners, count = [np.zeros(0)], [no_rows(2)], [none], [none], 0
     for begin, end in spans.tolist():
         label, turns = _window(places[begin:end], normals[begin:end], good[begin:end], config, tolerance)
         members = np.flatnonzero(label >= 0)
@@ -97,7 +94,7 @@ def _window(
         voters, owner = voters[owner >= 0], owner[owner >= 0]
         cosines = np.sum(normals[voters] * normal(lines)[owner], axis=1)
         sides = np.sign(np.bincount(owner, cosines, len(lines)))
-        fits = cosines * sides[owner] > _LEAST_COSINE
+        fits = cosines * sides[owner] > MIN_COSINE
         enough = np.bincount(owner[fits], minlength=len(lines)) >= config.min_points
         fits &= enough[owner]
         if not enough.any():
@@ -121,7 +118,7 @@ def _window(
 def add_lines(equations: NormalEquations, poses: FloatArray, cloud: PointCloud, lines: WallLines, std: float) -> None:
     """Add the distances of points from their lines, with the Geman-McClure kernel, and a weak prior of the lines.
 
-    ``std`` (m) is the standard deviation of a point about its line, before its inflation.
+    ``std`` (m) is the standard deviation of a point about its line, and the scale of the kernel.
     """
     if not len(lines.angles):
         return
@@ -170,7 +167,7 @@ def _line_blocks(
             last += 1
             pairs[last, 0], pairs[last, 1] = a, b
         error = line_error(poses[a], places[row], angles[b], centres[b], by)
-        weight = 1.0 / ((1.0 + (error / (2.0 * std)) ** 2) * std * _INFLATION) ** 2
+        weight = 1.0 / ((1.0 + (error / std) ** 2) * std) ** 2
         for u in range(5):
             gradient[last, u] += weight * by[u] * error
             for v in range(5):

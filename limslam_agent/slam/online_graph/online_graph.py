@@ -16,9 +16,10 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig, LocalMapConfig
 from limslam_agent.slam.graph.chunk_graph import inflated
-from limslam_agent.slam.graph.key_poses import KEY_DISTANCE, KEY_TURN, calibrated_motion, motion_variances
+from limslam_agent.slam.graph.key_poses import KEY_DISTANCE, KEY_TURN, LogData, calibrated_motion, motion_variances
 from limslam_agent.slam.graph.local_maps import cut_chunks
 from limslam_agent.slam.graph.loop_search import SCORES_WHILE_DRIVING, ChunkGraph
+from limslam_agent.slam.graph.reversing import LEAST_LENGTH, driven_backwards
 from limslam_agent.slam.online_graph.local_frame import LocalFrame, OdometryErrors, smooth_window
 from limslam_agent.slam.online_graph.recent_events import RecentEvents
 from limslam_env.geometry import BoolArray, FloatArray
@@ -100,6 +101,8 @@ class OnlineGraph:
         self._waiting: Anchor | None = None
         self._chunk_std, self._first_covariance = 0.0, np.zeros((3, 3))
         self._middles = [0]  # events in the middle of the last chunks
+        self._last_job, self._proofs = 0, 0  # event of the last job; stretches that prove that odometry has no sign
+        self._reversed = list[tuple[int, int]]()  # stretches that are to be turned round if that is proven
         self._job_at = _remainder(self._config.maps)
         self._key_travel, self._key_turned = 0.0, 0.0
         self.pose, self.covariance, self.job_ms = self._start, np.zeros((3, 3)), 0.0
@@ -153,9 +156,8 @@ class OnlineGraph:
         maps, recent = self._config.maps, self._recent
         while self._job_at <= recent.travel:
             self._job_at += maps.hop
-        beams, driven = self._beams, recent.travel - recent.travel_at(recent.first)
-        data = recent.data(beams.origins, beams.angles, beams.max_range, beams.range_std)
-        frame = smooth_window(data, self.errors, self._config, min(1.0, maps.hop / driven))
+        driven = recent.travel - recent.travel_at(recent.first)
+        frame = smooth_window(self._directed(), self.errors, self._config, min(1.0, maps.hop / driven))
         if frame is not None:
             self.errors = frame.errors
             pose, covariance = self._placed(frame)
@@ -163,6 +165,24 @@ class OnlineGraph:
         if self.places is not None:
             self._middles = self._middles[-1 - _REVISED :]
             recent.forget_before(min(recent.at(recent.travel + maps.hop - _WINDOW), self._middles[0]))
+
+    def _directed(self) -> LogData:
+        """The last events. What was driven backwards is turned round if odometry has no sign."""
+        beams, recent, reversing = self._beams, self._recent, self._config.reversing
+        layout = beams.origins, beams.angles, beams.max_range, beams.range_std
+        data = recent.data(*layout)
+        if recent.backwards >= LEAST_LENGTH:
+            return data
+        for begin, end, is_proof in driven_backwards(data, self._config, self._last_job - recent.first):
+            self._proofs += is_proof
+            self._reversed.append((recent.first + begin, recent.first + end))
+        self._last_job = recent.last
+        if self._proofs >= reversing.fewest:
+            for begin, end in self._reversed:
+                if begin >= recent.first:
+                    recent.turn_round(begin, end)
+            self._reversed.clear()
+        return recent.data(*layout)
 
     def _placed(self, frame: LocalFrame) -> tuple[FloatArray, FloatArray]:
         """Pose (3,) and covariance (3, 3) of the last event of the window, after its chunk has been added."""

@@ -13,7 +13,7 @@ from limslam_agent.config.shared import OdometryConfig
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations, read_relations
-from limslam_agent.replay.calibration import LONGEST_DRIVE, calibrated, estimate_bias
+from limslam_agent.replay.calibration import calibrated, estimate_bias
 from limslam_env.geometry import se2
 from limslam_env.interface import RobotSpec, SensorSpec
 
@@ -99,60 +99,29 @@ def test_a_wheel_that_slipped_is_no_bias():
     assert bias.distance_scale == pytest.approx(1.05, abs=0.01)
 
 
-def test_relations_may_run_backwards_between_events_and_over_times_that_step_back():
-    true = drive()
-    log = as_log(reported(true, math.radians(2.0), 0.9))
-    relations = known(true, log)
-    back = Relations(relations.end_time, relations.start_time, se2.inverse(relations.relative))
-    bias = estimate_bias(log, back)
-    assert math.degrees(bias.turn_per_metre) == pytest.approx(2.0, abs=1e-6)
-    assert bias.distance_scale == pytest.approx(0.9, abs=1e-6)
-    order = np.arange(len(log))
-    order[[10, 11]] = [11, 10]
-    shuffled = replace(log, time=log.time[order], odometry=log.odometry[order])
-    assert estimate_bias(shuffled, back).distance_scale == pytest.approx(0.9, abs=1e-6)
-
-
-def test_relations_over_long_drives_are_left_out():
-    true = drive()
-    log = as_log(reported(true, math.radians(1.0), 1.1))
-    good = known(true, log)
-    apart = math.ceil(1.2 * LONGEST_DRIVE / 0.5 * 10)
-    wrong = known(true, log, apart=apart)
-    wrong = Relations(wrong.start_time, wrong.end_time, wrong.relative + np.array([50.0, 0.0, 1.0]))
-    both = Relations(
-        np.concatenate((good.start_time, wrong.start_time)),
-        np.concatenate((good.end_time, wrong.end_time)),
-        np.vstack((good.relative, wrong.relative)),
-    )
-    bias = estimate_bias(log, both)
-    assert bias.relations == len(good.start_time)
-    assert bias.distance_scale == pytest.approx(1.1, abs=1e-6)
-
-
 def test_what_cannot_be_calibrated_is_refused():
     true = drive(count=200)
     log = as_log(reported(true, 0.0, 1.0))
     relations = known(true, log)
     with pytest.raises(ValueError, match="has wheel travel"):
         estimate_bias(replace(log, odometry=None, wheels=np.zeros((len(log), 2))), relations)
-    with pytest.raises(ValueError, match=r"0\.00 m are driven in them, too little"):
+    with pytest.raises(ValueError, match="nothing is driven in them: 0 of"):
         estimate_bias(replace(log, time=log.time + 5000.0), relations)
-    with pytest.raises(ValueError, match="too little to calibrate by"):
+    with pytest.raises(ValueError, match="nothing is driven in them"):
         estimate_bias(as_log(np.zeros((200, 3))), relations)
     with pytest.raises(ValueError, match="times as long as odometry has them: they are of another run"):
         estimate_bias(log, Relations(relations.start_time, relations.end_time, 5.0 * relations.relative))
 
 
-@pytest.mark.parametrize(("until", "slack"), [(150.0, 0.2), (300.0, 0.2), (2000.0, 0.2)])
-def test_a_real_robots_bias_shows_in_the_beginning_of_its_log(until, slack):
+@pytest.mark.parametrize("until", [150.0, 2000.0])
+def test_a_real_robots_bias_shows_in_the_beginning_of_its_log(until):
     folder = data_folder() / "fr079"
     log = read_log(folder / "fr079_raw.clf.gz", (0.0,))
     relations = read_relations(folder / "fr079.relations.gz")
     early = relations.within(log.time[log.time <= log.time[0] + until])
     columns = relations.start_time, relations.end_time, relations.relative
     bias = estimate_bias(log, Relations(*(each[early] for each in columns)))
-    assert math.degrees(bias.turn_per_metre) == pytest.approx(0.99, abs=slack)
+    assert math.degrees(bias.turn_per_metre) == pytest.approx(0.99, abs=0.2)
     # The log is said to have a scale of 1.075, but neither its relations nor the offline mapper's poses show one.
     assert bias.distance_scale == pytest.approx(1.0, abs=0.015)
 
@@ -169,5 +138,5 @@ def relations_file(path, relations):
 
 def test_a_refusal_names_the_relations(tmp_path):
     path = relations_file(tmp_path / "known", Relations(np.zeros(1), np.ones(1), np.zeros((1, 3))))
-    with pytest.raises(ValueError, match=f"--calibrate {path}: 0.00 m are driven"):
+    with pytest.raises(ValueError, match=f"--calibrate {path}: nothing is driven"):
         calibrated(path, as_log(np.zeros((5, 3))), OdometryConfig())

@@ -15,7 +15,6 @@ from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.table_options import TableOptions
 from limslam_agent.replay.plausibility import log_warnings, map_warnings
 from limslam_agent.replay.replay import replay_log
-from limslam_env.geometry import se2
 
 
 def written(tmp_path, right="0.8", left="2.9", period=0.1, step=0.025, count=60, beams=(-90, 90)):
@@ -44,7 +43,7 @@ def test_readings_that_jump_to_0_are_noticed(tmp_path):
         lines[row] = lines[row].replace("2.9", "0")
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     (warning,) = log_warnings(read_log(path))
-    assert warning.startswith("5.1% of the readings jump from more than 0.3 m to the beam's shortest range or to 0")
+    assert warning.startswith("5.1% of the readings jump from more than 0.5 m to the beam's shortest range or to 0")
     assert "--zero-is-nothing reads a table so, other logs have to be changed" in warning
     assert log_warnings(read_log(path, table=TableOptions(zero_is_nothing=True))) == []
 
@@ -58,16 +57,12 @@ def test_negative_numbers_can_say_that_nothing_was_seen(tmp_path):
     np.testing.assert_array_equal(whole.ranges, read_log(written(tmp_path, "2.9", "inf")).ranges)
 
 
-@pytest.mark.parametrize(("period", "said"), [(100.0, "100"), (0.0005, "0.0005")])
-def test_times_in_another_unit_are_noticed(tmp_path, period, said):
+@pytest.mark.parametrize(
+    ("period", "said"), [(100.0, "the median time between two events is 100 s"), (-0.1, "the times never rise")]
+)
+def test_clocks_that_are_wrong_are_noticed(tmp_path, period, said):
     (warning,) = log_warnings(read_log(written(tmp_path, period=period)))
-    assert warning.startswith(f"the median time between two events is {said} s: are the times in seconds?")
-
-
-@pytest.mark.parametrize("period", [0.0, -0.1])
-def test_times_that_never_rise_are_noticed(tmp_path, period):
-    (warning,) = log_warnings(read_log(written(tmp_path, period=period)))
-    assert warning.startswith("the times never rise")
+    assert warning.startswith(said)
 
 
 def test_a_sensor_that_sees_less_far_than_was_told_is_noticed_with_both_numbers(tmp_path):
@@ -81,9 +76,7 @@ def test_a_sensor_that_sees_less_far_than_was_told_is_noticed_with_both_numbers(
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"right": "800", "left": "900"}, "almost no reading saw anything"),
         ({"step": 0.00002}, "drove only 0.00 m by odometry. Is the odometry in metres?"),
-        ({"step": 0.0}, "by odometry the robot never moves"),
         ({"beams": (0, 180)}, "no beam looks to the left or the right"),
         ({"right": "nan", "left": "nan"}, "the log has no readings"),
     ],
@@ -121,7 +114,6 @@ def laps():
         ((1.0, -1.0, 1.0), 1, "with y of the other sign"),
         ((1.0, 1.0, 180.0 / np.pi), 1, "is its heading in radians?"),
         ((300.0, 300.0, 1.0), 1, "is odometry in metres?"),
-        ((0.0, 0.0, 0.0), 1, "is odometry missing"),
         ((1e-3, 1e-3, 1.0), 1, "is odometry missing, or not in metres?"),
     ],
 )
@@ -130,32 +122,6 @@ def test_a_log_that_is_read_in_a_wrong_way_is_noticed(laps, factors, order, said
     warnings = log_warnings(read)
     assert len(warnings) == bool(said)
     assert all(said in warning for warning in warnings)
-
-
-@pytest.mark.parametrize(
-    ("directions", "is_noticed"),
-    [
-        ((16.875, 5.625, -5.625, -16.875, 106.875, 95.625, 84.375, 73.125), True),
-        ((90, 54, 18, -18, -54, -90), False),
-        (np.arange(11) * 18.0 - 90.0, False),
-        ((17, 49, 90, 150, -17, -49, -90, -150), False),
-    ],
-)
-def test_zones_that_are_read_as_beams_are_noticed(tmp_path, directions, is_noticed):
-    header = ",".join(["t", "x", "y", "theta", *[f"r_{angle:g}" for angle in directions]])
-    rows = [",".join([f"{0.1 * n}", f"{0.05 * n}", "0", "0", *["1.5"] * len(directions)]) for n in range(40)]
-    path = tmp_path / "zones.csv"
-    path.write_text("\n".join([header, *rows]) + "\n")
-    assert any("--zone-axes" in warning for warning in log_warnings(read_log(path))) == is_noticed
-    if is_noticed:
-        axes = TableOptions(zone_axes=(0.0, 90.0))
-        assert not any("--zone-axes" in warning for warning in log_warnings(read_log(path, table=axes)))
-
-
-def test_a_sensor_that_looks_backwards_is_noticed(laps):
-    about = se2.compose(laps.odometry, np.array([0.0, 0.0, np.pi]))
-    (warning,) = log_warnings(replace(laps, odometry=about))
-    assert "is the sensor mounted backwards" in warning
 
 
 def wheel_log(change):
@@ -185,27 +151,19 @@ def test_exchanged_and_reversed_wheels_are_noticed(change, question):
 
 
 @pytest.mark.parametrize(
-    ("reading", "first", "words"),
+    ("reading", "words"),
     [
-        (0.4, 0, "says 0.4 in all of its {} readings"),
-        (np.inf, 0, "says nothing was seen in all of its {} readings"),
-        (np.nan, 0, "has no reading"),
+        (0.4, "says 0.4 in all of its {} readings"),
+        (np.inf, "says nothing was seen in all of its {} readings"),
+        (np.nan, "has no reading"),
     ],
 )
-def test_a_beam_that_always_says_the_same_or_nothing_is_named(reading, first, words):
+def test_a_beam_that_always_says_the_same_or_nothing_is_named(reading, words):
     log = wheel_log(np.eye(2))
-    log.ranges[:, 0] = np.nan
-    log.ranges[first:, 0] = reading
+    log.ranges[:, 0] = reading
     (warning,) = [found for found in log_warnings(log) if "sensor connected" in found]
     assert warning.startswith(f"the beam at 90 deg {words.format(len(log))}: is its sensor connected?")
     assert "--beams=45,15,-15,-45,-90 leaves it out" in warning
-
-
-def test_a_beam_that_sees_nothing_is_not_left_out_where_others_often_see_nothing():
-    """Laps along the walls of a wide hall: the beams on the inner side are out of reach."""
-    log = wheel_log(np.eye(2))
-    log.ranges[:, 0], log.ranges[::3, 1:] = np.inf, np.inf
-    assert not [found for found in log_warnings(log) if "sensor connected" in found]
 
 
 def test_wheels_that_are_faster_than_the_robot_are_noticed():

@@ -10,9 +10,8 @@ from support.corridors import SIX_BEAMS, corridor_log, loop_errors, walls
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.config.presets import preset
 from limslam_agent.logs.recorded_log import RecordedLog
-from limslam_agent.logs.relations import Relations
 from limslam_agent.output.finished_run import FolderError, read_run
-from limslam_agent.replay.replay import relation_scores, replay_log, write_replay
+from limslam_agent.replay.replay import replay_log, write_replay
 from limslam_agent.replay.smoothing import draw_walls
 from limslam_agent.runs.inspection import inspect_log
 from limslam_agent.slam.graph.point_links import PointCloud
@@ -67,16 +66,6 @@ def test_the_map_is_drawn_from_the_smoothed_path(smoothed):
     assert replay.grid.free.sum() > 100
 
 
-def test_known_motions_score_the_smoothed_path_too(smoothed):
-    replay, truth = smoothed
-    rows = np.arange(0, len(truth) - LAP, 20)
-    time = replay.log.time
-    known = Relations(time[rows], time[rows + LAP], se2.between(truth[rows], truth[rows + LAP]))
-    scores = relation_scores(replay, known)
-    assert scores["smoothed_relation_error_m"] < 0.1
-    assert scores["raw_odometry_relation_error_m"] > 5.0 * scores["smoothed_relation_error_m"]
-
-
 def test_the_folder_holds_both_paths_and_the_loops(smoothed, tmp_path):
     replay, _ = smoothed
     write_replay(tmp_path, replay, {"log": "corridor", "relations": None}, {}, {})
@@ -115,26 +104,3 @@ def test_a_drawn_wall_is_the_least_squares_line_and_ends_at_gaps():
         assert abs(se2.wrap_angle(mark.theta - np.pi / 2.0)) < 0.02
         assert np.ptp(mark.ends[:, 0]) == pytest.approx(2.0, abs=0.05)
         assert 1e-5 < np.sqrt(mark.covariance[1, 1]) < 0.01
-
-
-def test_a_log_of_wheel_travel_is_smoothed_by_lines():
-    log, _ = recorded()
-    moves = se2.between(log.odometry[:-1], log.odometry[1:])
-    axle, distance = log.robot.axle, np.hypot(moves[:, 0], moves[:, 1])
-    half = 0.5 * axle * moves[:, 2]
-    wheels = np.vstack((np.zeros((1, 2)), np.column_stack((distance - half, distance + half))))
-    rows = 350  # later the robot is lost and found again, by smoothing with the first preset only
-    log = replace(
-        log,
-        odometry=None,
-        wheels=wheels[:rows],
-        time=log.time[:rows],
-        ranges=log.ranges[:rows],
-        has_scan=log.has_scan[:rows],
-    )
-    replay = replay_log(log, preset("graph"))
-    assert replay.smoothed.loops is None
-    assert not np.array_equal(replay.estimated, replay.smoothed.poses)
-    filtered = replay_log(log, preset("consistent"))
-    assert filtered.smoothed is None
-    np.testing.assert_array_equal(filtered.estimated, replay.estimated)

@@ -34,10 +34,6 @@ def test_the_longest_stretch_without_a_loop_is_found():
             "visits contradict what was seen more often than they confirm it after 12, 40 s",
         ),
         (
-            replace(SURE, bend_times=(33.2, 91.0)),
-            "the path is bent more than odometry and walls allow after 33, 91 s",
-        ),
-        (
             replace(SURE, position_std=0.7, loose=(3.0, 61.0)),
             "positions may be 0.7 m off, as no recognised place holds the path from 3 to 61 s",
         ),
@@ -58,13 +54,6 @@ def test_the_summary_says_that_readings_are_few():
     assert len(replay_summary(SURE.figures)) == 1
     _, line = replay_summary(replace(SURE, points=620).figures)
     assert line.strip() == "6.2 readings of walls in a metre of driving: with fewer than 10, paths were often wrong"
-
-
-def test_a_log_in_which_nothing_was_seen_is_not_trusted():
-    data, truth = corridor_log(bias=0.0)
-    _, judged = trusted_path(replace(data, hit=np.zeros_like(data.hit)), truth[0], BRIEF)
-    assert judged.status.level == "unsure"
-    assert "no other visit of a place confirms what was seen" in judged.status.reason
 
 
 def test_a_stretch_that_no_loop_holds_is_named():

@@ -104,13 +104,6 @@ def test_the_second_log_of_poses_lies_in_the_first_one(of_poses):
     np.testing.assert_allclose(both.record["start"], both.poses[1][0])
 
 
-def test_the_order_of_the_logs_does_not_matter(of_poses):
-    both, truth, later = of_poses
-    found = joined(both.replays[::-1], silent)
-    assert found.is_joined, found.status.reason
-    assert largest_error(found, later, truth) < 0.4
-
-
 @pytest.mark.parametrize("kind", ["wheels", "poses"])
 def test_a_building_that_looks_the_same_after_half_a_turn_is_refused(kind):
     if kind == "wheels":
@@ -199,7 +192,6 @@ def test_two_short_logs_leave_one_folder_with_two_maps(tables, tmp_path):
     ("options", "words"),
     [
         (["--map", "x"], "--map is for one log"),
-        (["--calibrate", "x"], "--calibrate is for one log"),
         (["--preset", "consistent"], "needs the preset graph"),
         (["third.csv"], "3 were given"),
     ],
@@ -210,9 +202,3 @@ def test_options_that_make_no_sense_with_two_logs_are_refused_in_one_line(tables
     assert words in done.stderr
     assert len(done.stderr.strip().splitlines()) == 1
     assert not (tmp_path / "no").exists()
-
-
-def test_relations_of_two_logs_need_two_logs(tables, tmp_path):
-    done = limslam("replay", tables[0], "--relations", "a", "--relations", "b", "--out", tmp_path / "no")
-    assert done.returncode == 2
-    assert "two logs" in done.stderr

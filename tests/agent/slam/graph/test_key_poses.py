@@ -3,20 +3,14 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 
 from limslam_agent.config.graph import PointConfig
 from limslam_agent.slam.graph.key_poses import (
     LogData,
-    calibrated_steps,
     choose_keys,
     corrected,
     delayed,
-    event_poses,
     joined_bias,
-    odometry_trajectory,
-    points_in_keys,
-    to_world,
 )
 from limslam_env.geometry import se2
 
@@ -36,49 +30,6 @@ def wandering(count=200, beams=3):
 
 def keys_of(log):
     return choose_keys(log, PointConfig())
-
-
-def test_without_correction_every_event_is_where_odometry_has_it():
-    log = wandering()
-    start = np.array([3.0, -2.0, 1.0])
-    poses = event_poses(keys_of(log), odometry_trajectory(keys_of(log), start))
-    wanted = se2.compose(start, se2.between(log.odometry[0], log.odometry))
-    assert np.allclose(poses[:, :2], wanted[:, :2])
-    assert np.allclose(se2.wrap_angle(poses[:, 2] - wanted[:, 2]), 0.0, atol=1e-6)  # motions are rounded to 1e-7
-
-
-def test_points_lie_where_their_beams_end():
-    log = wandering()
-    keys = keys_of(log)
-    trajectory = odometry_trajectory(keys, log.odometry[0])
-    points, origins = points_in_keys(keys, trajectory.bias)
-    world, begin = (to_world(trajectory.poses[keys.point_key], each) for each in (points, origins))
-    row = 57
-    event = keys.point_event[row]
-    lengths = np.hypot(*(world - begin).T)
-    assert lengths[row] == pytest.approx(lengths[row])
-    assert np.min(np.abs(log.ranges[event] - lengths[row])) < 1e-9
-    beam = int(np.argmin(np.abs(log.ranges[event] - lengths[row])))
-    assert np.allclose(begin[row], se2.transform_points(log.odometry[event], log.origins[beam][None])[0])
-
-
-def test_constant_errors_of_odometry_are_undone():
-    truth = wandering()
-    moves = se2.between(truth.odometry[:-1], truth.odometry[1:])
-    bias, scale, gain = 0.03, 0.02, -0.01
-    turn = (moves[:, 2] - bias * moves[:, 0] / (1.0 + scale)) / (1.0 + gain)
-    half = -0.5 * bias * moves[:, 0] / (1.0 + scale)
-    cos, sin = np.cos(half), np.sin(half)
-    x, y = cos * moves[:, 0] - sin * moves[:, 1], sin * moves[:, 0] + cos * moves[:, 1]
-    reported = np.zeros_like(truth.odometry)
-    for row, move in enumerate(np.column_stack((x / (1.0 + scale), y / (1.0 + scale), turn)), 1):
-        reported[row] = se2.compose(reported[row - 1], move)
-    keys = keys_of(replace(truth, odometry=reported))
-    steps = calibrated_steps(keys, np.array([bias, scale, gain, 0.0, 0.0]))
-    wanted = se2.between(truth.odometry[keys.first_event[:-1]], truth.odometry[keys.first_event[1:]])
-    raw = se2.between(reported[keys.first_event[:-1]], reported[keys.first_event[1:]])
-    assert np.abs(steps - wanted).max() < 3e-3
-    assert np.abs(raw - wanted).max() > 6e-3
 
 
 def test_two_corrections_after_each_other_are_one():

@@ -61,19 +61,6 @@ def test_points_beyond_the_grid_are_found():
     assert found.pose[:2] == pytest.approx([-9.0, 9.0], abs=0.11)
 
 
-@pytest.mark.parametrize("moved", [(0.0, 0.0, 0.0), (2.1, -1.4, 0.5), (-5.0, 4.0, -1.5)])
-def test_a_moved_chunk_is_found(moved):
-    generator = np.random.default_rng(7)
-    chunk = chunk_of(corner(generator, 200))
-    pose = np.array(moved)
-    points = se2.transform_points(se2.inverse(pose), corner(generator, 40))
-    window = Window(8.0, np.radians(100.0), np.radians(4.0))
-    found = match(search_grid(chunk, 8.0), points, np.zeros(3), window, 0.5)
-    assert found.score > 0.7
-    assert np.hypot(*(found.pose - pose)[:2]) < 0.3
-    assert abs(se2.wrap_angle(found.pose[2] - pose[2])) < np.radians(6.0)
-
-
 def test_nothing_is_found_where_nothing_fits():
     generator = np.random.default_rng(8)
     chunk = chunk_of(corner(generator))

@@ -2,60 +2,8 @@
 
 import numpy as np
 import pytest
-from support.corridors import corridor_log
 
-from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.chunk_graph import Loop
-from limslam_agent.slam.graph.key_poses import ERRORS, Trajectory, choose_keys
-from limslam_agent.slam.graph.local_smoothing import cautious_equations
-from limslam_agent.slam.graph.posterior import aligned_covariance, odometry_ratios, position_std
-from limslam_agent.slam.graph.smooth import relations_of
-from limslam_env.geometry import se2
-
-CONFIG = GraphConfig()
-MIDDLES = 10
-NO_LOOPS = relations_of([], np.zeros(1, dtype=np.int64))
-
-
-@pytest.fixture(scope="module")
-def laps():
-    """Two laps of a corridor: its data, key poses, and true path."""
-    data, truth = corridor_log(bias=0.0)
-    keys = choose_keys(data, CONFIG.keys)
-    return data, keys, Trajectory(truth[keys.first_event], np.zeros(ERRORS))
-
-
-def loops_between_laps(keys, path, chunks):
-    """Exact loops between key poses of the first lap and those at the same places in the second one."""
-    half = np.searchsorted(keys.key_travel, 0.5 * keys.key_travel[-1])
-    firsts = [n for n in range(len(chunks)) if chunks[n] < half]
-    seconds = [n for n in range(len(chunks)) if chunks[n] >= half]
-    pairs = []
-    for first in firsts:
-        apart = np.hypot(*(path.poses[chunks[seconds], :2] - path.poses[chunks[first], :2]).T)
-        pairs.append((first, seconds[int(np.argmin(apart))]))
-    information = np.diag([400.0, 400.0, 2500.0])
-    relative = [se2.between(path.poses[chunks[a]], path.poses[chunks[b]]) for a, b in pairs]
-    loops = [Loop(*pair, motion, information, 1.0) for pair, motion in zip(pairs, relative, strict=True)]
-    return relations_of(loops, chunks)
-
-
-def test_loops_make_a_path_better_known(laps):
-    data, keys, path = laps
-    chunks = np.arange(0, len(keys), MIDDLES)
-    held = position_std(keys, path, loops_between_laps(keys, path, chunks), CONFIG, data.range_std)
-    loose = position_std(keys, path, NO_LOOPS, CONFIG, data.range_std)
-    assert 0.0 < held < 0.7 * loose
-
-
-def test_the_variances_of_odometry_follow_its_errors(laps):
-    """The odometry of this log errs by 1 cm aside and 1.1 deg after a metre; more than 1.5 times as much is assumed.
-
-    How far the robot drives along a corridor is hardly seen.
-    """
-    data, keys, path = laps
-    ratios = odometry_ratios(keys, path, cautious_equations(keys, path, CONFIG, data.range_std))
-    assert (ratios[1:] < 0.5).all()
+from limslam_agent.slam.graph.posterior import aligned_covariance
 
 
 def test_alignment_removes_what_moves_and_turns_all_positions():

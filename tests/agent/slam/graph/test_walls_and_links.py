@@ -2,11 +2,10 @@
 
 import numpy as np
 import pytest
-from support.corridors import corridor_log, loop_errors
+from support.corridors import corridor_log
 
 from limslam_agent.config.graph import GraphConfig, WallLineConfig
-from limslam_agent.slam.graph.key_poses import ERRORS, Trajectory, choose_keys, event_poses, odometry_trajectory
-from limslam_agent.slam.graph.local_smoothing import smooth_locally
+from limslam_agent.slam.graph.key_poses import ERRORS, Trajectory, choose_keys
 from limslam_agent.slam.graph.point_links import find_normals, links_across, point_cloud
 from limslam_agent.slam.graph.wall_lines import lines_in
 
@@ -39,14 +38,6 @@ def test_walls_of_a_window_are_found_with_their_points():
     assert sorted(np.round(lines.centres[:, 1], 1)) == [-1.0, 1.0]
     assert np.bincount(lines.lines).tolist() == [60, 60]
     assert np.abs(np.cos(lines.angles)).max() < 0.02
-
-
-def test_local_smoothing_makes_the_way_straight(drive):
-    log, truth, keys = drive
-    raw = odometry_trajectory(keys, truth[0])
-    smooth = smooth_locally(keys, raw, CONFIG, log.range_std)
-    errors = [loop_errors(event_poses(keys, each), truth, 100).mean() for each in (raw, smooth)]
-    assert errors[1] < 0.4 * errors[0]
 
 
 def test_visits_are_linked_to_the_nearest_point_of_another_visit():

@@ -8,8 +8,9 @@ from support.corridors import EVERY, FOUR_BEAMS, SIX_BEAMS, corridor_log, walls
 from support.drives import drive, room, straight, turn
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.replay.reversing import reversed_distance, with_reversing
 from limslam_agent.slam.graph.key_poses import LogData, integrate
+from limslam_agent.slam.graph.reversing import reversed_distance, with_reversing
+from limslam_agent.slam.online_graph.online_graph import Beams, OnlineGraph
 from limslam_env.geometry import se2
 
 CONFIG = GraphConfig()
@@ -49,6 +50,17 @@ def test_all_stretches_are_found(robot, fewest):
     assert reversed_distance(recorded, directed) == (pytest.approx(2.8, abs=0.3), 3)
     assert np.hypot(*(recorded.odometry - signed.odometry)[-1, :2]) > 3.0
     assert np.hypot(*(directed.odometry - signed.odometry)[-1, :2]) < 0.5
+
+
+def test_a_stretch_is_found_while_driving():
+    wheels = straight(9.8) + STOP + straight(-1.6) + STOP + straight(1.6) + turn(90.0, SIX_BEAMS) + straight(6.0)
+    signed = recorded_drive(walls(), wheels)
+    log, config = without_signs(signed), replace(CONFIG, reversing=replace(CONFIG.reversing, fewest=1))
+    graph = OnlineGraph(Beams(log.origins, log.angles, log.max_range, log.range_std), log.odometry[0], config)
+    for event in zip(log.time, log.odometry, log.ranges, log.hit, strict=True):
+        graph.step(*event)
+    assert np.hypot(*(log.odometry - signed.odometry)[-1, :2]) > 3.0
+    assert np.hypot(*(graph.pose - signed.odometry[-1])[:2]) < 0.5
 
 
 def test_odometry_that_reports_driving_backwards_is_believed():

@@ -7,10 +7,11 @@ import numpy as np
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.key_poses import LogData, integrate, to_world
 from limslam_agent.slam.graph.local_maps import LocalMap, draw_grid, grid_size, thinned
-from limslam_agent.slam.graph.matching import NO_MATCH, SearchGrid, Window, match, search_grid
+from limslam_agent.slam.graph.matching import LEAST_POINTS, NO_MATCH, SearchGrid, Window, match, search_grid
 from limslam_env.geometry import FloatArray, IntArray, se2
 
-_FEWEST_POINTS = 10
+BEFORE, AFTER = 3.5, 2.0
+"""Metres of driving that are compared: those before an event with those after it."""
 
 
 @dataclass(frozen=True)
@@ -59,21 +60,22 @@ class LocalViews:
         rays = np.column_stack((np.cos(data.angles), np.sin(data.angles)))
         self._points = data.origins + data.ranges[..., None] * rays
 
-    def known(self, event: int, metres: float) -> SearchGrid | None:
+    def known(self, event: int) -> SearchGrid | None:
         """What was seen in the last metres before an event, in the frame of its pose. None if that is too little."""
-        first = int(np.searchsorted(self.travel, self.travel[event] - metres))
+        first = int(np.searchsorted(self.travel, self.travel[event] - BEFORE))
         poses = integrate(np.zeros(3), self.moves[first:event])
         places, origins = self._seen(np.arange(first, event + 1), se2.between(poses[-1], poses))
-        if len(places) < _FEWEST_POINTS:
+        if len(places) < LEAST_POINTS:
             return None
         maps = self.config.maps
         grid = draw_grid(places, origins, grid_size(maps, self.data.max_range), maps)
         chunk = LocalMap(event, float(self.travel[event]), places, origins, places, grid, maps.cell)
         return search_grid(chunk, self.window.shift)
 
-    def last_event(self, event: int, metres: float) -> int:
-        """The last event of some metres after an event."""
-        return int(np.searchsorted(self.travel, self.travel[event] + metres, side="right")) - 1
+    def next_moves(self, event: int, most: float = AFTER) -> FloatArray:
+        """A copy of the motions (k, 3) of the first metres after an event, of at most ``most`` m."""
+        end = np.searchsorted(self.travel, self.travel[event] + min(AFTER, most), side="right")
+        return self.moves[event : end - 1].copy()
 
     def fit(self, known: SearchGrid, event: int, moves: FloatArray) -> Fit:
         """How well that fits which was seen from an event on, along motions (k, 3)."""

@@ -12,45 +12,44 @@ only if driving ahead contradicts what was seen in several stretches: walls woul
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from limslam_agent.config.graph import GraphConfig
-from limslam_agent.replay.local_views import LocalViews, moves_of
+from limslam_agent.config.graph import GraphConfig, ReversingConfig
 from limslam_agent.slam.graph.key_poses import LogData, integrate
-from limslam_agent.slam.graph.loop_search import TURN_STEP
+from limslam_agent.slam.graph.local_views import AFTER, BEFORE, LocalViews, moves_of
+from limslam_agent.slam.graph.loop_search import SCORES, TURN_STEP
 from limslam_agent.slam.graph.matching import NO_MATCH, Window
 from limslam_env.geometry import FloatArray, IntArray
 
-_LEAST_REACH = 2.5  # m: logs whose beams reach less are not judged, since they see too little ahead of a stop
-_UNSIGNED = 1e-3  # odometry reports no driving backwards if at most this share of its path is driven backwards
 _LEAST_PERIOD = 0.2  # s, over which a speed is measured
 _SLOW = 0.35  # the robot may turn round where it is slower than this share of its median speed
-_LEAST_LENGTH = 0.15  # m: shorter stretches between such events are not judged
-# The last metres before a stretch are compared with its first metres, and with this distance beyond a short stretch, m.
-_BEFORE, _AFTER, _BEYOND = 3.5, 2.0, 1.0
+LEAST_LENGTH = 0.15
+"""Shorter stretches, m, are not judged. Odometry that reports less driving backwards in all has no sign."""
+_BEYOND = 1.0  # m of driving after a short stretch that are compared with it
 _WINDOW = Window(0.4, math.radians(9.0), TURN_STEP)
-# A stretch was driven backwards if this fits with at least this score, and better than driving ahead by the lead and by
-# this for each metre, since in a corridor both directions fit.
-_LEAST_SCORE, _LEAD, _LEAD_PER_METRE = 0.45, 0.12, 0.06
+# A stretch was driven backwards if this fits, and better than driving ahead by the lead and by this for each metre,
+# since in a corridor both directions fit.
+_LEAD, _LEAD_PER_METRE = 0.12, 0.06
 
 
 def with_reversing(data: LogData, config: GraphConfig) -> LogData:
     """The log with the motions turned round that the ranges say were driven backwards.
 
-    A log whose odometry reports driving backwards itself stays as it is, and so does a log of short beams, or one in
-    which nearly no stretch contradicts that it was driven ahead.
+    A log whose odometry reports driving backwards itself stays as it is, and so does a log whose beams reach less far
+    than what is compared, or one in which nearly no stretch contradicts that it was driven ahead.
     """
     settings = config.reversing
-    if data.max_range < _LEAST_REACH:
+    if data.max_range < AFTER:
         return data
     views = LocalViews(data, config, _WINDOW)
-    if not _is_unsigned(views):
+    if -views.moves[:, 0].clip(max=0.0).sum() >= LEAST_LENGTH:
         return data
     drive = _Drive(views)
     judged = [drive.judged(number) for number in range(len(drive.stretches))]
-    if sum(each.lead > 0.0 and each.contradicted >= settings.contradicted for each in judged) < settings.fewest:
+    if sum(each.is_proof(settings) for each in judged) < settings.fewest:
         return data
     leads = {number: each.lead for number, each in enumerate(judged)}
     while leads and leads[best := max(leads, key=leads.__getitem__)] > 0.0:
@@ -62,18 +61,29 @@ def with_reversing(data: LogData, config: GraphConfig) -> LogData:
     return replace(data, odometry=integrate(data.odometry[0], views.moves)) if drive.has_changed else data
 
 
+def driven_backwards(data: LogData, config: GraphConfig, since: int) -> Iterator[tuple[int, int, bool]]:
+    """Stretches at the end of a drive that look reversed: first and last event, and whether that is a proof.
+
+    Those are judged, in their order, after which enough has been seen only since the event ``since``.
+    """
+    if data.max_range < AFTER:
+        return
+    drive = _Drive(LocalViews(data, config, _WINDOW))
+    travel = drive.views.travel
+    for number, (begin, end) in enumerate(drive.stretches.tolist()):
+        if travel[since] < travel[end] + AFTER <= travel[-1]:
+            judged = drive.judged(number)
+            if judged.lead > 0.0:
+                drive.turn_round(number)
+                yield begin, end, judged.is_proof(config.reversing)
+
+
 def reversed_distance(data: LogData, directed: LogData) -> tuple[float, int]:
     """Distance that is driven backwards in the second log and not in the first one, m, and the number of stretches."""
     before, after = (moves_of(each)[:, 0] for each in (data, directed))
     backwards = (after < 0.0) & (before > 0.0)
     begins = backwards & ~np.append(False, backwards[:-1])
     return float(before[backwards].sum()), int(begins.sum())
-
-
-def _is_unsigned(views: LocalViews) -> bool:
-    """Whether odometry has never reported driving backwards."""
-    ahead = views.moves[:, 0]
-    return bool(-ahead[ahead < 0.0].sum() <= _UNSIGNED * views.travel[-1])
 
 
 @dataclass(frozen=True)
@@ -91,8 +101,9 @@ class _Judgement:
     lead: float
     contradicted: float
 
-
-_UNKNOWN = _Judgement(NO_MATCH, 0.0)
+    def is_proof(self, settings: ReversingConfig) -> bool:
+        """Whether the stretch contradicts that it was driven ahead."""
+        return self.lead > 0.0 and self.contradicted >= settings.contradicted
 
 
 @dataclass(eq=False)
@@ -125,23 +136,23 @@ class _Drive:
     def near(self, number: int) -> IntArray:
         """The stretches whose comparison uses this stretch."""
         begins, ends = self.views.travel[self.stretches.T]
-        reach = _BEFORE + _AFTER
+        reach = BEFORE + AFTER
         return np.flatnonzero((begins <= ends[number] + reach) & (ends >= begins[number] - reach))
 
     def judged(self, number: int) -> _Judgement:
         """What speaks for a stretch having been driven backwards."""
         begin, end = map(int, self.stretches[number])
         views = self.views
-        known = views.known(begin, _BEFORE)
+        known = views.known(begin)
         if known is None:
-            return _UNKNOWN
+            return _Judgement(NO_MATCH, 0.0)
         length = float(views.travel[end] - views.travel[begin])
-        moves = views.moves[begin : views.last_event(begin, min(_AFTER, length + _BEYOND))].copy()
+        moves = views.next_moves(begin, length + _BEYOND)
         ahead = views.fit(known, begin, moves)
         moves[: end - begin, :2] *= -1.0
         backwards = views.fit(known, begin, moves)
-        if backwards.score < _LEAST_SCORE:
-            return _UNKNOWN
+        if backwards.score < SCORES[0]:
+            return _Judgement(NO_MATCH, 0.0)
         needed = _LEAD + _LEAD_PER_METRE * length
         return _Judgement(backwards.score - ahead.score - needed, ahead.contradicted)
 
@@ -153,7 +164,7 @@ def _stretches(time: FloatArray, travel: FloatArray) -> IntArray:
     moving = speeds >= _SLOW * np.median(driving) if len(driving) else np.zeros(len(speeds), dtype=np.bool_)
     changes = np.diff(np.concatenate(([False], moving, [False])).astype(np.int64))
     found = np.column_stack((np.flatnonzero(changes > 0), np.flatnonzero(changes < 0)))
-    return np.asarray(found[travel[found[:, 1]] - travel[found[:, 0]] >= _LEAST_LENGTH])
+    return np.asarray(found[travel[found[:, 1]] - travel[found[:, 0]] >= LEAST_LENGTH])
 
 
 def _speeds(time: FloatArray, travel: FloatArray) -> FloatArray:
