@@ -168,10 +168,7 @@ class LearnedPolicy(MapExplorer):
         """Wheel speeds (2,) towards the chosen direction."""
         if self._right_of_way.waits(belief.pose, belief.other_poses):
             return np.zeros(2)
-        drive, robot = self._drive, self.robot
-        error = float(wrap_angle(self._heading - belief.pose[2]))
-        turn = float(np.clip(drive.gain * error, -drive.turn_rate, drive.turn_rate))
-        return wheel_speeds(robot.max_wheel_speed * max(float(np.cos(error)), 0.0), turn, robot)
+        return wheels_towards(self._heading, belief.pose, self._drive, self.robot)
 
     def _choose(self, belief: Belief) -> None:
         """Choose who drives, and the direction if it is the network."""
@@ -192,6 +189,15 @@ class LearnedPolicy(MapExplorer):
         """Whether the map has grown by an area, m^2, in the last seconds. At the beginning it has."""
         is_full = len(self._known) == self._known.maxlen
         return not is_full or (self._known[-1] - self._known[0]) * grid.cell**2 >= area
+
+
+def wheels_towards(heading: float, pose: FloatArray, drive: DriveConfig, robot: RobotSpec) -> FloatArray:
+    """Wheel speeds (2,), fractions of the maximum, that turn a robot at a pose (3,) to a heading (rad) while it drives
+    at top speed.
+    """
+    error = float(wrap_angle(heading - pose[2]))
+    turn = float(np.clip(drive.gain * error, -drive.turn_rate, drive.turn_rate))
+    return wheel_speeds(robot.max_wheel_speed * max(float(np.cos(error)), 0.0), turn, robot)
 
 
 def own_part(belief: Belief, robot: RobotSpec) -> GridView:

@@ -3,7 +3,6 @@
 import re
 import subprocess
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -94,15 +93,6 @@ def test_when_all_failed_or_nothing_ran_there_is_nothing_to_draw(tmp_path):
     (run / "results.jsonl").write_text("", encoding="utf-8")
     with pytest.raises(ValueError, match=r"^[^\n]*no results[^\n]*$"):
         plot(run, tmp_path / "out")
-
-
-def test_a_log_is_drawn_without_the_truth(tmp_path):
-    made = replace(row("log:fr079", policy="replay"), metrics={"relation_error_m": 1.0})
-    run = write_folder(tmp_path / "run", [made])
-    kept = {name: value for name, value in series_of(made).items()
-            if name in {"time", "estimated", "odometry", "segments"}}  # fmt: skip
-    np.savez(run / "series" / f"{made.key}.npz", **kept)
-    assert [path.stem for path in plot(run, tmp_path / "out")] == ["maps_logs"]
 
 
 def test_many_worlds_and_noises_are_paged_and_thinned(tmp_path):

@@ -151,17 +151,13 @@ def test_two_robots_are_compared_with_one_in_each_world_and_in_all():
     assert column(rows, title, "world") == ["env1", "env2", "all"]
 
 
-def test_policies_random_plans_and_logs_have_their_tables():
+def test_policies_and_random_plans_have_their_tables():
     rows = [row(f"random:{plan}", 0.02, wall_f1_aligned=plan / 10) for plan in range(8)]
     assert column(rows, "Exploration", "world") == ["random plans"]
     assert column(rows, "Exploration", "n") == ["8"]
     assert sheet(rows, "Policies") is None
     rows += [row(f"random:{plan}", 0.02, policy="random", time_to_95_s=None) for plan in range(8)]
     assert column(rows, "Policies", "95 % s") == ["90", MISSING]
-    log = replace(
-        row("log:fr079", policy="replay"), metrics={"relation_error_m": 1.2, "odometry_relation_error_m": 2.4}
-    )
-    assert column([log], "Recorded logs", "odometry m") == ["2.40"]
 
 
 def test_markdown_has_as_many_cells_in_each_line_of_a_table():

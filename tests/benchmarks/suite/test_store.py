@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support import benchmark_work
-from support.benchmark_rows import grid, write_folder
+from support.benchmark_rows import grid, series_of, write_folder
 from support.command_line import call
 
 from benchmarks.__main__ import main
@@ -77,8 +77,10 @@ def test_damaged_series_are_refused_in_one_line(folder, damage):
     elif damage == "torn":
         path.write_bytes(path.read_bytes()[:60])
     else:
-        wrong = {"time": np.zeros(2), "estimated": np.zeros((2, 1, 2)), "odometry": np.zeros((2, 1, 3))}
-        np.savez(path, **wrong, **({"segments": np.zeros((0, 4))} if damage == "shape" else {}))
+        right = series_of(row)
+        np.savez(
+            path, **({"time": right["time"]} if damage == "lacking" else {**right, "estimated": np.zeros((2, 1, 2))})
+        )
     with pytest.raises(ValueError, match=str(path)) as caught:
         read_series(folder, row)
     assert "\n" not in str(caught.value)

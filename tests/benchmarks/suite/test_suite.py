@@ -8,13 +8,11 @@ from support.command_line import call
 from support.data import data_folder
 
 from benchmarks.__main__ import main
-from benchmarks.suite.jobs import LogSource
 from benchmarks.suite.suite import load_suite, shipped_suites
 from benchmarks.suite.work import run_config
 
 HEAD = 'name = "tiny"\ndescription = "A few."\n'
 GRID = HEAD + '[[grid]]\nworlds = ["env1"]\nnoises = [0.02]\nseeds = [0]\n'
-LOG = '[[log]]\nname = "fr079"\nfile = "fr079/fr079_raw.clf.gz"\nbeams = [90, -90]\n'
 WORLD = (
     'name = "box"\nsize = [4, 3]\nwalls = [[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, {y}]]\n'
     "starts = [[1.0, 1.0, 0.0]]\n"
@@ -94,7 +92,7 @@ def test_floor_plans_by_seed():
         ('name = "tiny"\n', "description: is missing"),
         (GRID.replace("seeds = [0]\n", ""), "grid[0].seeds: is missing"),
         (GRID.replace('"tiny"', '"../tiny"'), "name: '../tiny'"),
-        (HEAD, "holds no jobs"),
+        (HEAD, "grid: is missing"),
         (HEAD + "grid = 3\n", "grid: must be a list"),
         (GRID.replace("env1", "env9"), "[[grid]] 1: env9, 2 cm, paper, frontier, seed 0: no world is called 'env9'"),
         (GRID.replace("env1", "env9.toml"), "env9.toml: no such file"),
@@ -128,33 +126,7 @@ def test_what_is_wrong_is_refused_with_file_and_key(text, reason):
     assert reason in refusal(text)
 
 
-@pytest.mark.parametrize(
-    ("change", "reason"),
-    [
-        ('colour = "red"', "log[0].colour: there is no such setting"),
-        ('relations = "fr079/none.gz"', "none.gz: no such file"),
-        ("max_range = 0", "max_range: must be above 0 m"),
-        ("odometry_bias = [1.0]", "log[0].odometry_bias: must have 2 values"),
-        ("odometry_bias = [1.0, 0.0]", "the scale must lie between"),
-        ("noises = [-1.0]", "noise (range_std)"),
-        ('presets = ["best"]', "no preset is called 'best'"),
-    ],
-)
-def test_what_is_wrong_with_a_log_is_refused(change, reason):
-    data_folder()
-    assert reason in refusal(HEAD + LOG + change)
-
-
-def test_logs_make_jobs():
-    data_folder()
-    jobs = parse_suite(HEAD + LOG + 'presets = ["paper", "odometry"]\nodometry_bias = [0.99, 1]\n').jobs
-    assert [(job.world, job.identity["policy"], job.preset) for job in jobs] == [
-        ("log:fr079", "replay", "paper"), ("log:fr079", "replay", "odometry"),
-    ]  # fmt: skip
-    assert jobs[0].log == LogSource("fr079", "fr079/fr079_raw.clf.gz", (90.0, -90.0), odometry_bias=(0.99, 1.0))
-
-
-@pytest.mark.parametrize("suite", ["plans", "real", "large"])
+@pytest.mark.parametrize("suite", ["plans", "large"])
 def test_without_the_data_folder_one_line_says_so(suite, monkeypatch, tmp_path):
     monkeypatch.setenv("LIMSLAM_DATA", str(tmp_path / "nowhere"))
     with pytest.raises(ValueError, match=rf"{suite}.toml: .*recorded data not found in .*nowhere: set LIMSLAM_DATA"):
@@ -173,10 +145,10 @@ def test_the_digest_knows_jobs_and_the_contents_of_worlds(tmp_path):
 
 def test_the_shipped_suites():
     assert set(shipped_suites()) == {
-        "smoke", "paper", "consistent", "ablations", "limits", "noise", "random", "plans", "real", "explore",
+        "smoke", "paper", "consistent", "ablations", "limits", "noise", "random", "plans", "explore",
         "explorations", "kidnapped", "faults", "large",
     }  # fmt: skip
-    for name in {*shipped_suites()} - {"plans", "real", "large"}:
+    for name in {*shipped_suites()} - {"plans", "large"}:
         suite = load_suite(name)
         assert suite.name == name
         assert suite.description
@@ -189,7 +161,6 @@ def test_the_suites_on_recorded_data():
     data_folder()
     assert {job.world.partition(":")[0] for job in load_suite("plans").jobs} == {"plan"}
     assert {job.until for job in load_suite("large").jobs} == {"walls"}
-    assert {job.world for job in load_suite("real").jobs} >= {"log:fr079", "log:csail"}
 
 
 def test_the_papers_suite_is_the_papers_grid():
