@@ -23,7 +23,7 @@ from numba.extending import intrinsic
 
 from limslam_env.messages import announce
 
-_SECONDS = {"advance": 7, "survey": 4, "step_some": 25}
+_SECONDS = {"advance": 7, "step_some": 25}
 """Kernels that take long to compile, and about how long on a usual processor, s."""
 
 Kernel = TypeVar("Kernel", bound=Callable[..., object])
