@@ -184,15 +184,6 @@ def test_wrong_data_with_right_checksums_are_noticed(copied, monkeypatch, name, 
         check_dataset(copied)
 
 
-def test_other_settings_and_other_folders_are_refused(made, tmp_path):
-    with pytest.raises(ValueError, match="other settings"):
-        make_dataset(replace(SMALL, noise=0.03), made[0], Here())
-    (tmp_path / "mine.txt").write_text("mine")
-    with pytest.raises(ValueError, match="is not empty and holds no dataset"):
-        make_dataset(SMALL, tmp_path, Here())
-    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
-
-
 @pytest.mark.usefixtures("minari")
 def test_a_drive_that_fails_is_named(tmp_path, monkeypatch):
     def broken(*_, **__):
