@@ -111,8 +111,7 @@ def baselines(
     from benchmarks.training.efficiency import draw_efficiency, efficiency_table
 
     try:
-        from benchmarks.training.baseline_envs import BaselineConfig
-        from benchmarks.training.baselines import train_baselines
+        from benchmarks.training.baselines import BaselineConfig, train_baselines
     except ModuleNotFoundError as error:
         raise ValueError(f"training needs {error.name}: pip install -e '.[rl]'") from error
     train_baselines(BaselineConfig(steps, seeds), out, typer.echo)

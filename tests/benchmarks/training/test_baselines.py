@@ -83,8 +83,7 @@ def test_the_table_has_what_was_tried(tmp_path):
 
 def test_both_learn_for_some_steps_and_go_on(tmp_path):
     pytest.importorskip("sb3_contrib", reason="needs the extra rl")
-    from benchmarks.training.baseline_envs import BaselineConfig
-    from benchmarks.training.baselines import REFERENCES, train_baselines
+    from benchmarks.training.baselines import REFERENCES, BaselineConfig, train_baselines
 
     config = BaselineConfig(steps=64, seeds=1, every=32, plans=2, held_out=2, envs=2, episode=6, hold=2)
     said = []
@@ -109,7 +108,7 @@ def test_both_learn_for_some_steps_and_go_on(tmp_path):
 def test_a_decision_is_several_steps():
     """Rewards add up, all readings of a decision are seen, and an episode's last ones are in ``final_obs``."""
     pytest.importorskip("sb3_contrib", reason="needs the extra rl")
-    from benchmarks.training.baseline_envs import BaselineConfig, RawReadings, environment
+    from benchmarks.training.baselines import BaselineConfig, RawReadings, environment
 
     config = BaselineConfig(plans=2, envs=2, episode=2, hold=3)
     held, once = environment("recurrent", config, is_trial=False), environment("recurrent", config, is_trial=False)
