@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from benchmarks.scoreboard.drives import LEAST_WAY, next_place
 from benchmarks.suite.work import data_folder
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.logs.log_reader import read_log
@@ -139,9 +140,8 @@ WORLDS: dict[str, Callable[[np.random.Generator], World]] = {
 def driven_path(world: World, length: float, generator: np.random.Generator, *, revisits: bool = True) -> FloatArray:
     """Poses (n, 3) in each control period of a drive of at least ``length`` m from place to place, with stops there.
 
-    Mostly the robot goes to the one of a few places that is farthest from all where it has been, and otherwise to a
-    place that it may have seen before. Without ``revisits``, it always does the former, and stops when no place is far
-    from where it has been. Headings are not wrapped.
+    Without ``revisits``, the robot only goes to new places, and stops when no place is far from where it has been.
+    Headings are not wrapped.
     """
     space = world.free_space(_ROBOT.radius)
     centres = space.centres(starting_cells(world, space))
@@ -150,13 +150,11 @@ def driven_path(world: World, length: float, generator: np.random.Generator, *, 
     at, been, driven = roads.places[0], [roads.places[0]], 0.0
     parts = [np.array([[*at, 0.0]])]
     while driven < length:
-        some = generator.choice(roads.places, 8)
-        apart = np.hypot(*(some[:, None] - np.array(been)).transpose(2, 0, 1)).min(axis=1)
-        if not revisits and driven > _LEAST_DRIVEN and apart.max() < _SEEN_WITHIN:
+        goal, farthest = next_place(roads, been, generator, revisits=revisits)
+        if not revisits and driven > _LEAST_DRIVEN and farthest < _SEEN_WITHIN:
             break
-        goal = some[np.argmax(apart)] if not revisits or generator.random() < 0.6 else some[0]
         way = roads.way(at, goal)
-        if way is None or np.hypot(*(goal - at)) < 1.0:
+        if way is None or np.hypot(*(goal - at)) < LEAST_WAY:
             continue
         leg = poses_along(parts[-1][-1], way, _ROBOT, speeds)
         parts += [leg[1:], np.tile(leg[-1], (int(generator.integers(1, 30)), 1))]
