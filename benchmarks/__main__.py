@@ -131,7 +131,8 @@ def dataset(
     retry_failed: Retry = False,
 ) -> int:
     """Record drives as Minari datasets (extra datasets). The same command goes on after a kill."""
-    from benchmarks.dataset import DatasetConfig, check_dataset, make_dataset, require_minari
+    from benchmarks.dataset.drives import DatasetConfig
+    from benchmarks.dataset.files import check_dataset, make_dataset, require_minari
 
     require_minari()
     if check:

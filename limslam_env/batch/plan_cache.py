@@ -6,6 +6,7 @@ again.
 """
 
 import hashlib
+import io
 import os
 import platform
 import sys
@@ -13,6 +14,7 @@ import tempfile
 import zipfile
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -74,7 +76,7 @@ class PlanCache:
             return None
         try:
             # numpy checks the sums of the archive, and makes no objects.
-            with np.load(path, allow_pickle=False) as kept:
+            with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as kept:
                 walls, starts = build_wall_index(kept["edges"]), (kept["runs"], int(kept["count"]), kept["space"])
                 cells, area = kept["cells"], kept["area"]
         except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
@@ -86,7 +88,7 @@ class PlanCache:
         path = self.path(seed)
         if path is None:
             return
-        arrays = {
+        arrays: dict[str, Any] = {
             "edges": site.walls.edges, "runs": site.starts.runs, "count": site.starts.count,
             "space": site.starts.space, "cells": from_tiles(site.tiles, site.shape), "area": site.area,
         }  # fmt: skip
@@ -95,7 +97,7 @@ class PlanCache:
             number, name = tempfile.mkstemp(prefix=".", suffix=".part", dir=path.parent)
             try:
                 with os.fdopen(number, "wb") as file:
-                    np.savez(file, **arrays)
+                    np.savez(file, **arrays)  # type: ignore[arg-type] # numpy takes a name for its own option
                 # Other users read it, too, if the folder lets them.
                 Path(name).chmod(0o644)
                 Path(name).replace(path)

@@ -69,8 +69,9 @@ def _coverage_grid(
     grid, reachable = CoverageGrid(low, np.zeros(shape, dtype=bool)), np.zeros_like(space.free)
     for region in regions:
         reachable |= space.labels == region
+    near_starts, near_edges = near_walls(walls, robot.reach) or _NOWHERE
     look_out(
-        *walls.scene, *(near_walls(walls, robot.reach) or _NOWHERE), _views(), robot.reach,
+        *walls.scene, near_starts, near_edges, _views(), robot.reach,
         np.array(loose).reshape(-1, 2), np.array([*space.origin, space.cell]), reachable,
         grid.area, grid.coverable,
     )  # fmt: skip
