@@ -97,7 +97,7 @@ class PlanCache:
             number, name = tempfile.mkstemp(prefix=".", suffix=".part", dir=path.parent)
             try:
                 with os.fdopen(number, "wb") as file:
-                    np.savez(file, **arrays)  # type: ignore[arg-type] # numpy takes a name for its own option
+                    np.savez(file, **arrays)
                 # Other users read it, too, if the folder lets them.
                 Path(name).chmod(0o644)
                 Path(name).replace(path)
