@@ -66,6 +66,11 @@ def build_wall_index(edges: FloatArray) -> WallIndex:
     return WallIndex(edges, *_listed(edges, grid, _BORDER), grid)
 
 
+def walls_around(index: WallIndex, reach: float) -> tuple[IntArray, IntArray]:
+    """The walls (``starts`` and numbers, as the cell list has them) that are within ``reach`` (m) of each cell."""
+    return _listed(index.edges, index.grid, reach)
+
+
 def near_walls(walls: WallIndex, reach: float) -> tuple[IntArray, IntArray] | None:
     """The walls within ``reach`` (m) of each cell of their list; None where these are too many."""
     # Sensors that see far across a building: going from cell to cell is faster, and such lists would be long.
@@ -73,7 +78,7 @@ def near_walls(walls: WallIndex, reach: float) -> tuple[IntArray, IntArray] | No
     share = min(1.0, (2.0 * reach) ** 2 / max(float(np.prod(high - low)), 1e-9))
     if share * len(walls.edges) > _MOST_NEAR or len(walls.edges) > _MOST_EDGES:
         return None
-    return _listed(walls.edges, walls.grid, reach)
+    return walls_around(walls, reach)
 
 
 def _listed(edges: FloatArray, grid: FloatArray, border: float) -> tuple[IntArray, IntArray]:
