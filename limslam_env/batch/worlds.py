@@ -12,17 +12,9 @@ from limslam_env.kernels.batch_state import Worlds
 from limslam_env.kernels.random_numbers import Words
 from limslam_env.kernels.tiles import TILE
 from limslam_env.simulation.coverage import coverage_grid
-from limslam_env.simulation.sensors import WallIndex, build_wall_index, near_walls
+from limslam_env.simulation.sensors import NO_LISTS, WallIndex, build_wall_index, near_walls
 from limslam_env.simulation.starts import starting_places
 from limslam_env.worlds.world import World
-
-# Near walls, on the average, up to which a ray tries them all.
-_MOST_NEAR = 60
-
-# Edges of a world that can be counted in two bytes.
-_MOST_EDGES = 65_536
-
-_NOWHERE = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -190,7 +182,7 @@ class Sites:
         first_item = self._items.put(slot, walls.cell_edges + first_edge)
         first_cell = self._cells.put(slot, walls.cell_starts + first_item)
         columns, rows = walls.grid[3:].astype(int)
-        starts, numbers = near or _NOWHERE
+        starts, numbers = near or NO_LISTS
         first_item = self._near_items.put(slot, numbers)
         first_near = -1 if near is None else self._near_cells.put(slot, starts + first_item)
         self.layout[slot] = first_edge, first_cell, columns, rows, tiles.shape[1], tiles.shape[0], first_near

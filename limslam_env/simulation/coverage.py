@@ -9,14 +9,13 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.coverage import sweep
 from limslam_env.kernels.floor import look_out
-from limslam_env.simulation.sensors import beam_table, build_wall_index, near_walls
+from limslam_env.simulation.sensors import NO_LISTS, beam_table, build_wall_index, near_walls
 from limslam_env.worlds.world import World
 
 CELL = 0.10
 """Side of a cell of the coverage grid, m."""
 
 _VIEWS = 240
-_NOWHERE = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +68,7 @@ def _coverage_grid(
     grid, reachable = CoverageGrid(low, np.zeros(shape, dtype=bool)), np.zeros_like(space.free)
     for region in regions:
         reachable |= space.labels == region
-    near_starts, near_edges = near_walls(walls, robot.reach) or _NOWHERE
+    near_starts, near_edges = near_walls(walls, robot.reach) or NO_LISTS
     look_out(
         *walls.scene, near_starts, near_edges, _views(), robot.reach,
         np.array(loose).reshape(-1, 2), np.array([*space.origin, space.cell]), reachable,

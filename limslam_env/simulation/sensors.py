@@ -19,6 +19,9 @@ _MOST_NEAR = 60
 # Edges of a world that can be counted in two bytes.
 _MOST_EDGES = 65_536
 
+NO_LISTS = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
+"""What kernels take where there are no lists of near walls."""
+
 
 @dataclass(frozen=True, eq=False)
 class WallIndex:
