@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from limslam_agent.config.presets import GridConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.policies.collision_guard import CollisionGuard
-from limslam_agent.policies.learned.learned import DriveConfig, wheels_towards
+from limslam_agent.policies.learned.learned import HOLD, wheels_towards
 from limslam_agent.policies.learned.polar_view import ViewConfig, observe
 from limslam_env.geometry import BoolArray, FloatArray, ReadingArray
 from limslam_env.interface import RobotSpec
 
-VIEW, DRIVE = ViewConfig(), DriveConfig()
+VIEW = ViewConfig()
 REWARD_SCALE = 0.2
 
 
@@ -37,7 +37,7 @@ class _Explorer:
         return observe(self._grid.view, self.pose, self._ranges, self._robot, VIEW)
 
     def wheels(self, heading: float) -> FloatArray:
-        return self._guard.limit_speed(self.pose, wheels_towards(heading, self.pose, DRIVE, self._robot))
+        return self._guard.limit_speed(self.pose, wheels_towards(heading, self.pose, self._robot))
 
 
 class ExploreVectorEnv(gym.vector.VectorWrapper):
@@ -46,7 +46,7 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
     Training on what an estimator believes gained nothing, so that no estimator is asked.
 
     An action is the number of a direction, counter-clockwise from straight ahead. The robot turns to this direction and
-    drives at full speed for ``DriveConfig.hold`` steps. Its collision guard keeps it away from observed obstacles. The
+    drives at full speed for ``HOLD`` steps. Its collision guard keeps it away from observed obstacles. The
     reward is the sum of the rewards of the steps, scaled.
 
     Parameters
@@ -100,7 +100,7 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
         headings = [each.pose[2] + VIEW.angle(action) for each, action in zip(self._explorers, actions, strict=True)]
         rewards, terminated, truncated = np.zeros(self.num_envs), *np.zeros((2, self.num_envs), dtype=bool)
         final = np.full(self.num_envs, None, dtype=object)
-        for _ in range(DRIVE.hold):
+        for _ in range(HOLD):
             over = terminated | truncated
             wheels = [each.wheels(heading) for each, heading in zip(self._explorers, headings, strict=True)]
             told, reward, ended, cut, info = self.env.step(np.where(over[:, None], 0.0, wheels))

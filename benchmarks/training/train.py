@@ -18,10 +18,10 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 import limslam_env  # noqa: F401 (registers the environments)
 from benchmarks.suite.runner import package_versions
-from benchmarks.training.explore_env import DRIVE, VIEW, ExploreVectorEnv
+from benchmarks.training.explore_env import VIEW, ExploreVectorEnv
 from benchmarks.training.network import DirectionPolicy
 from limslam_agent.output.provenance import commit
-from limslam_agent.policies.learned.learned import TEMPERATURE
+from limslam_agent.policies.learned.learned import HOLD, TEMPERATURE
 from limslam_agent.policies.learned.network import DirectionNetwork, save_network
 from limslam_env.config import RewardConfig
 from limslam_env.envs.sb3 import Sb3VecEnv
@@ -136,7 +136,7 @@ class Trial:
             sensor_noise=noise, coverage_goal=None, max_episode_steps=None, num_threads=1,
         )  # fmt: skip
         self._env = ExploreVectorEnv(batch)
-        self.period = DRIVE.hold * self._env.robot.control_period
+        self.period = HOLD * self._env.robot.control_period
 
     def explore(self, network: DirectionNetwork, seed: int = 0) -> tuple[FloatArray, FloatArray]:
         """The coverage (plans, decisions + 1) after each decision, and the number of touches (plans,).

@@ -8,7 +8,8 @@ import pytest
 
 import limslam_env  # noqa: F401 (registers the environments)
 from benchmarks.suite.suite import load_suite
-from benchmarks.training.explore_env import DRIVE, VIEW, ExploreVectorEnv
+from benchmarks.training.explore_env import VIEW, ExploreVectorEnv
+from limslam_agent.policies.learned.learned import HOLD
 
 
 def batch(**arguments):
@@ -34,7 +35,7 @@ def test_a_robot_drives_where_it_is_told_and_touches_nothing():
 
 
 def test_an_episode_ends_with_a_last_look_and_the_next_begins_with_an_empty_grid():
-    explore = ExploreVectorEnv(batch(max_episode_steps=2 * DRIVE.hold))
+    explore = ExploreVectorEnv(batch(max_episode_steps=2 * HOLD))
     first, _ = explore.reset(seed=1)
     explore.step(np.zeros(3, dtype=int))
     told, rewards, terminated, truncated, info = explore.step(np.zeros(3, dtype=int))
