@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from limslam_env.compilation import compiled, entry, inlined
+from limslam_env.compilation import inlined, lean_entry, merged
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.kernels.coverage import mark_ray
 from limslam_env.kernels.rays import first_wall, meeting
@@ -18,7 +18,7 @@ def clipped(low: float, high: float, origin: float, cell: float, count: int) -> 
     return first, min(max(math.ceil((high - origin) / cell), 0), count)
 
 
-@compiled
+@merged
 def clear_near_walls(edges: FloatArray, space: FloatArray, radius: float, free: BoolArray) -> None:
     """Clear the cells whose centres lie less than ``radius`` (m) from an edge; ``space``: corner x, y and cell, m."""
     low_x, low_y, cell = space[0], space[1], space[2]
@@ -46,19 +46,27 @@ def clear_near_walls(edges: FloatArray, space: FloatArray, radius: float, free: 
                 free[row, column] = math.sqrt(dx * dx + dy * dy) >= radius
 
 
-@compiled
-def clear_inside(corners: FloatArray, space: FloatArray, free: BoolArray) -> None:
-    """Clear the cells whose centres lie inside a polygon (k, 2), m, by the crossing-number rule."""
+@merged
+def clear_inside(
+    corners: FloatArray, begin: int, end: int, space: FloatArray, crossed: FloatArray, free: BoolArray
+) -> None:
+    """Clear the cells whose centres lie inside a polygon, by the crossing-number rule.
+
+    Its corners are rows ``begin`` to before ``end`` of (c, 2), m. ``crossed`` (c,) is scratch memory.
+    """
     low_x, low_y, cell = space[0], space[1], space[2]
     rows, columns = free.shape
-    first_row, end_row = clipped(corners[:, 1].min(), corners[:, 1].max(), low_y, cell, rows)
-    first, last = clipped(corners[:, 0].min(), corners[:, 0].max(), low_x, cell, columns)
-    crossed = np.empty(len(corners))
+    left, right, bottom, top = np.inf, -np.inf, np.inf, -np.inf
+    for corner in range(begin, end):
+        left, right = min(left, corners[corner, 0]), max(right, corners[corner, 0])
+        bottom, top = min(bottom, corners[corner, 1]), max(top, corners[corner, 1])
+    first_row, end_row = clipped(bottom, top, low_y, cell, rows)
+    first, last = clipped(left, right, low_x, cell, columns)
     for row in range(first_row, end_row):
         y, count = low_y + (row + 0.5) * cell, 0
-        for corner in range(len(corners)):
-            x1, y1 = corners[corner, 0], corners[corner, 1]
-            x2, y2 = corners[(corner + 1) % len(corners), 0], corners[(corner + 1) % len(corners), 1]
+        for corner in range(begin, end):
+            beyond = corner + 1 if corner + 1 < end else begin
+            x1, y1, x2, y2 = corners[corner, 0], corners[corner, 1], corners[beyond, 0], corners[beyond, 1]
             if (y1 <= y) != (y2 <= y):
                 crossed[count] = ((x2 - x1) * (y - y1)) / (y2 - y1) + x1
                 count += 1
@@ -82,7 +90,7 @@ def is_inner(region: BoolArray, row: int, column: int) -> bool:
     return is_all
 
 
-@compiled
+@merged
 def look_around(
     x: float,
     y: float,
@@ -131,9 +139,15 @@ def look_around(
         mark_ray(coverable, coverable, area, x, y, ahead[lane], left[lane], lengths[lane])
 
 
-@entry
+@lean_entry
 def mark_free(
-    edges: FloatArray, corners: FloatArray, firsts: IntArray, radius: float, space: FloatArray, free: BoolArray
+    edges: FloatArray,
+    corners: FloatArray,
+    firsts: IntArray,
+    radius: float,
+    space: FloatArray,
+    crossed: FloatArray,
+    free: BoolArray,
 ) -> None:
     """Clear the cells where a disc does not fit.
 
@@ -147,13 +161,15 @@ def mark_free(
         The disc's, m.
     space, free
         A grid: lower left corner x, y and cell side, m; and its cells (rows, columns), changed.
+    crossed
+        (c,), scratch memory.
     """
     clear_near_walls(edges, space, radius, free)
     for polygon in range(len(firsts) - 1):
-        clear_inside(corners[firsts[polygon] : firsts[polygon + 1]], space, free)
+        clear_inside(corners, firsts[polygon], firsts[polygon + 1], space, crossed, free)
 
 
-@entry
+@lean_entry
 def look_out(
     edges: FloatArray,
     cell_starts: IntArray,
@@ -168,6 +184,8 @@ def look_out(
     region: BoolArray,
     area: FloatArray,
     coverable: BoolArray,
+    lanes: FloatArray,
+    is_taken: BoolArray,
 ) -> None:
     """Mark the cells that robots can cover from a region: those in it, and those that can be seen from it.
 
@@ -188,19 +206,13 @@ def look_out(
         The grid of free space: lower left corner x, y and cell side, m; and the cells of the region (rows, columns).
     area, coverable
         The coverage grid: lower left corner and cell side, m; and its cells, changed.
+    lanes, is_taken
+        Scratch memory (3, v), and (rows, columns), all false, with a cell for each of the coverage around the region.
     """
     low_x, low_y, side, cell = space[0], space[1], space[2], area[2]
     rows, columns = region.shape
     walls = scene_walls(edges, cell_starts, cell_edges, grid)
     first_x, first_y = math.floor(low_x / cell), math.floor(low_y / cell)
-    lanes = np.empty((3, len(views)))
-    is_taken = np.zeros(
-        (
-            math.floor((low_y + rows * side) / cell) - first_y + 1,
-            math.floor((low_x + columns * side) / cell) - first_x + 1,
-        ),
-        dtype=np.bool_,
-    )
     for row in range(rows):
         y = low_y + (row + 0.5) * side
         for column in range(columns):

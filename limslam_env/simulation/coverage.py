@@ -69,10 +69,12 @@ def _coverage_grid(
     for region in regions:
         reachable |= space.labels == region
     near_starts, near_edges = near_walls(walls, robot.reach) or NO_LISTS
+    around = np.array(space.free.shape) * (space.cell / CELL) + 3.0
     look_out(
         *walls.scene, near_starts, near_edges, _views(), robot.reach,
         np.array(loose).reshape(-1, 2), np.array([*space.origin, space.cell]), reachable,
         grid.area, grid.coverable,
+        np.empty((3, _VIEWS)), np.zeros(around.astype(int), dtype=bool),
     )  # fmt: skip
     return grid
 

@@ -179,7 +179,7 @@ def clear(
     from limslam_env.kernels.floor import mark_free
 
     corners, firsts = np.vstack((no_rows(2), *polygons)), np.cumsum([0, *map(len, polygons)])
-    mark_free(np.array(edges), corners, firsts, radius, np.array([*origin, cell]), free)
+    mark_free(np.array(edges), corners, firsts, radius, np.array([*origin, cell]), np.empty(len(corners)), free)
 
 
 def grid_around(edges: FloatArray, radius: float, cell: float) -> tuple[FloatArray, tuple[int, int]]:
