@@ -12,9 +12,16 @@ from limslam_env.kernels.batch_state import Worlds
 from limslam_env.kernels.random_numbers import Words
 from limslam_env.kernels.tiles import TILE
 from limslam_env.simulation.coverage import coverage_grid
-from limslam_env.simulation.sensors import NO_LISTS, WallIndex, build_wall_index, near_walls
+from limslam_env.simulation.sensors import WallIndex, build_wall_index, walls_around
 from limslam_env.simulation.starts import starting_places
 from limslam_env.worlds.world import World
+
+# Near walls, on the average, up to which a ray tries them all.
+_MOST_NEAR = 60
+# Edges of a world that can be counted in two bytes.
+_MOST_EDGES = 65_536
+
+_NOWHERE = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,6 +95,16 @@ def prepare(world: World, robot: RobotSpec, num_robots: int, start: FloatArray |
     starts = StartCells(places.given, runs, len(cells), places.space)
     tiles = to_tiles(grid.coverable)
     return Site(build_wall_index(world.edges), robot.reach, grid.area, grid.coverable.shape, tiles, starts)
+
+
+def near_walls(walls: WallIndex, reach: float) -> tuple[IntArray, IntArray] | None:
+    """The walls within ``reach`` (m) of each cell of their list; None where these are too many."""
+    # Sensors that see far across a building: going from cell to cell is faster, and such lists would be long.
+    low, high = walls.edges.reshape(-1, 2).min(axis=0), walls.edges.reshape(-1, 2).max(axis=0)
+    share = min(1.0, (2.0 * reach) ** 2 / max(float(np.prod(high - low)), 1e-9))
+    if share * len(walls.edges) > _MOST_NEAR or len(walls.edges) > _MOST_EDGES:
+        return None
+    return walls_around(walls, reach)
 
 
 def to_tiles(cells: BoolArray) -> Words:
@@ -182,7 +199,7 @@ class Sites:
         first_item = self._items.put(slot, walls.cell_edges + first_edge)
         first_cell = self._cells.put(slot, walls.cell_starts + first_item)
         columns, rows = walls.grid[3:].astype(int)
-        starts, numbers = near or NO_LISTS
+        starts, numbers = near or _NOWHERE
         first_item = self._near_items.put(slot, numbers)
         first_near = -1 if near is None else self._near_cells.put(slot, starts + first_item)
         self.layout[slot] = first_edge, first_cell, columns, rows, tiles.shape[1], tiles.shape[0], first_near

@@ -7,7 +7,7 @@ import numpy as np
 from limslam_env.compilation import inlined, lean_entry, merged
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.kernels.coverage import mark_ray
-from limslam_env.kernels.rays import first_wall, meeting
+from limslam_env.kernels.rays import first_wall
 from limslam_env.kernels.wall_cells import Walls, scene_walls
 
 
@@ -97,46 +97,20 @@ def look_around(
     views: FloatArray,
     reach: float,
     walls: Walls,
-    near_starts: IntArray,
-    near_edges: IntArray,
     region: BoolArray,
     space: FloatArray,
     area: FloatArray,
     coverable: BoolArray,
-    lanes: FloatArray,
 ) -> None:
-    """Mark the cells that can be seen from (x, y), m, along those of the ``views`` that leave the region at once.
-
-    Without lists of near walls (:class:`limslam_env.kernels.batch_state.Worlds`), the rays go from cell to cell.
-    """
+    """Mark the cells that can be seen from (x, y), m, along those of the ``views`` that leave the region at once."""
     low_x, low_y, side = space[0], space[1], space[2]
     rows, columns = region.shape
-    ahead, left, lengths = lanes[0], lanes[1], lanes[2]
-    count = 0
     for view in range(len(views)):
         dx, dy = views[view, 0], views[view, 1]
         column, row = math.floor((x + 1.5 * side * dx - low_x) / side), math.floor((y + 1.5 * side * dy - low_y) / side)
-        if 0 <= row < rows and 0 <= column < columns and region[row, column]:
-            continue
-        ahead[count], left[count], lengths[count] = dx, dy, reach
-        count += 1
-    if len(near_starts) == 0:
-        for lane in range(count):
-            lengths[lane], _ = first_wall(x, y, ahead[lane], left[lane], reach, walls)
-    else:
-        column = min(max(math.floor((x - walls.low_x) / walls.side), 0), walls.columns - 1)
-        cell = min(max(math.floor((y - walls.low_y) / walls.side), 0), walls.rows - 1) * walls.columns + column
-        for item in range(near_starts[cell], near_starts[cell + 1]):
-            edge = near_edges[item]
-            from_x, from_y = walls.edges[edge, 0] - x, walls.edges[edge, 1] - y
-            ex, ey = walls.edges[edge, 2] - walls.edges[edge, 0], walls.edges[edge, 3] - walls.edges[edge, 1]
-            # No branches: the compiler takes several rays at once.
-            for lane in range(count):
-                distance, is_met = meeting(from_x, from_y, ex, ey, ahead[lane], left[lane])
-                is_met &= distance < lengths[lane]
-                lengths[lane] = distance if is_met else lengths[lane]
-    for lane in range(count):
-        mark_ray(coverable, coverable, area, x, y, ahead[lane], left[lane], lengths[lane])
+        if not (0 <= row < rows and 0 <= column < columns and region[row, column]):
+            distance, _ = first_wall(x, y, dx, dy, reach, walls)
+            mark_ray(coverable, coverable, area, x, y, dx, dy, distance)
 
 
 @lean_entry
@@ -175,8 +149,6 @@ def look_out(
     cell_starts: IntArray,
     cell_edges: IntArray,
     grid: FloatArray,
-    near_starts: IntArray,
-    near_edges: IntArray,
     views: FloatArray,
     reach: float,
     loose: FloatArray,
@@ -184,7 +156,6 @@ def look_out(
     region: BoolArray,
     area: FloatArray,
     coverable: BoolArray,
-    lanes: FloatArray,
     is_taken: BoolArray,
 ) -> None:
     """Mark the cells that robots can cover from a region: those in it, and those that can be seen from it.
@@ -196,8 +167,6 @@ def look_out(
     ----------
     edges, cell_starts, cell_edges, grid
         The walls and the edges of the obstacles.
-    near_starts, near_edges
-        The walls within ``reach`` of each cell of that grid; empty if these are too many.
     views, reach
         Unit vectors (v, 2) to look along, and how far robots see, m.
     loose
@@ -206,8 +175,8 @@ def look_out(
         The grid of free space: lower left corner x, y and cell side, m; and the cells of the region (rows, columns).
     area, coverable
         The coverage grid: lower left corner and cell side, m; and its cells, changed.
-    lanes, is_taken
-        Scratch memory (3, v), and (rows, columns), all false, with a cell for each of the coverage around the region.
+    is_taken
+        Scratch memory (rows, columns), all false, with a cell for each of the coverage around the region.
     """
     low_x, low_y, side, cell = space[0], space[1], space[2], area[2]
     rows, columns = region.shape
@@ -225,11 +194,6 @@ def look_out(
             place = math.floor(y / cell) - first_y, math.floor(x / cell) - first_x
             if not is_taken[place]:
                 is_taken[place] = True
-                look_around(
-                    x, y, views, reach, walls, near_starts, near_edges, region, space, area, coverable, lanes
-                )  # fmt: skip
+                look_around(x, y, views, reach, walls, region, space, area, coverable)
     for number in range(len(loose)):
-        look_around(
-            loose[number, 0], loose[number, 1], views, reach, walls, near_starts, near_edges, region, space, area,
-            coverable, lanes,
-        )  # fmt: skip
+        look_around(loose[number, 0], loose[number, 1], views, reach, walls, region, space, area, coverable)

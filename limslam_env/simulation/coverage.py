@@ -9,7 +9,7 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.coverage import sweep
 from limslam_env.kernels.floor import look_out
-from limslam_env.simulation.sensors import NO_LISTS, beam_table, build_wall_index, near_walls
+from limslam_env.simulation.sensors import beam_table, build_wall_index
 from limslam_env.worlds.world import World
 
 CELL = 0.10
@@ -68,13 +68,12 @@ def _coverage_grid(
     grid, reachable = CoverageGrid(low, np.zeros(shape, dtype=bool)), np.zeros_like(space.free)
     for region in regions:
         reachable |= space.labels == region
-    near_starts, near_edges = near_walls(walls, robot.reach) or NO_LISTS
     around = np.array(space.free.shape) * (space.cell / CELL) + 3.0
     look_out(
-        *walls.scene, near_starts, near_edges, _views(), robot.reach,
+        *walls.scene, _views(), robot.reach,
         np.array(loose).reshape(-1, 2), np.array([*space.origin, space.cell]), reachable,
         grid.area, grid.coverable,
-        np.empty((3, _VIEWS)), np.zeros(around.astype(int), dtype=bool),
+        np.zeros(around.astype(int), dtype=bool),
     )  # fmt: skip
     return grid
 

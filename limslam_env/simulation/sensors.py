@@ -14,13 +14,6 @@ CELL = 0.5
 
 # Walls are listed in a cell if they come as near as this to it, m.
 _BORDER = 1e-6
-# Near walls, on the average, up to which a ray tries them all.
-_MOST_NEAR = 60
-# Edges of a world that can be counted in two bytes.
-_MOST_EDGES = 65_536
-
-NO_LISTS = np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64)
-"""What kernels take where there are no lists of near walls."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,16 +65,6 @@ def build_wall_index(edges: FloatArray) -> WallIndex:
 def walls_around(index: WallIndex, reach: float) -> tuple[IntArray, IntArray]:
     """The walls (``starts`` and numbers, as the cell list has them) that are within ``reach`` (m) of each cell."""
     return _listed(index.edges, index.grid, reach)
-
-
-def near_walls(walls: WallIndex, reach: float) -> tuple[IntArray, IntArray] | None:
-    """The walls within ``reach`` (m) of each cell of their list; None where these are too many."""
-    # Sensors that see far across a building: going from cell to cell is faster, and such lists would be long.
-    low, high = walls.edges.reshape(-1, 2).min(axis=0), walls.edges.reshape(-1, 2).max(axis=0)
-    share = min(1.0, (2.0 * reach) ** 2 / max(float(np.prod(high - low)), 1e-9))
-    if share * len(walls.edges) > _MOST_NEAR or len(walls.edges) > _MOST_EDGES:
-        return None
-    return walls_around(walls, reach)
 
 
 def _listed(edges: FloatArray, grid: FloatArray, border: float) -> tuple[IntArray, IntArray]:
