@@ -10,10 +10,7 @@ from limslam_agent.safe_files import load_arrays
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 
-_WIDTHS = {
-    "time": None, "coverage": None, "true": 3, "estimated": 3, "odometry": 3, "sigma": 3, "segments": 4, "edges": 4,
-    "doors": 4,
-}  # fmt: skip
+_WIDTHS = {"time": None, "coverage": None, "true": 3, "estimated": 3, "odometry": 3, "sigma": 3, "segments": 4, "edges": 4}
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +25,8 @@ class Series:
         Poses (k, n, 3) of n robots: the true ones, the estimate, and odometry alone.
     sigma
         Standard deviations of the estimate (k, n, 3).
-    segments, edges, doors
-        Wall segments (m, 4) of the map, true walls (w, 4) and doors (d, 4), m.
+    segments, edges
+        Wall segments (m, 4) of the map, and true walls (w, 4), m.
     """
 
     time: FloatArray
@@ -40,7 +37,6 @@ class Series:
     sigma: FloatArray
     segments: FloatArray
     edges: FloatArray
-    doors: FloatArray
 
     def errors(self, poses: FloatArray) -> FloatArray:
         """Errors (k, n, 3) in x, y and heading of poses (k, n, 3), m and rad."""

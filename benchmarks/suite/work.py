@@ -126,7 +126,7 @@ def _series(episode: Episode) -> dict[str, FloatArray]:
     return {
         "time": episode.time[rows], "coverage": episode.coverage[rows], "true": episode.true[rows],
         "estimated": episode.estimated[rows], "odometry": episode.odometry[rows], "sigma": sigma,
-        "segments": episode.final_map.segments, "edges": episode.world.edges, "doors": episode.world.doors,
+        "segments": episode.final_map.segments, "edges": episode.world.edges,
     }  # fmt: skip
 
 
