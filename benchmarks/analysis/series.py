@@ -10,7 +10,9 @@ from limslam_agent.safe_files import load_arrays
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 
-_WIDTHS = {"time": None, "coverage": None, "true": 3, "estimated": 3, "odometry": 3, "sigma": 3, "segments": 4, "edges": 4}
+_WIDTHS = {
+    "time": None, "coverage": None, "true": 3, "estimated": 3, "odometry": 3, "sigma": 3, "segments": 4, "edges": 4
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
