@@ -1,14 +1,12 @@
-"""``python -m benchmarks``: suites of runs (``run``), their tables and figures, training, datasets and recorded logs.
+"""``python -m benchmarks``: suites of runs (``run``), their tables and figures, training and datasets.
 
 What takes long to import is imported inside the commands, so that help comes at once.
 """
 
 import os
-import re
 import signal
 import sys
 from collections.abc import Iterable
-from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -27,11 +25,8 @@ app = typer.Typer(
     help="Suites of runs, and what came of them.",
 )
 
-# How the commands that keep what is done go on after Ctrl-C.
-_GO_ON = {
-    **dict.fromkeys(("run", "dataset", "scoreboard", "baselines"), "the same command goes on"),
-    "made-up-logs": "--seeds chooses the rest",
-}
+# The commands that keep what is done, and go on with it.
+_GO_ON = "run", "dataset", "scoreboard", "baselines"
 
 Folder = Annotated[Path, typer.Argument(help="Folder of results that `run` has made.")]
 Folders = Annotated[list[Path], typer.Argument(help="Folders of results that `run` has made.")]
@@ -94,22 +89,16 @@ def run(
 
 @app.command()
 def train(
-    suite: Annotated[str, typer.Option(help="Name of a suite with a [train] table, or a FILE.toml.")] = "explore",
-    out: Annotated[Path | None, typer.Option(help="Folder of the training.", show_default="runs/train-NAME")] = None,
-    seed: Annotated[int | None, typer.Option(min=0, help="Seed of the training.", show_default="the suite's")] = None,
+    out: Annotated[Path, typer.Option(help="Folder of the training.")] = Path("runs/train-explore"),
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the training.")] = 0,
 ) -> None:
-    """Train an explorer by PPO, for the suite's budget (extra rl)."""
-    from benchmarks.suite.suite import load_suite
-
-    chosen = load_suite(suite)
-    if chosen.train is None:
-        raise ValueError(f"the suite {chosen.name!r} has no [train] table")
+    """Train an explorer by PPO, for a fixed budget (extra rl)."""
     try:
+        from benchmarks.training.train import TrainConfig
         from benchmarks.training.train import train as learn
     except ModuleNotFoundError as error:
         raise ValueError(f"training needs {error.name}: pip install -e '.[rl]'") from error
-    settings = chosen.train if seed is None else replace(chosen.train, seed=seed)
-    typer.echo(f"weights     {learn(settings, out or Path('runs') / f'train-{chosen.name}')}")
+    typer.echo(f"weights     {learn(TrainConfig(seed=seed), out)}")
 
 
 @app.command()
@@ -122,8 +111,7 @@ def baselines(
     from benchmarks.training.efficiency import draw_efficiency, efficiency_table
 
     try:
-        from benchmarks.training.baseline_envs import BaselineConfig
-        from benchmarks.training.baselines import train_baselines
+        from benchmarks.training.baselines import BaselineConfig, train_baselines
     except ModuleNotFoundError as error:
         raise ValueError(f"training needs {error.name}: pip install -e '.[rl]'") from error
     train_baselines(BaselineConfig(steps, seeds), out, typer.echo)
@@ -143,10 +131,8 @@ def dataset(
     retry_failed: Retry = False,
 ) -> int:
     """Record drives as Minari datasets (extra datasets). The same command goes on after a kill."""
-    from benchmarks.dataset.check import check_dataset
     from benchmarks.dataset.drives import DatasetConfig
-    from benchmarks.dataset.make import make_dataset
-    from benchmarks.dataset.minari_files import require_minari
+    from benchmarks.dataset.files import check_dataset, make_dataset, require_minari
 
     require_minari()
     if check:
@@ -192,51 +178,6 @@ def scoreboard(
     against_it = [] if before is None else ["", *comparison_table(compared(before["cells"], board["cells"]))]
     counts = f"{len(board['cells'])} cells, {len(summary.failures)} failed, {summary.seconds:.0f} s"
     return _end(summary, [*table(board), *against_it, "", f"scoreboard: {counts}; {out / FILE}"])
-
-
-@app.command("made-up-logs")
-def made_up_logs(
-    out: Annotated[Path, typer.Argument(help="Folder for the logs.")],
-    seeds: Annotated[str, typer.Option(help="Seeds of the logs: 7, or 0..15 for all from 0 to 15.")] = "0..15",
-    variations: Annotated[
-        list[str] | None,
-        typer.Option("--variation", help="As log-variations takes it; may be repeated.", show_default="none"),
-    ] = None,
-    sparse: Annotated[
-        bool, typer.Option("--sparse", help="4 to 11 beams, 5 to 40 points a metre; few revisits in half of the logs.")
-    ] = False,
-) -> None:
-    """Make up CARMEN logs with relations, smooth them with six beams, and print their errors."""
-    from benchmarks.made_up_logs import smoothing_table
-
-    for line in smoothing_table(_seeds(seeds), variations or [""], out, sparse=sparse):
-        typer.echo(line)
-
-
-def _seeds(text: str) -> range:
-    found = re.fullmatch(r"(\d+)(?:\.\.(\d+))?", text.strip())
-    seeds = range(int(found[1]), int(found[2] or found[1]) + 1) if found else range(0)
-    if not seeds:
-        raise ValueError(f"--seeds: a seed such as 7 or a range such as 0..15 is needed, not {text!r}")
-    return seeds
-
-
-@app.command("log-variations")
-def log_variations(
-    log: Annotated[Path, typer.Argument(help="A recorded log.")],
-    relations: Annotated[Path, typer.Argument(help="The true relations of the log.")],
-    variations: Annotated[
-        list[str] | None,
-        typer.Argument(help='Settings such as "mirrored noise=0.05"; "" for none.', show_default="the log as it is"),
-    ] = None,
-) -> None:
-    """Smooth a log as it is or with other beams, noise and odometry, and print a line for each variation."""
-    from benchmarks.log_variations import outcome, variation
-
-    # All settings are read before the first log is smoothed, which takes a minute.
-    chosen = {text: variation(text) for text in variations or [""]}
-    for text, how in chosen.items():
-        typer.echo(f"{text or 'as recorded'}: {outcome(log, relations, how).words}")
 
 
 @app.command()
@@ -289,9 +230,11 @@ def report(
 def main() -> None:
     """Entry point: 0 well, 1 a job failed, 2 and one line for what the user can mend, 130 stopped."""
     signal.signal(signal.SIGTERM, lambda *_: sys.exit(143))
-    goes_on = _GO_ON.get(next(iter(sys.argv[1:]), ""))
+    goes_on = next(iter(sys.argv[1:]), "") in _GO_ON
     run_command(
-        app, "benchmarks", interrupted=f"stopped; what is done is kept, and {goes_on}" if goes_on else "stopped"
+        app,
+        "benchmarks",
+        interrupted="stopped; what is done is kept, and the same command goes on" if goes_on else "stopped",
     )
 
 

@@ -32,7 +32,7 @@ ENV = {
     "limslam_env.toml_text": set(),
     "limslam_env.config": set(),
     "limslam_env.robots": {INTERFACE},
-    "limslam_env.worlds": {GEOMETRY, *env("messages")},
+    "limslam_env.worlds": {GEOMETRY, *env("messages", "kernels")},
     # A world may be named by the seed of a floor plan.
     "limslam_env.worlds.formats": {*WHAT_AN_AGENT_MAY_KNOW, *env("worlds", "worlds.generation", "messages")},
     "limslam_env.worlds.generation": {GEOMETRY, *env("worlds", "config")},
@@ -132,25 +132,21 @@ COMPOSITION = {
     "limslam_agent.live.emulator",
 }
 # Benchmarks may use all of the simulator and the agent. Among themselves: suite <- analysis <- training, and
-# suite <- dataset; log_variations, suite <- made_up_logs <- scoreboard; speed beside.
+# suite <- dataset, scoreboard; speed beside.
 BENCHMARKS = {
     "benchmarks": set(),
     "benchmarks.suite": set(),
     "benchmarks.analysis": {"benchmarks.suite"},
     "benchmarks.training": {"benchmarks.suite", "benchmarks.analysis"},
     "benchmarks.dataset": {"benchmarks.suite"},
-    "benchmarks.scoreboard": {"benchmarks.suite", "benchmarks.log_variations", "benchmarks.made_up_logs"},
+    "benchmarks.scoreboard": {"benchmarks.suite"},
     "benchmarks.speed": set(),
-    "benchmarks.log_variations": set(),
-    "benchmarks.made_up_logs": {"benchmarks.log_variations", "benchmarks.suite"},
     "benchmarks.__main__": {
         "benchmarks.suite",
         "benchmarks.analysis",
         "benchmarks.training",
         "benchmarks.dataset",
         "benchmarks.scoreboard",
-        "benchmarks.made_up_logs",
-        "benchmarks.log_variations",
     },
 }
 RULES = ENV | AGENT | BENCHMARKS

@@ -69,7 +69,7 @@ def read_curves(folders: Sequence[Path]) -> dict[str, Curves]:
     for folder in folders:
         for row in read_rows(folder):
             series = read_series(folder, row) if row.policy in LABELS and row.robots == 1 else None
-            if series is not None and series.coverage is not None:
+            if series is not None:
                 touches = metric("collisions")(row)
                 course = series.time, series.coverage, np.nan if touches is None else touches
                 found.setdefault(row.policy, {}).setdefault(f"{row.world}, {row.noise:g}, {row.seed}", course)

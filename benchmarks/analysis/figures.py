@@ -12,7 +12,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.lines import Line2D
 
 from benchmarks.analysis.groups import FRONTIER, PUBLISHED, Group, Setting, groups, metric
-from benchmarks.analysis.series import Series, distance, read_series
+from benchmarks.analysis.series import Series, read_series
 from benchmarks.analysis.style import (
     BAND,
     COLOURS,
@@ -117,7 +117,7 @@ def _by_kind(parts: Sequence[Group]) -> Iterator[list[Group]]:
 
 
 def _maps(parts: Sequence[Group], folder: Path) -> Iterator[Drawing]:
-    """Sheets of maps: the worlds for each number of robots and method, random plans, logs."""
+    """Sheets of maps: the worlds for each number of robots and method, and random plans."""
     for kind in _by_kind(parts):
         suffix, who = _suffix(kind[0].setting), _who(kind[0].setting)
         own = [part for part in kind if not part.rows[0].world.startswith(RANDOM)]
@@ -135,16 +135,6 @@ def _maps(parts: Sequence[Group], folder: Path) -> Iterator[Drawing]:
         for part in kind:
             if part not in own:
                 yield from _by_rank(part, folder)
-    logs = [
-        _Map(f"{row.world}, {part.setting.method}", series)
-        for part in parts if part.setting.is_log
-        for row in part.rows[:1] if (series := read_series(folder, row)) is not None
-    ]  # fmt: skip
-    yield from _sheet_of_maps("maps_logs", "Maps from recorded logs", _in_lines(logs))
-
-
-def _in_lines(maps: Sequence[_Map]) -> list[list[_Map | None]]:
-    return [list(maps[first : first + _ACROSS]) for first in range(0, len(maps), _ACROSS)]
 
 
 def _ranked(rows: Sequence[Row]) -> list[Row]:
@@ -175,7 +165,7 @@ def _by_rank(part: Group, folder: Path) -> Iterator[Drawing]:
     ]
     name = f"maps_random_{file_word(setting.noise_text)}{_suffix(setting)}"
     title = f"Random plans, {setting.noise_text}, {_who(setting)}: from the worst of {len(ranked)} to the best"
-    yield from _sheet_of_maps(name, title, _in_lines(maps))
+    yield from _sheet_of_maps(name, title, [maps[first : first + _ACROSS] for first in range(0, len(maps), _ACROSS)])
 
 
 def _sheet_of_maps(name: str, title: str, lines: Sequence[Sequence[_Map | None]]) -> Iterator[Drawing]:
@@ -194,18 +184,18 @@ def _sheet_of_maps(name: str, title: str, lines: Sequence[Sequence[_Map | None]]
                 _paint(axis, each.series, box)
     shown = [each.series for line in lines for each in line if each is not None]
     headline(figure, title)
-    legend_below(figure, _legend(max(each.estimated.shape[1] for each in shown), is_known=shown[0].edges is not None))
+    legend_below(figure, _legend(max(each.estimated.shape[1] for each in shown)))
     yield Drawing(name, title, figure)
 
 
 def _box(shown: Sequence[Series]) -> tuple[FloatArray, FloatArray]:
     """Corners (2,) of a common bounding box for one row of maps, so that the maps have the same scale; m."""
-    points = [np.zeros((0, 2))]
+    points = []
     for series in shown:
         points += [series.segments.reshape(-1, 2), series.estimated[..., :2].reshape(-1, 2)]
-        points += [(series.odometry[..., :2] if series.edges is None else series.edges).reshape(-1, 2)]
+        points += [series.edges.reshape(-1, 2)]
     together = np.vstack(points)
-    low, high = (together.min(axis=0), together.max(axis=0)) if len(together) else (np.zeros(2), np.ones(2))
+    low, high = together.min(axis=0), together.max(axis=0)
     margin = 0.02 * float((high - low).max()) + 0.05
     # The scale bar has a separate strip below the map.
     return low - np.array([margin, 3.0 * margin]), high + margin
@@ -213,12 +203,10 @@ def _box(shown: Sequence[Series]) -> tuple[FloatArray, FloatArray]:
 
 def _paint(axes: Axes, series: Series, box: tuple[FloatArray, FloatArray]) -> None:
     low, high = box
-    if series.edges is not None:
-        _draw_lines(axes, series.edges, TRUTH, 3.6, 1)
-    other, colour = (series.odometry, FAINT) if series.true is None else (series.true, INK)
+    _draw_lines(axes, series.edges, TRUTH, 3.6, 1)
     for number in range(series.estimated.shape[1]):
         own = _ROBOTS[number % len(_ROBOTS)]
-        axes.plot(*other[:, number, :2].T, color=colour, linewidth=0.5, zorder=2)
+        axes.plot(*series.true[:, number, :2].T, color=INK, linewidth=0.5, zorder=2)
         axes.plot(*series.estimated[:, number, :2].T, color=own, linewidth=0.9, zorder=2)
         axes.plot(*series.estimated[0, number, :2], marker="o", color=own, markersize=4.5, zorder=4)
     _draw_lines(axes, series.segments, WALLS, 1.3, 3)
@@ -237,13 +225,13 @@ def _draw_lines(axes: Axes, segments: FloatArray, colour: str, width: float, ord
     axes.add_collection(LineCollection(lines, colors=colour, linewidths=width, capstyle="round", zorder=order))
 
 
-def _legend(robots: int, *, is_known: bool) -> list[Line2D]:
+def _legend(robots: int) -> list[Line2D]:
     names = ["believed path"] if robots == 1 else [f"robot {number + 1}, believed path" for number in range(robots)]
     return [
         handle("walls of the map", color=WALLS, linewidth=1.6),
-        *([handle("true walls", color=TRUTH, linewidth=4.0)] if is_known else []),
+        handle("true walls", color=TRUTH, linewidth=4.0),
         *(handle(name, color=_ROBOTS[k % len(_ROBOTS)], marker="o", markersize=4) for k, name in enumerate(names)),
-        handle("true path" if is_known else "path by odometry alone", color=INK if is_known else FAINT, linewidth=0.8),
+        handle("true path", color=INK, linewidth=0.8),
     ]
 
 
@@ -260,7 +248,7 @@ def _errors_over_laps(parts: Sequence[Group], folder: Path) -> Iterator[Drawing]
 def _errors(setting: Setting, found: Sequence[tuple[Row, Series]], shown: Row) -> Drawing:
     """Errors in x, y and heading of all runs, of which one is ``shown`` in colour with the filter's band."""
     figure, axes = sheet_of([1.9] * 3, 2, 4.6)
-    length = max(distance(series)[-1] for _, series in found)
+    length = max(series.distance[-1] for _, series in found)
     for line, (name, scale) in zip(axes, _COMPONENTS, strict=True):
         line[0].set_ylabel(f"error in {name}", fontsize=9)
         line[1].sharey(line[0])
@@ -297,9 +285,9 @@ def _draw_error(axis: Axes, series: Series, poses: str, component: int, scale: f
     style: dict[str, Any] = (
         {"color": COLOURS[0], "linewidth": 1.5, "zorder": 4} if is_shown else {"color": FAINT, "linewidth": 0.5}
     )
-    driven, errors = distance(series), series.errors(getattr(series, poses))
+    driven, errors = series.distance, series.errors(getattr(series, poses))
     axis.plot(driven, scale * errors[:, 0, component], **style)
-    if is_shown and poses == "estimated" and series.sigma is not None:
+    if is_shown and poses == "estimated":
         band = 2.0 * scale * series.sigma[:, 0, component]
         axis.fill_between(driven, -band, band, color=COLOURS[0], alpha=2 * BAND, linewidth=0.0, zorder=1)
 

@@ -8,7 +8,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from benchmarks.suite.jobs import FAULTS, LAPS_POLICY, LOG_POLICY, RANDOM
+from benchmarks.suite.jobs import FAULTS, LAPS_POLICY, RANDOM
 from benchmarks.suite.store import Row
 from limslam_env.geometry import FloatArray
 
@@ -62,7 +62,7 @@ class Setting:
     @property
     def is_exploration(self) -> bool:
         """Whether healthy robots explored, with any policy."""
-        return not (self.is_drive or self.is_log or self.is_faulty)
+        return not (self.is_drive or self.is_faulty)
 
     @property
     def is_drive(self) -> bool:
@@ -73,11 +73,6 @@ class Setting:
     def is_faulty(self) -> bool:
         """Whether a fault began in the middle of an exploration."""
         return self.policy in FAULTS
-
-    @property
-    def is_log(self) -> bool:
-        """Whether the setting is a recorded log."""
-        return self.policy == LOG_POLICY
 
     @property
     def order(self) -> tuple[object, ...]:

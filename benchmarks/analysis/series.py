@@ -10,9 +10,9 @@ from limslam_agent.safe_files import load_arrays
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 
-_NEEDED = ("time", "estimated", "odometry", "segments")
-_OPTIONAL = ("true", "sigma", "coverage", "edges", "doors")
-_WIDTHS = {"estimated": 3, "odometry": 3, "true": 3, "sigma": 3, "segments": 4, "edges": 4, "doors": 4}
+_WIDTHS = {
+    "time": None, "coverage": None, "true": 3, "estimated": 3, "odometry": 3, "sigma": 3, "segments": 4, "edges": 4
+}  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -21,43 +21,36 @@ class Series:
 
     Attributes
     ----------
-    time
-        Times (k,), s.
-    estimated, odometry
-        Poses (k, n, 3) of n robots: the estimate, and odometry alone.
-    segments
-        Wall segments (m, 4) of the map, m.
-    true, sigma
-        True poses and standard deviations of the estimate (k, n, 3); None for a log.
-    coverage
-        Coverage (k,), 0 to 1; None for a log.
-    edges, doors
-        True walls (w, 4) and doors (d, 4), m; None for a log.
+    time, coverage
+        Times (k,), s, and coverage (k,), 0 to 1.
+    true, estimated, odometry
+        Poses (k, n, 3) of n robots: the true ones, the estimate, and odometry alone.
+    sigma
+        Standard deviations of the estimate (k, n, 3).
+    segments, edges
+        Wall segments (m, 4) of the map, and true walls (w, 4), m.
     """
 
     time: FloatArray
+    coverage: FloatArray
+    true: FloatArray
     estimated: FloatArray
     odometry: FloatArray
+    sigma: FloatArray
     segments: FloatArray
-    true: FloatArray | None = None
-    sigma: FloatArray | None = None
-    coverage: FloatArray | None = None
-    edges: FloatArray | None = None
-    doors: FloatArray | None = None
+    edges: FloatArray
 
     def errors(self, poses: FloatArray) -> FloatArray:
-        """Errors (k, n, 3) in x, y and heading of poses (k, n, 3), m and rad.
-
-        Raises
-        ------
-        ValueError
-            If the truth is not known.
-        """
-        if self.true is None:
-            raise ValueError("a recorded log has no truth to compare with")
+        """Errors (k, n, 3) in x, y and heading of poses (k, n, 3), m and rad."""
         errors = poses - self.true
         errors[..., 2] = wrap_angle(errors[..., 2])
         return np.asarray(errors)
+
+    @property
+    def distance(self) -> FloatArray:
+        """Distance (k,) driven by the first robot on its true path, m."""
+        steps = np.linalg.norm(np.diff(self.true[:, 0, :2], axis=0), axis=1)
+        return np.concatenate(([0.0], np.cumsum(steps)))
 
 
 def read_series(folder: Path, row: Row) -> Series | None:
@@ -72,31 +65,14 @@ def read_series(folder: Path, row: Row) -> Series | None:
         return None
     path = series_path(folder, row.series)
     try:
-        arrays = {name: np.asarray(each, dtype=float) for name, each in load_arrays(path, _KNOWN).items()}
+        arrays = {name: np.asarray(each, dtype=float) for name, each in load_arrays(path, frozenset(_WIDTHS)).items()}
     except OSError as error:
         raise ValueError(f"{path}: cannot be read: {error.strerror or error}") from error
     except (ValueError, TypeError) as error:
         raise ValueError(f"{path}: is damaged: {error}") from error
-    if missing := [name for name in _NEEDED if name not in arrays]:
+    if missing := [name for name in _WIDTHS if name not in arrays]:
         raise ValueError(f"{path}: lacks {', '.join(missing)}")
     for name, width in _WIDTHS.items():
-        if name in arrays and arrays[name].shape[-1:] != (width,):
+        if width is not None and arrays[name].shape[-1:] != (width,):
             raise ValueError(f"{path}: {name} must have {width} columns, not shape {arrays[name].shape}")
     return Series(**arrays)
-
-
-def distance(series: Series) -> FloatArray:
-    """Distance (k,) driven by the first robot on its true path, m.
-
-    Raises
-    ------
-    ValueError
-        If the truth is not known.
-    """
-    if series.true is None:
-        raise ValueError("a recorded log has no truth to compare with")
-    steps = np.linalg.norm(np.diff(series.true[:, 0, :2], axis=0), axis=1)
-    return np.concatenate(([0.0], np.cumsum(steps)))
-
-
-_KNOWN = frozenset(_NEEDED + _OPTIONAL)

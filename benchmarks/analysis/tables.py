@@ -70,7 +70,6 @@ def sheets(rows: Sequence[Row]) -> list[Sheet]:
             [part for part in explored if (part.setting.world, part.setting.noise) in others], _POLICIES,
         ),
         _sheet("Faults", _FAULTY, with_sums([part for part in parts if part.setting.is_faulty]), _FAULTS),
-        _sheet("Recorded logs", READING, [part for part in parts if part.setting.is_log], _LOGS),
         _failures(rows),
     ]  # fmt: skip
     return [sheet for sheet in found if sheet is not None]
@@ -165,12 +164,6 @@ _POLICIES = (
     _median("time s", "exploration_time_s", 0), _median("path m", "path_m", 1),
     _median("covered", "coverage_true", 3), _median("claimed and correct", "coverage_correct", 3),
     _median("collisions", "collisions", 1),
-)  # fmt: skip
-_LOGS = (
-    _median("estimate m", "relation_error_m"), _median("odometry m", "odometry_relation_error_m"),
-    _median("estimate deg", "relation_error_deg", 1), _median("odometry deg", "odometry_relation_error_deg", 1),
-    _median("loops: estimate m", "loop_relation_error_m"),
-    _median("loops: odometry m", "odometry_loop_relation_error_m"), _median("relations", "relations", 0),
 )  # fmt: skip
 _OUTCOMES = (
     _count("ended by itself", "exploration_time_s", lambda _: True), ("ok at the end", _ended_ok),

@@ -11,7 +11,6 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-import limslam_env  # noqa: F401 (registers the environments)
 from benchmarks.suite.jobs import RANDOM, Job, Outcome, digest
 from benchmarks.suite.suite import Suite
 from limslam_agent.config import DEFAULT_PRESET
@@ -28,8 +27,15 @@ ENVIRONMENT = "LimSlam-Random-v0"
 FIRST_PLAN = 300_000
 """First plan of a dataset. No suite, no training and no track of the arena uses plans from 300 000 to 999 999 999."""
 
-POLICIES = ("frontier", "frontier_fast", "learned", "random", "wall_follower")
-"""Policies that can drive: they act on the belief alone."""
+POLICIES = {
+    "frontier": "The frontier explorer, which maps and plans, at 0.2 m/s.",
+    "frontier_fast": "The frontier explorer at the top speed of 0.3 m/s.",
+    "learned": "The shipped learned explorer, at 0.3 m/s: a network that chooses a heading twice a second, and the"
+    " frontier explorer where little is left to see.",
+    "random": "Straight drives in random directions.",
+    "wall_follower": "A wall follower.",
+}
+"""Policies that can drive, since they act on the belief alone, and their descriptions."""
 
 TRUTH = "truth"
 """The group of what no robot can know."""

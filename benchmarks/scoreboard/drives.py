@@ -31,7 +31,8 @@ PILLARS = "pillars:"
 _PILLARS = FloorPlanConfig(obstacles=6.0, obstacle_size=(0.2, 0.35), slanted=0.0)
 _CANDIDATES = 8  # places of which the next goal is chosen
 _NEW = 0.6  # share of goals that are far from all where the robot has been
-_LEAST_WAY = 1.0  # m
+LEAST_WAY = 1.0
+"""The least distance to the next goal, m."""
 _BEAM_BEGINS = 0.5  # share of the drive after which one beam is late
 _BACK, _TURN = 0.5, 1.5  # s of driving back from an obstacle, and of the longest turn after that
 
@@ -103,10 +104,8 @@ def _from_place_to_place(env: LimSlamParallelEnv, start: FloatArray, generator: 
     def plan(pose: FloatArray, seen: BoolArray | None) -> FloatArray:
         del seen
         while True:
-            some = generator.choice(roads.places, _CANDIDATES)
-            apart = np.hypot(*(some[:, None] - np.array(been)).transpose(2, 0, 1)).min(axis=1)
-            goal = some[np.argmax(apart)] if generator.random() < _NEW else some[0]
-            way = roads.way(pose[:2], goal) if np.hypot(*(goal - pose[:2])) > _LEAST_WAY else None
+            goal, _ = next_place(roads, been, generator)
+            way = roads.way(pose[:2], goal) if np.hypot(*(goal - pose[:2])) > LEAST_WAY else None
             if way is not None:
                 been.extend(way)
                 return way
@@ -119,6 +118,19 @@ def _from_place_to_place(env: LimSlamParallelEnv, start: FloatArray, generator: 
         return oracle.act(cast("Belief", None))
 
     return drive
+
+
+def next_place(
+    roads: Roadmap, been: list[FloatArray], generator: np.random.Generator, *, revisits: bool = True
+) -> tuple[FloatArray, float]:
+    """A place (2,), m, to drive to, and how far the farthest of some places is from all where the robot has been, m.
+
+    Mostly it is that farthest one, and otherwise one that the robot may have seen before; without ``revisits`` never.
+    """
+    some = generator.choice(roads.places, _CANDIDATES)
+    apart = np.hypot(*(some[:, None] - np.array(been)).transpose(2, 0, 1)).min(axis=1)
+    goal = some[np.argmax(apart)] if not revisits or generator.random() < _NEW else some[0]
+    return goal, float(apart.max())
 
 
 def _bumps(robot: RobotSpec, generator: np.random.Generator) -> Driver:

@@ -1,11 +1,9 @@
 """What is measured in a cell of the scoreboard. Only the truth, the log and what the estimator says are used."""
 
 import functools
-import tempfile
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -203,19 +201,11 @@ def _log(row: Row, job: Job, jitter: float) -> Scores:
 
 def _made_up_log(row: Row, job: Job, jitter: float) -> Scores:
     """A log of few points, smoothed without the filter in front of it."""
-    from benchmarks.log_variations import outcome, variation
-    from benchmarks.made_up_logs import made_up_log, sparse_sensor, write_log
+    from benchmarks.scoreboard.made_up_logs import made_up_log, smoothing_scores
 
     del row
-    log = made_up_log(job.seed, revisits=job.seed // 4 % 2 == 0)
-    with tempfile.TemporaryDirectory() as folder:
-        path, relations = write_log(log, Path(folder))
-        how = variation(f"{sparse_sensor(job.seed)} range_noise={jitter!r}")
-        found = outcome(path, relations, how, (1000.0 + log.time, log.truth))
-    level, aligned = found.signals.status.level, found.aligned[1]
-    end = {"status": level, "wrong_ok_end": int(level == "ok" and aligned > WRONG_PATH)}
-    errors = {"ate_smoothed_m": found.errors["relation_error_m"], "ate_smoothed_aligned_m": aligned}
-    return {**errors, **end, "smoothing_cpu_s": found.seconds}
+    found = smoothing_scores(made_up_log(job.seed, revisits=job.seed // 4 % 2 == 0), job.seed, jitter)
+    return {**found, "wrong_ok_end": int(found["status"] == "ok" and found["ate_smoothed_aligned_m"] > WRONG_PATH)}
 
 
 _KINDS: dict[str, Callable[[Row, Job, float], Scores]] = {

@@ -29,7 +29,7 @@ class Row:
     kind
         ``drive``: a drive that depends on the seed alone, replayed. ``exploration``: in closed loop. ``log``: a log in
         the folder of recorded data, replayed. ``made-up log``: a log of few points, of those of
-        :mod:`benchmarks.made_up_logs`, smoothed.
+        :mod:`benchmarks.scoreboard.made_up_logs`, smoothed.
     worlds, seeds
         Worlds as in a suite, or ``pillars:seed``; and the number of seeds for each of them.
     noise

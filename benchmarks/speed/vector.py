@@ -1,7 +1,6 @@
 """How fast the environments and their batches are, beside others in the same run: ``python -m benchmarks.speed``.
 
-The candidates take turns (:mod:`benchmarks.speed.rates`), other simulators (:mod:`benchmarks.speed.simulators`) among
-them where they are installed (extra ``peers``).
+The candidates take turns (:mod:`benchmarks.speed.rates`).
 """
 
 import argparse
@@ -22,7 +21,6 @@ import pymunk
 from benchmarks.speed.device import print_device_rates
 from benchmarks.speed.rates import Clock, Loop, print_rates, rates_in_turn, ratio
 from benchmarks.speed.run import BAR, times_faster
-from benchmarks.speed.simulators import SIMULATORS, simulator_loops
 from limslam_agent import SlamVectorObservation
 from limslam_env.batch.progress import cores
 from limslam_env.geometry import FloatArray
@@ -270,15 +268,6 @@ def seconds_of_starts() -> float:
     return float(np.median(times))
 
 
-def print_simulators(rates: dict[str, FloatArray], skipped: dict[str, str]) -> None:
-    """Print how many times as fast our batch is as other simulators, and what a step of each computes."""
-    print(f"\n| peer | {OURS} / peer | what a step computes |\n|---|---|---|")
-    print(f"| {OURS} | 1 | one robot, contacts, six rays among walls, noise, encoders, coverage, resets; float64 |")
-    for name, simulator in SIMULATORS.items():
-        times = f"{ratio(rates, OURS, name):,.0f}" if name in rates else f"skipped: {skipped[name]}"
-        print(f"| {name} | {times} | {simulator.computes} |")
-
-
 def print_bars(rates: dict[str, FloatArray], batch: Loop, clock: Clock) -> None:
     """Print what this run should reach, and what it has reached."""
     forty, thousands = (f"batch of 8192, rooms of {walls} walls" for walls in (40, 2000))
@@ -323,10 +312,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if options.device == "cuda":
         print_device_rates()
         return
-    candidates, (others, skipped) = loops(), simulator_loops()
+    candidates = loops()
     clock: Clock = time.process_time if options.processor_time else time.perf_counter
-    rates = rates_in_turn(candidates | others, options.rounds, clock)
+    rates = rates_in_turn(candidates, options.rounds, clock)
     print_rates(rates, {CARTPOLE: "CartPole", SINGLE: "single", PLAIN: "pymunk"})
-    print_simulators(rates, skipped)
     if not options.no_bars:
         print_bars(rates, candidates["batch of 8192"], clock)

@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 from limslam_env.geometry import FloatArray
 from limslam_env.messages import counted
 
-LOG_POLICY, LAPS_POLICY = "replay", "laps"
+LAPS_POLICY = "laps"
 KIDNAPPED = "kidnapped"
 FAULTS = {
     KIDNAPPED: 0.0, "reversed": 0.0, "swapped": 0.0, "delayed": 1.0, "jump": 5.0, "late": 0.1, "dead beam": 0.0,
@@ -23,37 +23,11 @@ chooses: ``delayed``: it reports its reading of so many seconds ago; ``dead beam
 always reads so many metres. Of all beams: ``late``: they report their readings of so many seconds ago; ``offset``: they
 read so many metres too much.
 """
-RANDOM, PLAN, LOG = "random:", "plan:", "log:"
+RANDOM, PLAN = "random:", "plan:"
 OWN_PLAN = f"{RANDOM}seed"
 """The floor plan of the job's own seed."""
 
 Metric: TypeAlias = float | int | str | None
-
-
-@dataclass(frozen=True)
-class LogSource:
-    """A recorded log, and the settings of its replay.
-
-    Attributes
-    ----------
-    name
-        Name of the log in tables.
-    file, relations
-        Files under the data folder: the log, and known relative poses for the scores (None: no relative poses).
-    beams
-        Directions of the beams that are used, deg.
-    max_range
-        Longest range that is used, m.
-    odometry_bias
-        True minus reported heading per metre, deg, and ratio of true to reported distance.
-    """
-
-    name: str
-    file: str
-    beams: tuple[float, ...]
-    max_range: float = 3.0
-    odometry_bias: tuple[float, float] = (0.0, 1.0)
-    relations: str | None = None
 
 
 @dataclass(frozen=True)
@@ -64,10 +38,9 @@ class Job:
     ----------
     world
         Name of a shipped world, a world file, ``random:17`` (the floor plan of seed 17) or ``plan:NAME`` (a wall list
-        in the data folder). ``random:seed`` becomes the floor plan of the job's seed. The world of a log is
-        ``log:NAME``.
+        in the data folder). ``random:seed`` becomes the floor plan of the job's seed.
     noise
-        Standard deviation of the ranges, m; for a log, the assumed standard deviation.
+        Standard deviation of the ranges, m.
     robots, preset, policy, ablation, laps, seed, max_time, limit, until
         As in ``limslam_agent.runs.run_config.RunConfig``.
     fault
@@ -75,8 +48,6 @@ class Job:
     fault_time, after_fault
         The earliest and the latest time at which the fault begins, s (the seed chooses), and how long the robot drives
         after that, s, in place of ``max_time``.
-    log
-        The recorded log that is replayed instead of a simulation; None for a simulated run.
     """
 
     world: str
@@ -93,7 +64,6 @@ class Job:
     fault: str | None = None
     fault_time: tuple[float, float] = (80.0, 120.0)
     after_fault: float = 40.0
-    log: LogSource | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "world", self.world.replace(OWN_PLAN, f"{RANDOM}{self.seed}"))
@@ -135,7 +105,7 @@ class Outcome:
     series
         Arrays for the plots, by name; see ``docs/benchmark.md``.
     config
-        Digest of the agent's settings, the robot, and the world or log.
+        Digest of the agent's settings, the robot, and the world.
     """
 
     metrics: dict[str, Metric]

@@ -2,12 +2,13 @@
 
 import os
 import time
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import TypeAlias
+from unittest.mock import patch
 
 from benchmarks.suite.jobs import Job, Outcome
 from benchmarks.suite.store import FORMAT, Row, Stamp, has_series, row_of
@@ -81,7 +82,7 @@ def run_suite(
     def keep(row: Row) -> bool:
         return has_series(folder, row) and not (retry_failed and row.error)
 
-    with open_store(FORMAT, folder, stamp, keep) as store, one_thread():
+    with open_store(FORMAT, folder, stamp, keep) as store, patch.dict(os.environ, ONE_THREAD):
         missing = [job for job in suite.jobs if job.key not in store.rows]
         failed = sum(row.error is not None for row in store.rows.values())
         running = closing(processes.run(missing, partial(timed, work)))
@@ -108,18 +109,3 @@ def timed(work: Work, job: Job) -> Outcome:
 def package_versions() -> dict[str, str]:
     """Versions of all packages that a metric depends on."""
     return versions()
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Give new processes the environment of workers; afterwards this process has its own environment again."""
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
-    os.environ.update(ONE_THREAD)
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                del os.environ[name]
-            else:
-                os.environ[name] = value

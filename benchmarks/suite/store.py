@@ -25,8 +25,7 @@ class Row:
     Attributes
     ----------
     world, noise, robots, preset, policy, ablation, laps, seed
-        The fields of the job. ``policy`` is ``laps`` if laps were driven, and ``replay`` for a recorded log, whose
-        world is ``log:NAME``.
+        The fields of the job. ``policy`` is ``laps`` if laps were driven.
     metrics
         Metrics by their names in ``docs/metrics.md``; empty if the job failed.
     cost

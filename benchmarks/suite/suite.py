@@ -8,9 +8,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from benchmarks.suite.jobs import LOG, LOG_POLICY, RANDOM, Job, LogSource, digest
-from benchmarks.suite.train_config import TrainConfig
-from benchmarks.suite.work import check_log, contents, run_config
+from benchmarks.suite.jobs import RANDOM, Job, digest
+from benchmarks.suite.work import contents, run_config
 from limslam_agent.config.tables import built, read_toml
 from limslam_env.messages import described, one_line
 
@@ -30,16 +29,13 @@ class Suite:
     jobs
         All jobs; no two jobs are equal.
     digest
-        Digest of the jobs, and of the content of the worlds and logs that they use.
-    train
-        Settings of the training by `python -m benchmarks train`; None without training.
+        Digest of the jobs, and of the content of the worlds that they use.
     """
 
     name: str
     description: str
     jobs: tuple[Job, ...]
     digest: str
-    train: TrainConfig | None = None
 
 
 @dataclass(frozen=True)
@@ -93,40 +89,12 @@ class _Grid:
 
 
 @dataclass(frozen=True)
-class _Log:
-    """A table ``[[log]]``: a recorded log under the settings of its lists."""
-
-    name: str
-    file: str
-    beams: tuple[float, ...]
-    relations: str | None = None
-    max_range: float = 3.0
-    odometry_bias: tuple[float, float] = (0.0, 1.0)
-    noises: tuple[float, ...] = (0.02,)
-    presets: tuple[str, ...] = ("paper",)
-    ablations: tuple[str, ...] = (NO_ABLATION,)
-
-    def jobs(self) -> list[Job]:
-        """The jobs."""
-        source = LogSource(self.name, self.file, self.beams, self.max_range, self.odometry_bias, self.relations)
-        return [
-            Job(
-                LOG + self.name, noise, preset=preset, policy=LOG_POLICY,
-                ablation=None if ablation == NO_ABLATION else ablation, log=source,
-            )
-            for noise, preset, ablation in itertools.product(self.noises, self.presets, self.ablations)
-        ]  # fmt: skip
-
-
-@dataclass(frozen=True)
 class _File:
     """A suite file."""
 
     name: str
     description: str
-    grid: tuple[_Grid, ...] = ()
-    log: tuple[_Log, ...] = ()
-    train: TrainConfig | None = None
+    grid: tuple[_Grid, ...]
 
     def __post_init__(self) -> None:
         if not re.fullmatch(r"[A-Za-z0-9_-]+", self.name):
@@ -156,23 +124,14 @@ def load_suite(source: str, first_seed: int | None = None) -> Suite:
     label = path.name if path.parent == FOLDER else str(path)
     file = built(_File, read_toml(path), label)
     with _named(label):
-        if first_seed is not None and not file.grid:
-            raise ValueError("--first-seed: there is no [[grid]], and so no seed to move")
-        jobs = [*_checked(file.grid, first_seed), *(job for log in file.log for job in log.jobs())]
-        for job in jobs:
-            if job.log is not None:
-                with _named(job.title):
-                    check_log(job.log)
-                    run_config(replace(job, world="square", policy="frontier", log=None))
+        jobs = list(_checked(file.grid, first_seed))
         if not jobs:
-            raise ValueError("holds no jobs: [[grid]] or [[log]] makes them")
+            raise ValueError("holds no jobs")
         for title, count in Counter(job.title for job in jobs).items():
             if count > 1:
                 raise ValueError(f"{count} jobs are the same to the tables: {title}")
-        if file.train is not None:
-            file.train.check_apart(jobs)
         known = digest([sorted(job.key for job in jobs), contents(jobs)])
-        return Suite(file.name, file.description, tuple(jobs), known, file.train)
+        return Suite(file.name, file.description, tuple(jobs), known)
 
 
 def _checked(grids: tuple[_Grid, ...], first_seed: int | None) -> Iterator[Job]:

@@ -1,7 +1,6 @@
-"""The execution of a job: its world or log, its scores, and its series for the plots."""
+"""The execution of a job: its world, its scores, and its series for the plots."""
 
 import functools
-import hashlib
 import os
 from collections.abc import Iterable
 from dataclasses import asdict, replace
@@ -11,14 +10,11 @@ from typing import Any
 import numpy as np
 
 from benchmarks.suite.faults import Fault, fault_begins, fault_scores
-from benchmarks.suite.jobs import KIDNAPPED, PLAN, RANDOM, Job, LogSource, Outcome, digest
-from limslam_agent.config.ablations import ablated
-from limslam_agent.config.presets import OdometryConfig, preset
+from benchmarks.suite.jobs import KIDNAPPED, PLAN, RANDOM, Job, Outcome, digest
 from limslam_agent.output.export import plain
-from limslam_agent.replay.options import odometry_config
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.record import Episode
-from limslam_agent.runs.results import cost, score, trajectory_scores
+from limslam_agent.runs.results import cost, score
 from limslam_agent.runs.run_config import RunConfig
 from limslam_env.geometry import FloatArray
 from limslam_env.worlds.formats.loading import WorldSource, load_world
@@ -75,38 +71,18 @@ def world_source(world: str) -> WorldSource:
 
 
 def contents(jobs: Iterable[Job]) -> dict[str, str]:
-    """Digests of the worlds and logs that jobs use, by their names.
+    """Digests of the worlds that jobs use, by their names.
 
     Raises
     ------
     ValueError
-        If a world or log is missing or invalid.
+        If a world is missing or invalid.
     """
-    jobs = list(jobs)
-    worlds = {job.world: load_world(world_source(job.world)).digest for job in jobs if job.log is None}
-    sources = {job.log for job in jobs if job.log is not None}
-    files = {name for source in sources for name in (source.file, source.relations) if name is not None}
-    return worlds | {name: file_digest(data_file(name)) for name in files}
-
-
-def check_log(source: LogSource) -> None:
-    """Check that a log exists and that its options are valid.
-
-    Raises
-    ------
-    ValueError
-        If the log does not exist or an option is invalid.
-    """
-    for name in (source.file, source.relations):
-        if name is not None:
-            data_file(name)
-    if source.max_range <= 0.0:
-        raise ValueError(f"max_range: must be above 0 m, not {source.max_range:g}")
-    _odometry(source)
+    return {world: load_world(world_source(world)).digest for world in {job.world for job in jobs}}
 
 
 def run_config(job: Job) -> RunConfig:
-    """The run configuration of a job that is not a log.
+    """The run configuration of a job.
 
     Raises
     ------
@@ -130,18 +106,9 @@ def run_job(job: Job) -> Outcome:
     ValueError
         If the job cannot be run.
     """
-    return _explored(job) if job.log is None else _replayed(job, job.log)
-
-
-def simulated(config: RunConfig) -> Outcome:
-    """Run the simulator by a configuration, and score the run."""
-    return _scored(run_episode(config))
-
-
-def _explored(job: Job) -> Outcome:
     begin = fault_begins(job)
     if job.fault is None or begin is None:
-        return simulated(run_config(job))
+        return _scored(run_episode(run_config(job)))
     episode = run_episode(run_config(job), alter=Fault(job.fault, begin, job.seed).altered)
     scores = fault_scores(episode, begin)
     outcome = _scored(episode)
@@ -160,50 +127,11 @@ def _series(episode: Episode) -> dict[str, FloatArray]:
     return {
         "time": episode.time[rows], "coverage": episode.coverage[rows], "true": episode.true[rows],
         "estimated": episode.estimated[rows], "odometry": episode.odometry[rows], "sigma": sigma,
-        "segments": episode.final_map.segments, "edges": episode.world.edges, "doors": episode.world.doors,
+        "segments": episode.final_map.segments, "edges": episode.world.edges,
     }  # fmt: skip
-
-
-def _replayed(job: Job, source: LogSource) -> Outcome:
-    from limslam_agent.logs.log_reader import read_log
-    from limslam_agent.logs.relations import read_relations
-    from limslam_agent.output.cost import run_cost
-    from limslam_agent.replay.replay import relation_scores, replay_log
-    from limslam_env.interface import NominalNoise
-
-    path = data_file(source.file)
-    settings = preset(job.preset, NominalNoise(job.noise))
-    settings = settings if job.ablation is None else ablated(settings, job.ablation)
-    config = replace(settings, odometry=_odometry(source))
-    log = read_log(path, source.beams, source.max_range)
-    result = replay_log(log, config)
-    scores: dict[str, Any] = {"landmarks": len(result.segments), "refused_readings": result.refused_readings}
-    if log.true_pose is not None:
-        scores |= trajectory_scores(log.true_pose, result.estimated, result.odometry, result.covariances)
-    if source.relations is not None:
-        scores |= relation_scores(result, read_relations(data_file(source.relations)))
-    rows = _each_second(log.time)
-    series = {
-        "time": log.time[rows], "estimated": result.estimated[rows, None], "odometry": result.odometry[rows, None],
-        "segments": result.segments,
-    }  # fmt: skip
-    made_from = {"agent": asdict(config), "robot": asdict(log.robot), "log": file_digest(path)}
-    spent = run_cost(float(np.ptp(log.time)), result.wall_clock, slam=result.slam_ms)
-    return Outcome(plain(scores), spent, series, digest(made_from))
-
-
-def _odometry(source: LogSource) -> OdometryConfig:
-    turn, scale = source.odometry_bias
-    return odometry_config(None, f"{turn!r},{scale!r}")
-
-
-def file_digest(path: Path) -> str:
-    """Digest of a file's content."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()[:16]
 
 
 def _each_second(times: FloatArray) -> Any:
-    """Indices of the first row in each period, and of the last row. The times of a log may decrease."""
-    latest = np.maximum.accumulate(times - times[0])
-    _, first = np.unique(np.floor(latest / SERIES_PERIOD + 1e-9), return_index=True)
+    """Indices of the first row in each period, and of the last row."""
+    _, first = np.unique(np.floor(times / SERIES_PERIOD + 1e-9), return_index=True)
     return np.union1d(first, [len(times) - 1])

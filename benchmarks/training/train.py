@@ -1,13 +1,13 @@
 """``python -m benchmarks train``: PPO on the batched environment, for a fixed budget (extra ``rl``).
 
 The trained network is `DirectionNetwork`. The reward is the newly seen area according to the ground truth of the
-simulator. The observations are those of a robot, except in phases with the true pose.
+simulator.
 """
 
 import json
 import time
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import gymnasium as gym
@@ -18,22 +18,65 @@ from stable_baselines3.common.callbacks import BaseCallback
 
 import limslam_env  # noqa: F401 (registers the environments)
 from benchmarks.suite.runner import package_versions
-from benchmarks.suite.train_config import Phase, TrainConfig
-from benchmarks.training.direction_policy import DirectionPolicy
-from benchmarks.training.explore_env import ExploreConfig, ExploreVectorEnv
+from benchmarks.training.explore_env import VIEW, ExploreVectorEnv
+from benchmarks.training.network import DirectionPolicy
 from limslam_agent.output.provenance import commit
-from limslam_agent.policies.learned.learned import TEMPERATURE
+from limslam_agent.policies.learned.learned import HOLD, TEMPERATURE
 from limslam_agent.policies.learned.network import DirectionNetwork, save_network
 from limslam_env.config import RewardConfig
 from limslam_env.envs.sb3 import Sb3VecEnv
 from limslam_env.geometry import FloatArray
-from limslam_env.interface import RobotSpec
-from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
 
-LOG, CONFIG = "trials.jsonl", "train.json"
+LOG, CONFIG, WEIGHTS = "trials.jsonl", "train.json", "explorer.npz"
 LEAST_SHARE = 0.05
 GOAL = 0.8
 _TRIAL = 240.0  # s: duration of each episode of a trial
+
+
+@dataclass(frozen=True)
+class TrainConfig:
+    """The settings of a training by PPO (Schulman et al. 2017).
+
+    Attributes
+    ----------
+    decisions
+        The budget: number of decisions of all robots together.
+    plans, held_out
+        Seeds of the floor plans for training, and of those for periodic evaluation. The suite ``explore`` uses others.
+    noise
+        Standard deviation of the ranges, m.
+    robots, rollout
+        Number of robots that drive at once, and number of decisions of each robot in a rollout.
+    batch, epochs, learning_rate, gamma, entropy
+        Parameters of PPO. Learning rate and entropy weight decrease to a twentieth.
+    coverage_goal, max_time
+        An episode ends at this coverage, or after this time, s.
+    time_cost, collision_cost
+        Costs that are subtracted from the reward (new area in m^2) for each step of 0.1 s, and for each such step in
+        contact. A touch of a few steps costs as much as seeing a square metre gains.
+    try_every
+        Number of decisions between two evaluations on the held-out plans.
+    seed
+        Seed of all random numbers.
+    """
+
+    decisions: int = 300_000
+    plans: Sequence[int] = range(100_000, 101_000)
+    held_out: Sequence[int] = range(200_000, 200_030)
+    noise: float = 0.02
+    robots: int = 64
+    rollout: int = 64
+    batch: int = 512
+    epochs: int = 3
+    learning_rate: float = 7e-4
+    gamma: float = 0.985
+    entropy: float = 0.01
+    coverage_goal: float = 0.9
+    max_time: float = 200.0
+    time_cost: float = 0.02
+    collision_cost: float = 0.3
+    try_every: int = 70_000
+    seed: int = 0
 
 
 def train(config: TrainConfig, folder: Path) -> Path:
@@ -49,7 +92,7 @@ def train(config: TrainConfig, folder: Path) -> Path:
     Returns
     -------
     weights
-        Weights of the last phase that was reached within the time limit.
+        File of the weights.
 
     Raises
     ------
@@ -59,42 +102,24 @@ def train(config: TrainConfig, folder: Path) -> Path:
     if (folder / CONFIG).exists():
         raise ValueError(f"{folder}: holds a training: choose another folder")
     folder.mkdir(parents=True, exist_ok=True)
-    text = json.dumps({"config": asdict(config), "commit": commit(), "versions": package_versions()}, indent=1)
+    settings = {**asdict(config), "plans": list(config.plans), "held_out": list(config.held_out)}
+    text = json.dumps({"config": settings, "commit": commit(), "versions": package_versions()}, indent=1)
     (folder / CONFIG).write_text(text + "\n", encoding="utf-8")
     torch.set_num_threads(1)
-    model, weights = _model(config, config.phases[0], folder), folder
-    begin, end = time.process_time(), 0
-    for number, phase in enumerate(config.phases):
-        if time.process_time() - begin >= 60.0 * config.minutes:
-            break
-        if number:
-            model.set_env(_batch(config, phase))
-        end += phase.decisions
-        # The learning rate decreases over all decisions up to the end of the phase: later phases begin with a low rate.
-        keeper = _Keeper(config, phase, folder, begin)
-        model.learn(end - model.num_timesteps, callback=keeper, reset_num_timesteps=False, tb_log_name=phase.pose)
-        weights = folder / f"{'true_pose' if phase.pose == 'true' else phase.pose}.npz"
-        save_network(weights, _network(model))
-    return weights
-
-
-def _batch(config: TrainConfig, phase: Phase) -> Sb3VecEnv:
-    explore = ExploreConfig(pose=phase.pose, range_std=config.noise)
     batch = gym.make_vec(
-        "LimSlam-Random-v0", config.robots, autoreset_mode="SameStep", plans=config.plans.seeds,
-        sensor_noise=config.noise, coverage_goal=config.coverage_goal, max_episode_steps=round(10.0 * config.max_time),
+        "LimSlam-Random-v0", config.robots, autoreset_mode="SameStep", plans=config.plans, sensor_noise=config.noise,
+        coverage_goal=config.coverage_goal, max_episode_steps=round(10.0 * config.max_time),
         rewards=RewardConfig(1.0, -config.time_cost, -config.collision_cost), num_threads=1,
     )  # fmt: skip
-    return Sb3VecEnv(ExploreVectorEnv(batch, explore))
-
-
-def _model(config: TrainConfig, phase: Phase, folder: Path) -> PPO:
-    return PPO(
-        DirectionPolicy, _batch(config, phase), n_steps=config.rollout, batch_size=config.batch,
+    model = PPO(
+        DirectionPolicy, Sb3VecEnv(ExploreVectorEnv(batch)), n_steps=config.rollout, batch_size=config.batch,
         n_epochs=config.epochs, gamma=config.gamma, ent_coef=config.entropy, seed=config.seed, device="cpu",
         learning_rate=lambda left: config.learning_rate * max(left, LEAST_SHARE),
-        tensorboard_log=str(folder / "tensorboard"), policy_kwargs={"view": ExploreConfig().view},
+        tensorboard_log=str(folder / "tensorboard"), policy_kwargs={"view": VIEW},
     )  # fmt: skip
+    model.learn(config.decisions, callback=_Keeper(config, folder), tb_log_name="explore")
+    save_network(folder / WEIGHTS, _network(model))
+    return folder / WEIGHTS
 
 
 def _network(model: PPO) -> DirectionNetwork:
@@ -103,32 +128,20 @@ def _network(model: PPO) -> DirectionNetwork:
 
 
 class Trial:
-    """Repeated evaluation on the same plans.
+    """Repeated evaluation on the same plans, by their seeds, with a standard deviation of the ranges, m."""
 
-    Parameters
-    ----------
-    seeds
-        Seeds of the floor plans.
-    noise
-        Standard deviation of the ranges, m.
-    config
-        Settings of observation and motion.
-    """
-
-    def __init__(self, seeds: Sequence[int], noise: float, config: ExploreConfig) -> None:
-        radius = RobotSpec().radius
-        worlds = [floor_plan(FloorPlanConfig(), np.random.default_rng(seed), radius) for seed in seeds]
+    def __init__(self, seeds: Sequence[int], noise: float) -> None:
         batch = gym.make_vec(
-            "LimSlam-World-v0", len(worlds), world=worlds, autoreset_mode="SameStep", sensor_noise=noise,
-            coverage_goal=None, max_episode_steps=None, num_threads=1,
+            "LimSlam-World-v0", len(seeds), world=[f"random:{seed}" for seed in seeds], autoreset_mode="SameStep",
+            sensor_noise=noise, coverage_goal=None, max_episode_steps=None, num_threads=1,
         )  # fmt: skip
-        self._env = ExploreVectorEnv(batch, config)
-        self.period = config.drive.hold * self._env.robot.control_period
+        self._env = ExploreVectorEnv(batch)
+        self.period = HOLD * self._env.robot.control_period
 
-    def explore(self, network: DirectionNetwork, temperature: float, seed: int = 0) -> tuple[FloatArray, FloatArray]:
+    def explore(self, network: DirectionNetwork, seed: int = 0) -> tuple[FloatArray, FloatArray]:
         """The coverage (plans, decisions + 1) after each decision, and the number of touches (plans,).
 
-        Directions are drawn with the softmax of scores / ``temperature``; 0 takes the direction with the best score.
+        Directions are drawn as `LearnedPolicy` draws them.
         """
         generator = np.random.default_rng(seed)
         told, info = self._env.reset(seed=seed)
@@ -136,39 +149,22 @@ class Trial:
         for _ in range(round(_TRIAL / self.period)):
             scores = np.stack([network.scores(row) for row in told]).astype(float)
             # The argmax of scores with added Gumbel noise is a sample from their softmax.
-            chosen = (scores + temperature * generator.gumbel(size=scores.shape)).argmax(axis=1)
+            chosen = (scores + TEMPERATURE * generator.gumbel(size=scores.shape)).argmax(axis=1)
             told, _, _, _, info = self._env.step(chosen)
             rows.append(info["coverage"].copy())
         return np.array(rows).T, self._env.touches.astype(float)
 
 
-def times_to(coverage: FloatArray, goal: float, period: float) -> FloatArray:
-    """The time (n,) at which each plan reached a coverage, s; infinity if it never did.
-
-    The columns of ``coverage`` (n, k) are ``period`` (s) apart.
-    """
-    reached = coverage >= goal
-    return np.where(reached.any(axis=1), reached.argmax(axis=1) * period, np.inf)
-
-
 class _Keeper(BaseCallback):
-    """Ends the training when its time is over, and evaluates the policy on the held-out plans."""
+    """Evaluates the policy on the held-out plans."""
 
-    def __init__(self, config: TrainConfig, phase: Phase, folder: Path, begin: float) -> None:
+    def __init__(self, config: TrainConfig, folder: Path) -> None:
         super().__init__()
-        self._config, self._phase, self._folder, self._begin = config, phase, folder, begin
-        self._trial = Trial(config.held_out.seeds, config.noise, ExploreConfig(pose=phase.pose, range_std=config.noise))
-        self._tried = 0
-
-    @property
-    def _minutes(self) -> float:
-        return (time.process_time() - self._begin) / 60.0
-
-    def _on_training_start(self) -> None:
-        self._tried = self.num_timesteps
+        self._config, self._folder, self._begin, self._tried = config, folder, time.process_time(), 0
+        self._trial = Trial(config.held_out, config.noise)
 
     def _on_step(self) -> bool:
-        return self._minutes < self._config.minutes
+        return True
 
     def _on_rollout_end(self) -> None:
         left = float(self.model._current_progress_remaining)  # noqa: SLF001 (it has no other name)
@@ -181,12 +177,13 @@ class _Keeper(BaseCallback):
 
     def _try(self) -> None:
         self._tried = self.num_timesteps
-        coverage, touches = self._trial.explore(_network(self.model), TEMPERATURE)
-        times = times_to(coverage, GOAL, self._trial.period)
+        coverage, touches = self._trial.explore(_network(self.model))
+        reached = coverage >= GOAL
+        times = np.where(reached.any(axis=1), reached.argmax(axis=1) * self._trial.period, np.inf)
         # There is no median of a time that half of the plans did not reach.
         middle = float(np.median(times))
         row = {
-            "decisions": self.num_timesteps, "minutes": self._minutes, "pose": self._phase.pose,
+            "decisions": self.num_timesteps, "minutes": (time.process_time() - self._begin) / 60.0,
             "time_to_80_s": middle if np.isfinite(middle) else None, "reached_80": float(np.isfinite(times).mean()),
             "coverage_at_120_s": float(np.median(coverage[:, round(120.0 / self._trial.period)])),
             "touches": float(touches.mean()),

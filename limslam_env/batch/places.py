@@ -9,7 +9,7 @@ import numpy as np
 
 from limslam_env.batch.plan_cache import PlanCache, cache_folder
 from limslam_env.batch.progress import cores, work_through
-from limslam_env.batch.worlds import Site, Sites, StartCells, prepare, prepare_plan
+from limslam_env.batch.worlds import Site, Sites, StartCells, prepare
 from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.batch_state import Starts
@@ -159,7 +159,7 @@ class Places:
             site = cache.read(seed)
             if site is None:
                 missing.append(seed)
-                site = prepare_plan(self._plan(config, seed), self._robot)
+                site = prepare(self._plan(config, seed), self._robot, self.num_robots)
                 cache.write(seed, site)
             return site
 
@@ -186,10 +186,7 @@ class Places:
 
         def begun(row: int) -> tuple[Site, FloatArray]:
             world = self._plan(config, int(keys[row]))
-            if start is None:
-                site = prepare_plan(world, self._robot)
-            else:
-                site = prepare(world, self._robot, self.num_robots, start[row])
+            site = prepare(world, self._robot, self.num_robots, None if start is None else start[row])
             poses = self._started(site.starts, keys[row : row + 1], None, lambda: world)
             # The places to start are most of a site, and not needed any more.
             return replace(site, starts=_NO_STARTS), poses

@@ -1,30 +1,29 @@
 """Prepared floor plans on disk, so that later processes need not draw and prepare them again.
 
-The folder may be shared between processes and users. An entry is written under another name first, and then renamed, so
-that no reader sees half of it. Its name depends on all that the plan depends on, the code included. Its content begins
-with a digest of the rest: an entry that is damaged or cannot be read counts as missing, and is written again. An entry
-holds walls, cells and runs of cells alone, and all are checked, so that none leads outside of the simulation's arrays.
+An entry is written under another name first, and then renamed, so that no reader sees half of it. Its name depends on
+all that the plan depends on, the code included. One that is damaged or cannot be read counts as missing, and is written
+again.
 """
 
 import hashlib
+import io
 import os
 import platform
 import sys
 import tempfile
+import zipfile
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from limslam_env.batch.worlds import Site, StartCells, from_tiles, to_tiles
 from limslam_env.compilation import ENV_SOURCES, source_stamp
-from limslam_env.geometry import IntArray, no_rows
+from limslam_env.geometry import no_rows
 from limslam_env.interface import RobotSpec
-from limslam_env.simulation.coverage import CELL, grid_over
 from limslam_env.simulation.sensors import build_wall_index
-from limslam_env.worlds.free_space import cell_for, grid_around
 from limslam_env.worlds.generation.floor_plans import FloorPlanConfig
-from limslam_env.worlds.world import MAX_EDGES, MAX_SIDE
 
 FOLDER = "LIMSLAM_CACHE"
 """Name of the environment variable for the folder of the cache; ``off`` switches the cache off."""
@@ -32,8 +31,6 @@ FOLDER = "LIMSLAM_CACHE"
 MOST_BYTES = 500_000_000
 """Largest size of all entries. Beyond it, the oldest entries are removed."""
 
-_FORMAT = b"limslam plan 1\n"
-_LARGEST_ENTRY = 64_000_000
 _SOURCES = (
     *ENV_SOURCES, "limslam_env.config", "limslam_env.worlds", "limslam_env.worlds.generation",
     "limslam_env.simulation", "limslam_env.batch",
@@ -78,27 +75,29 @@ class PlanCache:
         if path is None:
             return None
         try:
-            with path.open("rb") as file:
-                data = file.read(_LARGEST_ENTRY)
-            begin = len(_FORMAT) + 32
-            if data[: len(_FORMAT)] != _FORMAT or data[len(_FORMAT) : begin] != _digest(data[begin:]):
-                return None
-            return _unpacked(data[begin:], self._robot)
-        except (OSError, ValueError):
+            # numpy checks the sums of the archive, and makes no objects.
+            with np.load(io.BytesIO(path.read_bytes()), allow_pickle=False) as kept:
+                walls, starts = build_wall_index(kept["edges"]), (kept["runs"], int(kept["count"]), kept["space"])
+                cells, area = kept["cells"], kept["area"]
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
             return None
+        return Site(walls, self._robot.reach, area, cells.shape, to_tiles(cells), StartCells(no_rows(3), *starts))
 
     def write(self, seed: int, site: Site) -> None:
         """Keep the prepared plan of a seed. Nothing is kept where nothing can be written."""
         path = self.path(seed)
         if path is None:
             return
-        content = _packed(site)
+        arrays: dict[str, Any] = {
+            "edges": site.walls.edges, "runs": site.starts.runs, "count": site.starts.count,
+            "space": site.starts.space, "cells": from_tiles(site.tiles, site.shape), "area": site.area,
+        }  # fmt: skip
         with suppress(OSError):
             path.parent.mkdir(parents=True, exist_ok=True)
             number, name = tempfile.mkstemp(prefix=".", suffix=".part", dir=path.parent)
             try:
                 with os.fdopen(number, "wb") as file:
-                    file.write(_FORMAT + _digest(content) + content)
+                    np.savez(file, **arrays)
                 # Other users read it, too, if the folder lets them.
                 Path(name).chmod(0o644)
                 Path(name).replace(path)
@@ -123,50 +122,3 @@ class PlanCache:
             with suppress(OSError):
                 Path(path).unlink()
             total -= size
-
-
-def _digest(content: bytes) -> bytes:
-    return hashlib.sha256(content).digest()
-
-
-def _packed(site: Site) -> bytes:
-    """What cannot be computed quickly: edges, runs of cells, and coverable cells."""
-    edges, runs = site.walls.edges, site.starts.runs
-    counts = np.array([len(edges), len(runs), site.starts.count], dtype="<i8")
-    cells = np.packbits(from_tiles(site.tiles, site.shape))
-    return b"".join((counts.tobytes(), edges.astype("<f8").tobytes(), runs.astype("<i4").tobytes(), cells.tobytes()))
-
-
-def _unpacked(content: bytes, robot: RobotSpec) -> Site:
-    """The site that :func:`_packed` took apart.
-
-    Raises
-    ------
-    ValueError
-        If it is none.
-    """
-    num_edges, num_runs, count = np.frombuffer(content, "<i8", 3).tolist()
-    if not (0 < num_edges <= MAX_EDGES and 0 < num_runs <= len(content) // 8):
-        raise ValueError("counts that no plan has")
-    edges = np.frombuffer(content, "<f8", 4 * num_edges, 24).astype(float).reshape(-1, 4)
-    if not np.isfinite(edges).all() or np.abs(edges).max() > MAX_SIDE:
-        raise ValueError("walls that no plan has")
-    runs = np.frombuffer(content, "<i4", 2 * num_runs, 24 + 32 * num_edges).astype(np.int32).reshape(-1, 2)
-    cell, (low, shape) = cell_for(edges, robot.radius), grid_over(edges)
-    origin, (rows, columns) = grid_around(edges, robot.radius, cell)
-    _check_runs(runs, count, rows * columns)
-    bits = np.frombuffer(content, np.uint8, -1, 24 + 32 * num_edges + 8 * num_runs)
-    if len(bits) != -(-shape[0] * shape[1] // 8):
-        raise ValueError("cells that no plan has")
-    cells = np.unpackbits(bits, count=shape[0] * shape[1]).astype(bool).reshape(shape)
-    starts = StartCells(no_rows(3), runs, count, np.array([*origin, cell, columns]))
-    return Site(build_wall_index(edges), robot.reach, np.array([*low, CELL]), shape, to_tiles(cells), starts)
-
-
-def _check_runs(runs: IntArray, count: int, num_cells: int) -> None:
-    """Make sure that runs (r, 2) of ``count`` cells lie in a grid of so many cells."""
-    befores = np.append(runs[:, 1].astype(np.int64), count)
-    lengths = befores[1:] - befores[:-1]
-    ends = runs[:, 0] + lengths
-    if runs[0, 1] != 0 or (lengths <= 0).any() or (runs[:, 0] < 0).any() or (ends > num_cells).any():
-        raise ValueError("places to start that no plan has")

@@ -6,22 +6,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_env.geometry import BoolArray, FloatArray, IntArray, no_rows
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.batch_state import Worlds
-from limslam_env.kernels.floor import survey
 from limslam_env.kernels.random_numbers import Words
 from limslam_env.kernels.tiles import TILE
-from limslam_env.simulation.coverage import CELL as COVERAGE_CELL
-from limslam_env.simulation.coverage import coverage_grid, grid_over, views
+from limslam_env.simulation.coverage import coverage_grid
 from limslam_env.simulation.sensors import WallIndex, build_wall_index, walls_around
-from limslam_env.simulation.starts import no_room, starting_places
-from limslam_env.worlds.free_space import cell_for, grid_around
+from limslam_env.simulation.starts import starting_places
 from limslam_env.worlds.world import World
 
 # Near walls, on the average, up to which a ray tries them all.
 _MOST_NEAR = 60
-
 # Edges of a world that can be counted in two bytes.
 _MOST_EDGES = 65_536
 
@@ -94,39 +90,11 @@ def prepare(world: World, robot: RobotSpec, num_robots: int, start: FloatArray |
     places = starting_places(world, robot, num_robots, start)
     grid = coverage_grid(world, robot, places.known)
     cells = places.cells[~places.is_pocket]
-    firsts = np.flatnonzero(np.diff(cells, prepend=-2) != 1)
+    firsts = np.concatenate(([0], 1 + np.flatnonzero(cells[1:] != cells[:-1] + 1)))[: len(cells)]
     runs = np.column_stack((cells[firsts], firsts)).astype(np.int32)
     starts = StartCells(places.given, runs, len(cells), places.space)
     tiles = to_tiles(grid.coverable)
     return Site(build_wall_index(world.edges), robot.reach, grid.area, grid.coverable.shape, tiles, starts)
-
-
-def prepare_plan(world: World, robot: RobotSpec) -> Site:
-    """Make a world without starts ready: as :func:`prepare`, to the last bit, but in one compiled pass.
-
-    Raises
-    ------
-    WorldError
-        If there is no room for a robot.
-    """
-    edges, cell = world.edges, cell_for(world.edges, robot.radius)
-    walls = build_wall_index(edges)
-    near_starts, near_edges = near_walls(walls, robot.reach) or _NOWHERE
-    origin, shape = grid_around(edges, robot.radius, cell)
-    low, (rows, columns) = grid_over(edges)
-    area, coverable = np.array([*low, COVERAGE_CELL]), np.zeros((rows, columns), dtype=bool)
-    corners = np.vstack((no_rows(2), *world.obstacles))
-    firsts = np.cumsum([0, *map(len, world.obstacles)])
-    runs = survey(
-        *walls.scene, near_starts, near_edges, corners, firsts, robot.radius, np.array([*origin, cell]),
-        np.ones(shape, dtype=bool), views(), robot.reach, area, coverable,
-    )  # fmt: skip
-    if not len(runs):
-        raise no_room(world, 1)
-    lengths = runs[:, 2] - runs[:, 1]
-    cells = np.column_stack((runs[:, 0] * shape[1] + runs[:, 1], np.cumsum(lengths) - lengths)).astype(np.int32)
-    starts = StartCells(no_rows(3), cells, int(lengths.sum()), np.array([*origin, cell, shape[1]]))
-    return Site(walls, robot.reach, area, (rows, columns), to_tiles(coverable), starts)
 
 
 def near_walls(walls: WallIndex, reach: float) -> tuple[IntArray, IntArray] | None:

@@ -77,12 +77,10 @@ def coverage_tour(
     robot: RobotSpec,
     start: FloatArray,
     *,
-    goal: float = GOAL,
-    speeds: Speeds | None = None,
     seen: BoolArray | None = None,
     evaluations: int = EVALUATIONS,
 ) -> FloatArray:
-    """A short tour from which the beams see everything: a bound for the exploration time.
+    """A short tour at top speed from which the beams see ``GOAL``: a bound for the exploration time.
 
     Parameters
     ----------
@@ -92,10 +90,6 @@ def coverage_tour(
         Body and beams.
     start
         Pose that the tour begins at (3,), m and rad.
-    goal
-        Share of the coverable cells (:mod:`limslam_env.simulation.coverage`) that is to be covered.
-    speeds
-        How fast it is driven; the top speeds if left out.
     seen
         Cells that have been covered already (rows, columns); none if left out.
     evaluations
@@ -113,19 +107,9 @@ def coverage_tour(
     WorldError
         If there is no room to drive at the start, or the building is too large.
     """
-    speeds = speeds or top_speeds(robot)
     if seen is None:
-        return _coverage_tour(world, robot, _tuple(start), goal, speeds, evaluations)
-    return Tours(world, robot, start, goal, speeds, seen).best(evaluations)
-
-
-@functools.lru_cache(maxsize=32)
-def _coverage_tour(
-    world: World, robot: RobotSpec, start: tuple[float, ...], goal: float, speeds: Speeds, evaluations: int
-) -> FloatArray:
-    way = Tours(world, robot, np.array(start), goal, speeds).best(evaluations)
-    way.setflags(write=False)
-    return way
+        return _tour(world, robot, _tuple(start), evaluations)
+    return Tours(world, robot, start, seen).best(evaluations)
 
 
 def closed_tour(
@@ -139,7 +123,7 @@ def closed_tour(
         If there is no room to drive at the start or along the loop, or the building is too large.
     """
     if not len(world.loop):
-        return np.tile(_closed_coverage_tour(world, robot, _tuple(start), evaluations), (laps, 1))
+        return np.tile(_tour(world, robot, _tuple(start), evaluations, is_closed=True), (laps, 1))
     place = np.asarray(start, dtype=float)[:2]
     first = (int(np.argmin(np.hypot(*(world.loop - place).T))) + 1) % len(world.loop)
     corners = np.tile(np.roll(world.loop, -first, axis=0), (laps, 1))
@@ -150,11 +134,13 @@ def closed_tour(
     return np.vstack([way for way in ways if way is not None])
 
 
-@functools.lru_cache(maxsize=32)
-def _closed_coverage_tour(
-    world: World, robot: RobotSpec, start: tuple[float, ...], evaluations: int
-) -> FloatArray:  # fmt: skip
-    return Tours(world, robot, np.array(start), GOAL, top_speeds(robot), is_closed=True).best(evaluations)
+@functools.lru_cache(maxsize=64)
+def _tour(
+    world: World, robot: RobotSpec, start: tuple[float, ...], evaluations: int, *, is_closed: bool = False
+) -> FloatArray:
+    way = Tours(world, robot, np.array(start), is_closed=is_closed).best(evaluations)
+    way.setflags(write=False)
+    return way
 
 
 def _tuple(start: FloatArray) -> tuple[float, ...]:
@@ -166,7 +152,7 @@ class Tours:
 
     Parameters
     ----------
-    world, robot, start, goal, speeds, seen
+    world, robot, start, seen
         As :func:`coverage_tour` takes them.
     is_closed
         Whether tours lead back to the start.
@@ -177,13 +163,11 @@ class Tours:
         world: World,
         robot: RobotSpec,
         start: FloatArray,
-        goal: float,
-        speeds: Speeds,
         seen: BoolArray | None = None,
         *,
         is_closed: bool = False,
     ) -> None:
-        self._robot, self._speeds, self._is_closed = robot, speeds, is_closed
+        self._robot, self._speeds, self._is_closed = robot, top_speeds(robot), is_closed
         self.start = np.asarray(start, dtype=float)
         self._grid = coverage_grid(world, robot, self.start[None])
         if self._grid.total > MOST_CELLS:
@@ -191,7 +175,7 @@ class Tours:
         self.roads = Roadmap(world, robot.radius, self.start[:2])
         self._sweep = BeamSweep(world, robot, self._grid)
         self._seen = np.zeros_like(self._grid.coverable) if seen is None else seen
-        wanted = math.ceil(goal * self._grid.total - 1e-9)
+        wanted = math.ceil(GOAL * self._grid.total - 1e-9)
         self._needed = max(wanted - int(np.count_nonzero(self._seen & self._grid.coverable)), 0)
         self._views = np.array([self._view(place) for place in self.roads.places])
 

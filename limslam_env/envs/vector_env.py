@@ -88,7 +88,7 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
     | rewards           | `RewardConfig()` | as in the single environment                                         |
     | max_episode_steps | 18000            | see Episode End; None never truncates                                |
     | autoreset_mode    | NEXT_STEP        | see Episode End                                                      |
-    | plans             | None             | number or seeds of floor plans that are generated once and then drawn from; None generates a new floor plan for each environment at each reset, which takes about 7 ms |
+    | plans             | None             | number or seeds of floor plans that are generated once and then drawn from; None generates a new floor plan for each environment at each reset, which takes about 10 ms |
     | num_threads       | None             | largest number of threads; None for one per core                                 |
     | render_mode       | None             | `"rgb_array"`: `render` draws a picture (640, 640, 3) of each environment        |
 

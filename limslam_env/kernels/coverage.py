@@ -108,37 +108,3 @@ def sweep(
                 distance, _ = first_wall(x, y, dx, dy, reach, walls)
                 new += mark_ray(seen, coverable, area, x, y, dx, dy, distance)
         new_cells[number] = new
-
-
-@lean_entry
-def look_out(
-    places: FloatArray,
-    views: FloatArray,
-    reach: float,
-    edges: FloatArray,
-    cell_starts: IntArray,
-    cell_edges: IntArray,
-    grid: FloatArray,
-    seen: BoolArray,
-    area: FloatArray,
-    reachable: BoolArray,
-    reachable_area: FloatArray,
-) -> None:
-    """Set the cells that can be seen from ``places`` (n, 2), m, along unit vectors ``views`` (v, 2).
-
-    A view that goes on inside of what is ``reachable`` (its own grid, with corner and cell side) is left out:
-    what it leads to is seen from where it comes out.
-    """
-    walls = scene_walls(edges, cell_starts, cell_edges, grid)
-    rows, columns = reachable.shape
-    low_x, low_y, side = reachable_area
-    for place in range(len(places)):
-        x, y = places[place, 0], places[place, 1]
-        for view in range(len(views)):
-            dx, dy = views[view, 0], views[view, 1]
-            column = math.floor((x + 1.5 * side * dx - low_x) / side)
-            row = math.floor((y + 1.5 * side * dy - low_y) / side)
-            if 0 <= row < rows and 0 <= column < columns and reachable[row, column]:
-                continue
-            distance, _ = first_wall(x, y, dx, dy, reach, walls)
-            mark_ray(seen, seen, area, x, y, dx, dy, distance)

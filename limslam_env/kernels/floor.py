@@ -1,17 +1,13 @@
-"""The floor of a building in one pass: where a disc fits, its largest closed region, and what can be seen from there.
-
-The counterpart of ``worlds.free_space`` and ``simulation.coverage`` for thousands of buildings, equal to them to the
-last bit.
-"""
+"""The floor of a building: where a disc fits, and what can be seen from a region of it."""
 
 import math
 
 import numpy as np
 
-from limslam_env.compilation import compiled, entry, inlined
+from limslam_env.compilation import inlined, lean_entry, merged
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.kernels.coverage import mark_ray
-from limslam_env.kernels.rays import first_wall, meeting
+from limslam_env.kernels.rays import first_wall
 from limslam_env.kernels.wall_cells import Walls, scene_walls
 
 
@@ -22,7 +18,7 @@ def clipped(low: float, high: float, origin: float, cell: float, count: int) -> 
     return first, min(max(math.ceil((high - origin) / cell), 0), count)
 
 
-@compiled
+@merged
 def clear_near_walls(edges: FloatArray, space: FloatArray, radius: float, free: BoolArray) -> None:
     """Clear the cells whose centres lie less than ``radius`` (m) from an edge; ``space``: corner x, y and cell, m."""
     low_x, low_y, cell = space[0], space[1], space[2]
@@ -50,19 +46,27 @@ def clear_near_walls(edges: FloatArray, space: FloatArray, radius: float, free: 
                 free[row, column] = math.sqrt(dx * dx + dy * dy) >= radius
 
 
-@compiled
-def clear_inside(corners: FloatArray, space: FloatArray, free: BoolArray) -> None:
-    """Clear the cells whose centres lie inside a polygon (k, 2), m, by the crossing-number rule."""
+@merged
+def clear_inside(
+    corners: FloatArray, begin: int, end: int, space: FloatArray, crossed: FloatArray, free: BoolArray
+) -> None:
+    """Clear the cells whose centres lie inside a polygon, by the crossing-number rule.
+
+    Its corners are rows ``begin`` to before ``end`` of (c, 2), m. ``crossed`` (c,) is scratch memory.
+    """
     low_x, low_y, cell = space[0], space[1], space[2]
     rows, columns = free.shape
-    first_row, end_row = clipped(corners[:, 1].min(), corners[:, 1].max(), low_y, cell, rows)
-    first, last = clipped(corners[:, 0].min(), corners[:, 0].max(), low_x, cell, columns)
-    crossed = np.empty(len(corners))
+    left, right, bottom, top = np.inf, -np.inf, np.inf, -np.inf
+    for corner in range(begin, end):
+        left, right = min(left, corners[corner, 0]), max(right, corners[corner, 0])
+        bottom, top = min(bottom, corners[corner, 1]), max(top, corners[corner, 1])
+    first_row, end_row = clipped(bottom, top, low_y, cell, rows)
+    first, last = clipped(left, right, low_x, cell, columns)
     for row in range(first_row, end_row):
         y, count = low_y + (row + 0.5) * cell, 0
-        for corner in range(len(corners)):
-            x1, y1 = corners[corner, 0], corners[corner, 1]
-            x2, y2 = corners[(corner + 1) % len(corners), 0], corners[(corner + 1) % len(corners), 1]
+        for corner in range(begin, end):
+            beyond = corner + 1 if corner + 1 < end else begin
+            x1, y1, x2, y2 = corners[corner, 0], corners[corner, 1], corners[beyond, 0], corners[beyond, 1]
             if (y1 <= y) != (y2 <= y):
                 crossed[count] = ((x2 - x1) * (y - y1)) / (y2 - y1) + x1
                 count += 1
@@ -72,70 +76,6 @@ def clear_inside(corners: FloatArray, space: FloatArray, free: BoolArray) -> Non
                 is_inside = is_inside != (x < crossed[number])
             if is_inside:
                 free[row, column] = False
-
-
-@compiled
-def root_of(parents: IntArray, run: int) -> int:
-    """The first of the runs that are joined with a run; the way there is made shorter."""
-    while parents[run] != run:
-        parents[run] = parents[parents[run]]
-        run = parents[run]
-    return run
-
-
-@compiled
-def runs_of(free: BoolArray) -> IntArray:
-    """The stretches of free cells in the rows of a grid: (n, 3), row, first column, and the column after the last."""
-    rows, columns = free.shape
-    count = 0
-    for row in range(rows):
-        for column in range(columns):
-            count += free[row, column] and (column == 0 or not free[row, column - 1])
-    runs = np.empty((count, 3), dtype=np.int64)
-    number = -1
-    for row in range(rows):
-        for column in range(columns):
-            if free[row, column]:
-                if column == 0 or not free[row, column - 1]:
-                    number += 1
-                    runs[number, 0], runs[number, 1] = row, column
-                runs[number, 2] = column + 1
-    return runs
-
-
-@compiled
-def join_runs(runs: IntArray) -> IntArray:
-    """The first of the runs (n,) that each run is connected with, diagonally too."""
-    parents = np.arange(len(runs))
-    below = 0
-    for run in range(len(runs)):
-        row, first, end = runs[run, 0], runs[run, 1], runs[run, 2]
-        while runs[below, 0] < row - 1 or (runs[below, 0] == row - 1 and runs[below, 2] < first):
-            below += 1
-        other = below
-        while runs[other, 0] == row - 1 and runs[other, 1] <= end:
-            one, two = root_of(parents, run), root_of(parents, other)
-            parents[max(one, two)] = min(one, two)
-            other += 1
-    for run in range(len(runs)):
-        parents[run] = root_of(parents, run)
-    return parents
-
-
-@compiled
-def largest_closed(runs: IntArray, roots: IntArray, rows: int, columns: int) -> int:
-    """The first run of the largest connected region that does not reach the border of the grid; -1 without any."""
-    sizes = np.zeros(len(runs), dtype=np.int64)
-    is_closed = np.ones(len(runs), dtype=np.bool_)
-    for run in range(len(runs)):
-        sizes[roots[run]] += runs[run, 2] - runs[run, 1]
-        if runs[run, 0] == 0 or runs[run, 0] == rows - 1 or runs[run, 1] == 0 or runs[run, 2] == columns:
-            is_closed[roots[run]] = False
-    best, size = -1, 0
-    for run in range(len(runs)):
-        if is_closed[run] and sizes[run] > size:
-            best, size = run, sizes[run]
-    return best
 
 
 @inlined
@@ -150,151 +90,110 @@ def is_inner(region: BoolArray, row: int, column: int) -> bool:
     return is_all
 
 
-@compiled
+@merged
 def look_around(
     x: float,
     y: float,
     views: FloatArray,
     reach: float,
     walls: Walls,
-    near_starts: IntArray,
-    near_edges: IntArray,
     region: BoolArray,
     space: FloatArray,
     area: FloatArray,
     coverable: BoolArray,
-    lanes: FloatArray,
 ) -> None:
-    """Mark the cells that can be seen from (x, y), m, along those of the ``views`` that leave the region at once.
-
-    Without lists of near walls (:class:`limslam_env.kernels.batch_state.Worlds`), the rays go from cell to cell.
-    """
+    """Mark the cells that can be seen from (x, y), m, along those of the ``views`` that leave the region at once."""
     low_x, low_y, side = space[0], space[1], space[2]
     rows, columns = region.shape
-    ahead, left, lengths = lanes[0], lanes[1], lanes[2]
-    count = 0
     for view in range(len(views)):
         dx, dy = views[view, 0], views[view, 1]
         column, row = math.floor((x + 1.5 * side * dx - low_x) / side), math.floor((y + 1.5 * side * dy - low_y) / side)
-        if 0 <= row < rows and 0 <= column < columns and region[row, column]:
-            continue
-        ahead[count], left[count], lengths[count] = dx, dy, reach
-        count += 1
-    if len(near_starts) == 0:
-        for lane in range(count):
-            lengths[lane], _ = first_wall(x, y, ahead[lane], left[lane], reach, walls)
-    else:
-        column = min(max(math.floor((x - walls.low_x) / walls.side), 0), walls.columns - 1)
-        cell = min(max(math.floor((y - walls.low_y) / walls.side), 0), walls.rows - 1) * walls.columns + column
-        for item in range(near_starts[cell], near_starts[cell + 1]):
-            edge = near_edges[item]
-            from_x, from_y = walls.edges[edge, 0] - x, walls.edges[edge, 1] - y
-            ex, ey = walls.edges[edge, 2] - walls.edges[edge, 0], walls.edges[edge, 3] - walls.edges[edge, 1]
-            # No branches: the compiler takes several rays at once.
-            for lane in range(count):
-                distance, is_met = meeting(from_x, from_y, ex, ey, ahead[lane], left[lane])
-                is_met &= distance < lengths[lane]
-                lengths[lane] = distance if is_met else lengths[lane]
-    for lane in range(count):
-        mark_ray(coverable, coverable, area, x, y, ahead[lane], left[lane], lengths[lane])
+        if not (0 <= row < rows and 0 <= column < columns and region[row, column]):
+            distance, _ = first_wall(x, y, dx, dy, reach, walls)
+            mark_ray(coverable, coverable, area, x, y, dx, dy, distance)
 
 
-@compiled
-def look_from_border(
-    views: FloatArray,
-    reach: float,
-    walls: Walls,
-    near_starts: IntArray,
-    near_edges: IntArray,
-    region: BoolArray,
-    space: FloatArray,
-    area: FloatArray,
-    coverable: BoolArray,
-) -> None:
-    """Mark the cells that can be seen from a region: from one place at its border for each cell of the coverage."""
-    low_x, low_y, side, cell = space[0], space[1], space[2], area[2]
-    rows, columns = region.shape
-    first_x, first_y = math.floor(low_x / cell), math.floor(low_y / cell)
-    lanes = np.empty((3, len(views)))
-    is_taken = np.zeros(
-        (
-            math.floor((low_y + rows * side) / cell) - first_y + 1,
-            math.floor((low_x + columns * side) / cell) - first_x + 1,
-        ),
-        dtype=np.bool_,
-    )
-    for row in range(rows):
-        y = low_y + (row + 0.5) * side
-        for column in range(columns):
-            if not region[row, column] or is_inner(region, row, column):
-                continue
-            x = low_x + (column + 0.5) * side
-            place = math.floor(y / cell) - first_y, math.floor(x / cell) - first_x
-            if not is_taken[place]:
-                is_taken[place] = True
-                look_around(
-                    x, y, views, reach, walls, near_starts, near_edges, region, space, area, coverable, lanes
-                )  # fmt: skip
-
-
-@entry
-def survey(
+@lean_entry
+def mark_free(
     edges: FloatArray,
-    cell_starts: IntArray,
-    cell_edges: IntArray,
-    grid: FloatArray,
-    near_starts: IntArray,
-    near_edges: IntArray,
     corners: FloatArray,
     firsts: IntArray,
     radius: float,
     space: FloatArray,
+    crossed: FloatArray,
     free: BoolArray,
+) -> None:
+    """Clear the cells where a disc does not fit.
+
+    Parameters
+    ----------
+    edges
+        All that the disc must not touch (k, 4), m.
+    corners, firsts
+        Corners (c, 2), m, of all polygons that it must be outside of, and where each polygon's begin (p + 1,).
+    radius
+        The disc's, m.
+    space, free
+        A grid: lower left corner x, y and cell side, m; and its cells (rows, columns), changed.
+    crossed
+        (c,), scratch memory.
+    """
+    clear_near_walls(edges, space, radius, free)
+    for polygon in range(len(firsts) - 1):
+        clear_inside(corners, firsts[polygon], firsts[polygon + 1], space, crossed, free)
+
+
+@lean_entry
+def look_out(
+    edges: FloatArray,
+    cell_starts: IntArray,
+    cell_edges: IntArray,
+    grid: FloatArray,
     views: FloatArray,
     reach: float,
+    loose: FloatArray,
+    space: FloatArray,
+    region: BoolArray,
     area: FloatArray,
     coverable: BoolArray,
-) -> IntArray:
-    """Find the largest closed region of a building, and the cells that robots in it can cover.
+    is_taken: BoolArray,
+) -> None:
+    """Mark the cells that robots can cover from a region: those in it, and those that can be seen from it.
+
+    Every view of what lies beyond the region crosses the region's border, which lies nearer to it. So it is enough to
+    look from the border, from one place for each cell of the coverage.
 
     Parameters
     ----------
     edges, cell_starts, cell_edges, grid
         The walls and the edges of the obstacles.
-    near_starts, near_edges
-        The walls within ``reach`` of each cell of that grid; empty if these are too many.
-    corners, firsts
-        Corners (c, 2), m, of all obstacles, and where each obstacle's begin (p + 1,).
-    radius
-        Of the robots, m.
-    space, free
-        The grid of free space: lower left corner x, y and cell side, m; and its cells, all true before, set to those
-        where a robot fits.
     views, reach
         Unit vectors (v, 2) to look along, and how far robots see, m.
+    loose
+        Further places (n, 2), m, to look from.
+    space, region
+        The grid of free space: lower left corner x, y and cell side, m; and the cells of the region (rows, columns).
     area, coverable
-        The coverage grid: lower left corner and cell side, m; and its cells, all false before.
-
-    Returns
-    -------
-    runs
-        (n, 3), the region row by row: row, first column, and the column after the last; empty if there is none.
+        The coverage grid: lower left corner and cell side, m; and its cells, changed.
+    is_taken
+        Scratch memory (rows, columns), all false, with a cell for each of the coverage around the region.
     """
-    clear_near_walls(edges, space, radius, free)
-    for polygon in range(len(firsts) - 1):
-        clear_inside(corners[firsts[polygon] : firsts[polygon + 1]], space, free)
-    rows, columns = free.shape
-    runs = runs_of(free)
-    roots = join_runs(runs)
-    chosen: IntArray = runs[roots == largest_closed(runs, roots, rows, columns)]
-    region = np.zeros((rows, columns), dtype=np.bool_)
-    side, cell = space[2], area[2]
-    for run in range(len(chosen)):
-        row = chosen[run, 0]
-        region[row, chosen[run, 1] : chosen[run, 2]] = True
-        covered = math.floor((space[1] + (row + 0.5) * side - area[1]) / cell)
-        for column in range(chosen[run, 1], chosen[run, 2]):
-            coverable[covered, math.floor((space[0] + (column + 0.5) * side - area[0]) / cell)] = True
+    low_x, low_y, side, cell = space[0], space[1], space[2], area[2]
+    rows, columns = region.shape
     walls = scene_walls(edges, cell_starts, cell_edges, grid)
-    look_from_border(views, reach, walls, near_starts, near_edges, region, space, area, coverable)
-    return chosen
+    first_x, first_y = math.floor(low_x / cell), math.floor(low_y / cell)
+    for row in range(rows):
+        y = low_y + (row + 0.5) * side
+        for column in range(columns):
+            if not region[row, column]:
+                continue
+            x = low_x + (column + 0.5) * side
+            coverable[math.floor((y - area[1]) / cell), math.floor((x - area[0]) / cell)] = True
+            if is_inner(region, row, column):
+                continue
+            place = math.floor(y / cell) - first_y, math.floor(x / cell) - first_x
+            if not is_taken[place]:
+                is_taken[place] = True
+                look_around(x, y, views, reach, walls, region, space, area, coverable)
+    for number in range(len(loose)):
+        look_around(loose[number, 0], loose[number, 1], views, reach, walls, region, space, area, coverable)

@@ -4,13 +4,12 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
-from limslam_env.kernels.coverage import look_out, sweep
+from limslam_env.kernels.coverage import sweep
+from limslam_env.kernels.floor import look_out
 from limslam_env.simulation.sensors import beam_table, build_wall_index
-from limslam_env.worlds.free_space import FreeSpace
 from limslam_env.worlds.world import World
 
 CELL = 0.10
@@ -54,7 +53,7 @@ def grid_over(edges: FloatArray) -> tuple[FloatArray, tuple[int, int]]:
 
 
 @functools.cache
-def views() -> FloatArray:
+def _views() -> FloatArray:
     """The directions (n, 2), unit vectors, in which what can be covered is looked for."""
     angles = np.arange(_VIEWS) * (2.0 * np.pi / _VIEWS)
     return np.column_stack((np.cos(angles), np.sin(angles)))
@@ -64,23 +63,18 @@ def views() -> FloatArray:
 def _coverage_grid(
     world: World, robot: RobotSpec, regions: frozenset[int], loose: tuple[tuple[float, float], ...]
 ) -> CoverageGrid:
-    edges, reach = world.edges, robot.reach
-    low, shape = grid_over(edges)
-    coverable = np.zeros(shape, dtype=bool)
-    space = world.free_space(robot.radius)
-    reachable = np.isin(space.labels, list(regions))
-    # A robot sees the cell it stands in. Rows and columns are computed apart, as large worlds have millions of cells.
-    standing_columns, standing_rows = (
-        np.floor((space.origin[axis] + (np.arange(count) + 0.5) * space.cell - low[axis]) / CELL).astype(int)
-        for axis, count in enumerate(reachable.shape[::-1])
-    )
-    at_rows, at_columns = np.nonzero(reachable)
-    coverable[standing_rows[at_rows], standing_columns[at_columns]] = True
-    index = build_wall_index(edges)
-    lookouts = np.vstack((_lookouts(space, reachable), np.array(loose).reshape(-1, 2)))
-    grid = CoverageGrid(low, coverable)
-    space_area = np.array([*space.origin, space.cell])
-    look_out(lookouts, views(), reach, *index.scene, coverable, grid.area, reachable, space_area)
+    low, shape = grid_over(world.edges)
+    space, walls = world.free_space(robot.radius), build_wall_index(world.edges)
+    grid, reachable = CoverageGrid(low, np.zeros(shape, dtype=bool)), np.zeros_like(space.free)
+    for region in regions:
+        reachable |= space.labels == region
+    around = np.array(space.free.shape) * (space.cell / CELL) + 3.0
+    look_out(
+        *walls.scene, _views(), robot.reach,
+        np.array(loose).reshape(-1, 2), np.array([*space.origin, space.cell]), reachable,
+        grid.area, grid.coverable,
+        np.zeros(around.astype(int), dtype=bool),
+    )  # fmt: skip
     return grid
 
 
@@ -91,18 +85,6 @@ def coverage_grid(world: World, robot: RobotSpec, starts: FloatArray) -> Coverag
     # A robot may stand where the grid of free space is too coarse to hold it.
     loose = tuple((float(x), float(y)) for (x, y, _), label in zip(starts, labels, strict=True) if label == 0)
     return _coverage_grid(world, robot, frozenset(labels) - {0}, loose)
-
-
-def _lookouts(space: FreeSpace, reachable: BoolArray) -> FloatArray:
-    """Places (n, 2), m, from which all that can be seen of what cannot be reached is seen.
-
-    Every view of such a cell crosses the border of the reachable region, and the border lies nearer to the cell.
-    """
-    inner = ndimage.binary_erosion(reachable, np.ones((3, 3), dtype=bool))
-    places = space.centres(reachable & ~inner)
-    # One place in each cell of the coverage grid is enough.
-    _, first = np.unique(np.floor(places / CELL).astype(int), axis=0, return_index=True)
-    return places[np.sort(first)]
 
 
 class BeamSweep:

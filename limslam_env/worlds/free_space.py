@@ -2,14 +2,13 @@
 
 import functools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
-from scipy import ndimage
 
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.segment import lengths, polygon_edges
+from limslam_env.geometry import BoolArray, FloatArray, IntArray, no_rows
 
 CELL = 0.025
 """Side of a cell of the reachability grid, m; coarser in worlds that would have more than MAX_CELLS of them."""
@@ -19,9 +18,11 @@ MAX_CELLS = 4_000_000
 COARSEST = 0.6
 """Largest side of a cell, in radii: neighbouring free centres must not lie on two sides of a wall."""
 
-_EIGHT = np.ones((3, 3), dtype=int)  # a cell and its eight neighbours
-_BATCH = 200_000  # cells looked at in one go: enough for numpy, little enough for the processor's cache
+_EIGHT = np.ones((3, 3), dtype=np.uint8)  # a cell and its eight neighbours
 _COUNTED = 1_000_000  # cells counted in one go, for each of which bincount makes a number of eight bytes
+
+
+_Labels = np.ndarray[tuple[int, int], np.dtype[np.int32]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,14 +93,14 @@ class FreeSpace:
         A gap is that narrow if a disc with one cell more of radius does not pass. The cavity of a wall whose lines
         leave a slit is such a part. The largest part of the region is no pocket.
         """
-        parts, count = ndimage.label(ndimage.binary_erosion(region, _EIGHT), structure=_EIGHT)
-        if count < 2:
+        parts = connected(eroded(region))
+        if parts.max() < 2:
             return np.zeros_like(region)
         sizes = np.bincount(parts.ravel())
         sizes[0] = 0
         main = parts == np.argmax(sizes)
-        others = ndimage.binary_dilation((parts > 0) & ~main, _EIGHT)
-        return np.asarray(region & others & ~ndimage.binary_dilation(main, _EIGHT))
+        others = _dilated((parts > 0) & ~main)
+        return np.asarray(region & others & ~_dilated(main))
 
     def is_open(self, points: FloatArray) -> BoolArray:
         """Whether a disc at each point (n, 2) does not fit, or can reach the outermost cells, beyond every wall."""
@@ -112,11 +113,29 @@ class FreeSpace:
         return np.unique(np.concatenate((labels[0], labels[-1], labels[:, 0], labels[:, -1])))
 
     @functools.cached_property
-    def labels(self) -> np.ndarray[tuple[int, int], np.dtype[np.int32]]:
+    def labels(self) -> _Labels:
         """The number of each cell's connected region, from 1; 0 where the disc does not fit."""
         # Diagonal steps cannot cross a wall: free centres keep a radius away from it on either side.
-        labels, _ = ndimage.label(self.free, structure=_EIGHT)
-        return np.asarray(labels, dtype=np.int32)
+        return connected(self.free)
+
+
+def connected(mask: BoolArray) -> _Labels:
+    """The number of the region, connected diagonally too, that each cell of a mask is in, from 1; 0 outside of it.
+
+    Regions are numbered by their first cells, row by row.
+    """
+    _, labels = cv2.connectedComponentsWithAlgorithm(mask.astype(np.uint8), 8, cv2.CV_32S, cv2.CCL_SAUF)
+    return np.asarray(labels, dtype=np.int32)
+
+
+def eroded(mask: BoolArray) -> BoolArray:
+    """The cells of a mask all of whose eight neighbours are in it; nothing beyond the border of the grid is."""
+    inner = cv2.erode(mask.astype(np.uint8), _EIGHT, borderType=cv2.BORDER_CONSTANT, borderValue=(0,))
+    return np.asarray(inner, dtype=np.bool_)
+
+
+def _dilated(mask: BoolArray) -> BoolArray:
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), _EIGHT), dtype=np.bool_)
 
 
 def cell_for(edges: FloatArray, radius: float) -> float:
@@ -141,11 +160,26 @@ def free_space(edges: FloatArray, radius: float, cell: float, polygons: Sequence
     """
     origin, shape = grid_around(edges, radius, cell)
     free = np.ones(shape, dtype=bool)
-    for batch in _batches(edges, radius, cell):
-        _block_near(free, batch, origin, cell, radius)
-    for polygon in polygons:
-        block_inside(free, polygon, origin, cell)
+    clear(free, edges, polygons, radius, origin, cell)
     return FreeSpace(origin, cell, free)
+
+
+def clear(
+    free: BoolArray,
+    edges: FloatArray,
+    polygons: Sequence[FloatArray],
+    radius: float,
+    origin: FloatArray,
+    cell: float,
+) -> None:
+    """Clear the cells (rows, columns) of a grid whose centres lie less than ``radius`` (m) from an edge or inside of a
+    polygon. The grid has its lower left corner at ``origin`` (2,), and ``cell`` is the side of a cell, m.
+    """
+    # numba takes long to load, and worlds that are only read do without it.
+    from limslam_env.kernels.floor import mark_free
+
+    corners, firsts = np.vstack((no_rows(2), *polygons)), np.cumsum([0, *map(len, polygons)])
+    mark_free(np.array(edges), corners, firsts, radius, np.array([*origin, cell]), np.empty(len(corners)), free)
 
 
 def grid_around(edges: FloatArray, radius: float, cell: float) -> tuple[FloatArray, tuple[int, int]]:
@@ -157,81 +191,6 @@ def grid_around(edges: FloatArray, radius: float, cell: float) -> tuple[FloatArr
     origin = low - margin - 0.5 * cell
     columns, rows = (np.ceil((high + margin - origin) / cell)).astype(int) + 1
     return origin, (int(rows), int(columns))
-
-
-def _batches(edges: FloatArray, radius: float, cell: float) -> Iterator[FloatArray]:
-    """Edges (k, 4) in parts with about ``_BATCH`` cells near them, so that no part needs much memory."""
-    cells_around = (lengths(edges) / cell + 2.0 * radius / cell + 4.0) * (2.0 * radius / cell + 4.0)
-    batch = np.cumsum(cells_around) // _BATCH
-    yield from np.split(edges, np.nonzero(np.diff(batch))[0] + 1)
-
-
-def _block_near(free: BoolArray, edges: FloatArray, origin: FloatArray, cell: float, radius: float) -> None:
-    """Clear the cells whose centres lie less than ``radius`` (m) from any of the edges (k, 4)."""
-    owner, rows, columns = _cells_near(edges, origin, cell, radius, free.shape)
-    still_free = free[rows, columns]
-    owner, rows, columns = owner[still_free], rows[still_free], columns[still_free]
-    offset = _centres(origin, cell, columns, rows) - edges[owner, :2]
-    span = (edges[:, 2:] - edges[:, :2])[owner]
-    squared = np.maximum(np.einsum("nd,nd->n", span, span), 1e-300)
-    fraction = np.clip(np.einsum("nd,nd->n", offset, span) / squared, 0.0, 1.0)
-    near = np.linalg.norm(offset - fraction[:, None] * span, axis=-1) < radius
-    free[rows[near], columns[near]] = False
-
-
-def _cells_near(
-    edges: FloatArray, origin: FloatArray, cell: float, radius: float, shape: tuple[int, ...]
-) -> tuple[IntArray, IntArray, IntArray]:
-    """All cells that may lie within ``radius`` (m) of edges (k, 4): each pair as the edge's number, row and column.
-
-    A row of cells gets near an edge only between the places where the edge is a radius below and above the row, so
-    that a long slanting wall does not have all of the rectangle around it looked at.
-    """
-    reach = radius + cell  # what rounding could cost
-    x1, y1, x2, y2 = edges.T
-    low, high = np.minimum(y1, y2) - reach, np.maximum(y1, y2) + reach
-    owner, rows = _ranges(*_clipped(low, high, origin[1], cell, shape[0]))
-    y = origin[1] + (rows + 0.5) * cell - y1[owner]
-    level = np.abs(y2 - y1) < 1e-12
-    rise = np.where(level, 1.0, y2 - y1)[owner]
-    ends = np.clip(np.array([(y - reach) / rise, (y + reach) / rise]), 0.0, 1.0)
-    ends[:, level[owner]] = [[0.0], [1.0]]
-    x = x1[owner] + ends * (x2 - x1)[owner]
-    row, columns = _ranges(*_clipped(x.min(axis=0) - reach, x.max(axis=0) + reach, origin[0], cell, shape[1]))
-    return owner[row], rows[row], columns
-
-
-def _clipped(low: FloatArray, high: FloatArray, origin: float, cell: float, count: int) -> tuple[IntArray, IntArray]:
-    """First cell, and the one after the last, of stretches of one axis (m) on a grid of ``count`` cells."""
-    first = np.clip(np.floor((low - origin) / cell), 0, count).astype(np.intp)
-    return first, np.clip(np.ceil((high - origin) / cell), 0, count).astype(np.intp)
-
-
-def block_inside(free: BoolArray, polygon: FloatArray, origin: FloatArray, cell: float) -> None:
-    """Clear the cells whose centres lie inside a polygon (k, 2), by the crossing-number rule, row by row."""
-    (column0, row0) = np.maximum(np.floor((polygon.min(axis=0) - origin) / cell).astype(int), 0)
-    (column1, row1) = np.ceil((polygon.max(axis=0) - origin) / cell).astype(int)
-    window = free[row0:row1, column0:column1]
-    xs = origin[0] + (np.arange(column0, column0 + window.shape[1]) + 0.5) * cell
-    ys = origin[1] + (np.arange(row0, row0 + window.shape[0]) + 0.5) * cell
-    x1, y1, x2, y2 = polygon_edges(polygon).T
-    # An edge crosses the rows between its ends, the lower one counted in and the upper one out.
-    first, last = np.searchsorted(ys, y1), np.searchsorted(ys, y2)
-    owner, rows = _ranges(np.minimum(first, last), np.maximum(first, last))
-    slope = ((x2 - x1)[owner] * (ys[rows] - y1[owner])) / (y2 - y1)[owner]
-    crossed = np.searchsorted(xs, slope + x1[owner])
-    # Each crossing turns the cells left of it from outside to inside, or back.
-    turns = np.zeros((window.shape[0], window.shape[1] + 1), dtype=np.int32)
-    np.add.at(turns, (rows, crossed), 1)
-    right_of = np.cumsum(turns[:, ::-1], axis=1)[:, ::-1]
-    window &= right_of[:, 1:] % 2 == 0
-
-
-def _ranges(first: IntArray, last: IntArray) -> tuple[IntArray, IntArray]:
-    """All whole numbers from ``first`` (n,) up to but not ``last`` (n,), and the index of the range of each."""
-    counts = np.maximum(last - first, 0)
-    owner = np.repeat(np.arange(len(counts)), counts)
-    return owner, np.arange(len(owner)) - (np.cumsum(counts) - counts - first)[owner]
 
 
 def _centres(origin: FloatArray, cell: float, columns: IntArray, rows: IntArray) -> FloatArray:

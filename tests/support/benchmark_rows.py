@@ -8,7 +8,6 @@ import numpy as np
 from benchmarks.suite.store import Row
 
 EDGES = np.array([[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0], [2, 0, 2, 1], [2, 2, 2, 3]], dtype=float)
-DOORS = np.array([[2.0, 1.0, 2.0, 2.0]])
 
 
 def row(
@@ -63,7 +62,7 @@ def series_of(made):
     return {
         "time": time, "coverage": np.minimum(1.0, time / 40.0), "true": true, "odometry": true + growth,
         "estimated": true + 0.02 * rng.normal(size=true.shape), "sigma": np.full(true.shape, 0.02),
-        "segments": EDGES[:4] + 0.02, "edges": EDGES, "doors": DOORS,
+        "segments": EDGES[:4] + 0.02, "edges": EDGES,
     }  # fmt: skip
 
 

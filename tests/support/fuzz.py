@@ -173,9 +173,9 @@ def targets() -> list[Target]:
     Image.fromarray(_room()).save(png, "PNG")
     pgm = b"P5\n50 40\n255\n" + _room().tobytes()
     plain = b"P2\n50 40\n255\n" + " ".join(map(str, _room().ravel())).encode()
-    series = _npz(
-        time=np.arange(3.0), estimated=np.zeros((3, 1, 3)), odometry=np.zeros((3, 1, 3)), segments=np.zeros((1, 4))
-    )
+    poses = {name: np.zeros((3, 1, 3)) for name in ("true", "estimated", "odometry", "sigma")}
+    walls_of = {name: np.zeros((1, 4)) for name in ("segments", "edges")}
+    series = _npz(time=np.arange(3.0), coverage=np.zeros(3), **poses, **walls_of)
     relations = b"1 2 0.1 0 0 0 0 0.2 # words\n" * 4
     single = [
         Target("world.toml", {"w.toml": WORLD.encode()}, "w.toml", _checked),

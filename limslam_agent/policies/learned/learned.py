@@ -7,7 +7,7 @@ elsewhere and ends the exploration.
 
 import math
 from collections import deque
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -41,47 +41,22 @@ The best direction at every decision would sometimes make the robot alternate be
 """
 
 
-@dataclass(frozen=True)
-class DriveConfig:
-    """Settings for driving in a chosen direction. The values are this project's choices.
+HOLD = 5
+"""Number of steps between two decisions."""
 
-    Attributes
-    ----------
-    hold
-        Number of steps between two decisions.
-    gain, turn_rate
-        Rate of turn per heading error, 1/s, and largest rate of turn, rad/s.
-    """
-
-    hold: int = 5
-    gain: float = 5.0
-    turn_rate: float = 2.5
-
-
-@dataclass(frozen=True)
-class FinishConfig:
-    """When the frontier explorer drives instead of the network. The values are this project's choices.
-
-    Attributes
-    ----------
-    window, growth
-        The network drives while the map has grown by ``growth`` (m^2) for each robot within the last ``window`` (s).
-    farthest
-        Distance to the nearest frontier, m, up to which the network drives. It is the distance of the network's input,
-        in which small remnants count as farther away.
-    large_frontier
-        Number of cells from which on a frontier is explored first. Most of what the network leaves are small remnants,
-        and they wait until the large frontiers are explored.
-    remnant
-        The exploration is over when only smaller frontiers are left and the map has grown by less than this area (m^2)
-        within the last ``window``. Remnants are cells at wall ends, which cost long ways and show next to nothing.
-    """
-
-    window: float = 8.0
-    growth: float = 0.6
-    farthest: float = 2.0
-    large_frontier: int = 8
-    remnant: float = 0.01
+# Rate of turn per heading error, 1/s, and largest rate of turn, rad/s.
+_GAIN, _TURN_RATE = 5.0, 2.5
+# The network drives while the map has grown by so many m^2 for each robot within the last so many seconds.
+_GROWTH, _WINDOW = 0.6, 8.0
+# Distance to the nearest frontier, m, up to which the network drives. It is the distance of the network's input, in
+# which small remnants count as farther away.
+_FARTHEST = 2.0
+# Number of cells from which on a frontier is explored first. Most of what the network leaves are small remnants, and
+# they wait until the large frontiers are explored.
+_LARGE_FRONTIER = 8
+# The exploration is over when only smaller frontiers are left and the map has grown by less than this area, m^2, within
+# the last seconds. Remnants are cells at wall ends, which cost long ways and show next to nothing.
+_REMNANT = 0.01
 
 
 class LearnedPolicy(MapExplorer):
@@ -94,8 +69,6 @@ class LearnedPolicy(MapExplorer):
         Body, and the settings that all policies share. Those of the paper's robot and the default settings if left out.
     network
         Network that scores directions. The shipped one by default.
-    finish
-        When the frontier explorer drives.
     seed
         Seed of the random numbers, or a generator.
     index
@@ -113,17 +86,12 @@ class LearnedPolicy(MapExplorer):
         config: PolicyConfig | None = None,
         network: DirectionNetwork | None = None,
         seed: int | np.random.Generator = 0,
-        finish: FinishConfig | None = None,
         index: int = 0,
     ) -> None:
         robot, config = robot or RobotSpec(), config or PolicyConfig()
         self._network = network or load_network(WEIGHTS / SHIPPED)
-        self._drive, self._finish, self._generator = (
-            DriveConfig(),
-            finish or FinishConfig(),
-            np.random.default_rng(seed),
-        )
-        large = max(config.min_frontier, self._finish.large_frontier)
+        self._generator = np.random.default_rng(seed)
+        large = max(config.min_frontier, _LARGE_FRONTIER)
         fast = replace(config, speed=robot.max_wheel_speed, min_frontier=large)
         self._right_of_way = RightOfWay(index, robot)
         self._finisher = FrontierPolicy(robot, fast, index)
@@ -135,7 +103,7 @@ class LearnedPolicy(MapExplorer):
         self._finisher.enter(belief)
 
     def _forget_map(self) -> None:
-        self._known = deque[int](maxlen=math.ceil(self._finish.window / self.robot.control_period) + 1)
+        self._known = deque[int](maxlen=math.ceil(_WINDOW / self.robot.control_period) + 1)
 
     def _plan_anew(self) -> None:
         self._until_choice, self._heading, self._is_finishing = 0, 0.0, False
@@ -149,7 +117,7 @@ class LearnedPolicy(MapExplorer):
         self._known.append(int(np.count_nonzero(belief.grid.values)))
         if self._until_choice <= 0:
             self._choose(belief)
-            self._until_choice = self._drive.hold
+            self._until_choice = HOLD
         self._until_choice -= 1
         wheels = self._end(belief) if self._is_finishing else self._towards_heading(belief)
         self.plan = self._finisher.plan if self._is_finishing else NO_PLAN
@@ -159,8 +127,8 @@ class LearnedPolicy(MapExplorer):
         """Wheel speeds (2,) of the frontier explorer, which ends the exploration; zero if it is over."""
         wheels = self._finisher.act(belief)
         self.stop_reason, size = self._finisher.stop_reason, self._finisher.frontier_size
-        is_remnant = size is not None and size < self._finish.large_frontier
-        if self.stop_reason is None and is_remnant and not self._is_growing(belief.grid, self._finish.remnant):
+        is_remnant = size is not None and size < _LARGE_FRONTIER
+        if self.stop_reason is None and is_remnant and not self._is_growing(belief.grid, _REMNANT):
             self.stop_reason = ONLY_REMNANTS
         return wheels if self.stop_reason is None else np.zeros(2)
 
@@ -168,10 +136,7 @@ class LearnedPolicy(MapExplorer):
         """Wheel speeds (2,) towards the chosen direction."""
         if self._right_of_way.waits(belief.pose, belief.other_poses):
             return np.zeros(2)
-        drive, robot = self._drive, self.robot
-        error = float(wrap_angle(self._heading - belief.pose[2]))
-        turn = float(np.clip(drive.gain * error, -drive.turn_rate, drive.turn_rate))
-        return wheel_speeds(robot.max_wheel_speed * max(float(np.cos(error)), 0.0), turn, robot)
+        return wheels_towards(self._heading, belief.pose, self.robot)
 
     def _choose(self, belief: Belief) -> None:
         """Choose who drives, and the direction if it is the network."""
@@ -179,8 +144,8 @@ class LearnedPolicy(MapExplorer):
         grid = own_part(belief, self.robot) if len(belief.other_poses) else belief.grid
         observation = observe(grid, belief.pose, belief.ranges, self.robot, view)
         # The last two numbers of the observation are the distance to a frontier and whether there is a way to it.
-        is_near = bool(observation[-1]) and FAR * float(observation[-2]) <= self._finish.farthest
-        growth = (1 + len(belief.other_poses)) * self._finish.growth
+        is_near = bool(observation[-1]) and FAR * float(observation[-2]) <= _FARTHEST
+        growth = (1 + len(belief.other_poses)) * _GROWTH
         self._is_finishing = not (is_near and self._is_growing(belief.grid, growth))
         if not self._is_finishing:
             scores = self._network.scores(observation).astype(float)
@@ -192,6 +157,15 @@ class LearnedPolicy(MapExplorer):
         """Whether the map has grown by an area, m^2, in the last seconds. At the beginning it has."""
         is_full = len(self._known) == self._known.maxlen
         return not is_full or (self._known[-1] - self._known[0]) * grid.cell**2 >= area
+
+
+def wheels_towards(heading: float, pose: FloatArray, robot: RobotSpec) -> FloatArray:
+    """Wheel speeds (2,), fractions of the maximum, that turn a robot at a pose (3,) to a heading (rad) while it drives
+    at top speed.
+    """
+    error = float(wrap_angle(heading - pose[2]))
+    turn = float(np.clip(_GAIN * error, -_TURN_RATE, _TURN_RATE))
+    return wheel_speeds(robot.max_wheel_speed * max(float(np.cos(error)), 0.0), turn, robot)
 
 
 def own_part(belief: Belief, robot: RobotSpec) -> GridView:

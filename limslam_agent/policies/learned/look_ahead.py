@@ -70,8 +70,8 @@ def count_on_beam(
     return total
 
 
-@compiled
-def count_ahead(
+@entry_of("limslam_agent.policies.learned", "limslam_agent.kernels")
+def look_ahead(
     values: GridArray, corner: IntArray, pose: FloatArray, beams: FloatArray, radius: float, cell: float,
     directions: int, ahead: NDArray[np.float32],
 ) -> None:  # fmt: skip
@@ -108,12 +108,3 @@ def count_ahead(
             if place == PLACES[mark]:
                 ahead[mark * directions + direction] = total / FULL[mark]
                 mark += 1
-
-
-@entry_of("limslam_agent.policies.learned", "limslam_agent.kernels")
-def look_ahead(
-    values: GridArray, corner: IntArray, pose: FloatArray, beams: FloatArray, radius: float, cell: float,
-    directions: int, ahead: NDArray[np.float32],
-) -> None:  # fmt: skip
-    """As :func:`count_ahead`, for Python."""
-    count_ahead(values, corner, pose, beams, radius, cell, directions, ahead)

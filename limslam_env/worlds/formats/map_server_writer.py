@@ -8,12 +8,12 @@ import yaml
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from limslam_env.geometry import FloatArray
+from limslam_env.geometry import FloatArray, no_rows
 from limslam_env.geometry.segment import sample
 from limslam_env.worlds.formats.map_server import COARSEST, FINEST
 from limslam_env.worlds.formats.pictures import MAX_PIXELS
 from limslam_env.worlds.formats.text_files import replace_file
-from limslam_env.worlds.free_space import block_inside
+from limslam_env.worlds.free_space import clear
 from limslam_env.worlds.world import World, WorldError
 
 OCCUPIED, FREE, UNKNOWN = 0, 254, 205
@@ -61,8 +61,7 @@ def _levels(world: World, low: FloatArray, cell: float, shape: tuple[int, int]) 
         points, _ = sample(walls, cell)
         columns, rows = np.floor((points - low) / cell).astype(int).T
         free[rows, columns] = False
-    for polygon in world.obstacles:
-        block_inside(free, polygon, low, cell)
+    clear(free, no_rows(4), world.obstacles, 0.0, low, cell)
     # Steps to four sides: a slanting wall's cells touch at corners, and must not let the outside in.
     regions, _ = ndimage.label(free)
     levels = np.where(regions == regions[0, 0], UNKNOWN, FREE)

@@ -2,9 +2,8 @@
 
 import io
 import warnings
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,8 +17,6 @@ MAX_PIXELS = 36_000_000
 _FORMATS = {".pgm": "PPM", ".png": "PNG"}  # Pillow's name of a family of formats, PGM among them
 _MAX_FILE_BYTES = 256_000_000
 _GREY_16_BIT = ("I;16", "I;16B", "I")
-
-_Content = TypeVar("_Content")
 
 
 def read_levels(path: Path) -> tuple[NDArray[np.integer[Any]], int]:
@@ -37,17 +34,6 @@ def read_levels(path: Path) -> tuple[NDArray[np.integer[Any]], int]:
     WorldError
         If it is no PGM or PNG file, is damaged, or has too many pixels.
     """
-    return read_picture(path, _levels)
-
-
-def read_picture(path: Path, read: Callable[[Image.Image], _Content]) -> _Content:
-    """What ``read`` makes of the picture in a PGM or PNG file.
-
-    Raises
-    ------
-    WorldError
-        If it is no such file, is damaged, or has too many pixels.
-    """
     suffix = path.suffix.lower()
     if suffix not in _FORMATS:
         raise WorldError("not a .pgm or .png file")
@@ -58,8 +44,7 @@ def read_picture(path: Path, read: Callable[[Image.Image], _Content]) -> _Conten
             warnings.catch_warnings(action="ignore"),
             Image.open(io.BytesIO(content), formats=[_FORMATS[suffix]]) as image,
         ):
-            _check_size(*image.size)
-            return read(image)
+            return _levels(image)
     # Damaged pictures raise errors of many types: SyntaxError, struct.error, zlib.error and others.
     except Exception as error:
         if isinstance(error, WorldError):
@@ -69,12 +54,10 @@ def read_picture(path: Path, read: Callable[[Image.Image], _Content]) -> _Conten
         raise WorldError(f"cannot be read: {reason}") from error
 
 
-def _check_size(columns: int, rows: int) -> None:
+def _levels(image: Image.Image) -> tuple[NDArray[np.integer[Any]], int]:
+    columns, rows = image.size
     if rows * columns > MAX_PIXELS:
         raise WorldError(f"{columns} x {rows} pixels; 1 to {MAX_PIXELS} can be read")
-
-
-def _levels(image: Image.Image) -> tuple[NDArray[np.integer[Any]], int]:
     if image.mode in _GREY_16_BIT:
         return np.asarray(image).astype(np.uint16), 65_535
     if image.mode in {"1", "L", "LA"}:

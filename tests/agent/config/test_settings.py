@@ -9,7 +9,7 @@ import pytest
 from limslam_agent.cli.settings import Given, run_config, run_options
 from limslam_agent.config.ablations import ABLATIONS, NO_GATE, ablated
 from limslam_agent.config.bounds import Bounded, Bounds
-from limslam_agent.config.consistent import ConsistentConfig, CreationConfig, PendingReadingsConfig
+from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import (
     PRESETS,
     AgentConfig,
@@ -20,7 +20,6 @@ from limslam_agent.config.presets import (
     preset,
 )
 from limslam_agent.config.tables import SettingsError, read_toml, table_of, updated, write_toml
-from limslam_env.config import NoiseConfig
 from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.robots import ROBOTS
 
@@ -53,11 +52,6 @@ def test_a_preset_chooses_the_estimator_by_the_type_of_its_settings(name):
 def test_an_unknown_preset_is_refused_with_the_known_ones():
     with pytest.raises(ValueError, match="no preset is called 'magic'; there are consistent, paper, odometry, graph"):
         preset("magic")
-
-
-def test_the_assumed_noise_of_ranges_is_never_below_its_least():
-    assert preset("paper").range_std == 0.005
-    assert preset("consistent", NominalNoise(0.02)).range_std == 0.02
 
 
 @pytest.mark.parametrize("name", PRESETS)
@@ -108,34 +102,16 @@ def test_a_robot_comes_back_from_a_file_as_it_was(name, tmp_path):
     assert round_trip(ROBOTS[name](), RobotSpec(), tmp_path / "robot.toml") == ROBOTS[name]()
 
 
-def test_noise_with_a_range_comes_back_from_a_file_as_it_was(tmp_path):
-    noise = NoiseConfig(sensor_noise=(0.0, 0.04), slip_rate=1.0)
-    assert round_trip(noise, NoiseConfig(), tmp_path / "noise.toml") == noise
-
-
-def test_a_table_changes_what_it_has_and_nothing_else():
-    table = {"estimator": {"creation": {"min_length": 1}}, "grid": {"limit": 10}}
-    config = updated(AgentConfig(), table, "f: agent")
-    assert config.estimator == replace(ConsistentConfig(), creation=CreationConfig(min_length=1.0))
-    assert type(config.estimator.creation.min_length) is float
-    assert config == replace(AgentConfig(), estimator=config.estimator, grid=GridConfig(limit=10))
-
-
 @pytest.mark.parametrize(
     ("table", "words"),
     [
         ({"speed": 1}, "f: agent.speed: there is no such setting; there are "),
-        ({"grid": {"cells": 1}}, "f: agent.grid.cells: there is no such setting; there are cell, "),
-        ({"estimator": {"buffer": {"size": 3}}}, "f: agent.estimator.buffer: there is no such setting"),
         ({"grid": 3}, "f: agent.grid: must be a table, not 3"),
         ({"grid": {"cell": "big"}}, "f: agent.grid.cell: must be a number, not 'big'"),
-        ({"grid": {"cell": True}}, "f: agent.grid.cell: must be a number, not True"),
         ({"grid": {"hit": 1.5}}, "f: agent.grid.hit: must be a whole number, not 1.5"),
-        ({"grid": {"hit": True}}, "f: agent.grid.hit: must be a whole number, not True"),
         ({"estimator": {"merging": {"enabled": 1}}}, "f: agent.estimator.merging.enabled: must be true or false"),
         ({"estimator": {"pending": {"batch": 0}}}, "f: agent.estimator.pending: batch must be a number from 1 to"),
         ({"grid": {"cell": math.nan}}, "f: agent.grid: cell must be a number from"),
-        ({"noise": {"range_std": -1}}, "f: agent.noise: noise \\(range_std\\) must be a number of 0 or more"),
     ],
 )
 def test_a_table_that_cannot_be_used_is_refused_by_file_and_key(table, words):
@@ -148,8 +124,6 @@ def test_a_table_that_cannot_be_used_is_refused_by_file_and_key(table, words):
     [
         ({"beams": [{"x": 0.1, "y": 0.0}]}, r"f: robot.beams\[0\].angle: is missing"),
         ({"beams": [{"x": 0.1, "y": 0.0, "angle": 0, "side": "up"}]}, r"f: robot.beams\[0\].side: must be one of left"),
-        ({"beams": 3}, "f: robot.beams: must be a list, not 3"),
-        ({"beams": []}, "f: robot: a robot needs at least one beam"),
         ({"radius": -0.1}, "f: robot: a robot's radius must be positive, not -0.1"),
     ],
 )
@@ -166,11 +140,6 @@ def test_a_file_that_is_not_toml_is_refused_by_its_name(tmp_path):
             read_toml(path)
     with pytest.raises(SettingsError, match=r"missing\.toml: cannot be read"):
         read_toml(tmp_path / "missing.toml")
-
-
-def test_counts_of_settings_may_not_be_fractions_in_a_file_but_lengths_may_be_whole():
-    changed = updated(PendingReadingsConfig(), {"max_age": 2, "beams": 3}, "f: pending")
-    assert changed == PendingReadingsConfig(max_age=2.0, beams=3)
 
 
 @pytest.mark.parametrize(

@@ -1,9 +1,6 @@
 """Figures and the report: which there are, what they show, and that drawing them leaves nothing behind."""
 
 import re
-import subprocess
-import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,7 +10,7 @@ from support.benchmark_rows import failed, grid, row, series_of, write_folder
 
 from benchmarks.analysis.figures import drawings, plot
 from benchmarks.analysis.report import report
-from benchmarks.analysis.style import chosen, file_word, handle, headline, legend_below, sheet_of
+from benchmarks.analysis.style import handle, headline, legend_below, sheet_of
 from benchmarks.suite.store import read_rows
 
 
@@ -75,48 +72,12 @@ def test_plots_are_written_and_legible(folder, tmp_path):
         assert (pixels < 200).mean() > 0.003
 
 
-def test_drawing_changes_no_setting_and_opens_no_window():
-    script = (
-        "import sys; sys.path[:0] = ['tests', '.']\n"
-        "import io, matplotlib as mpl; before = mpl.rcParams.copy()\n"
-        "from support.benchmark_rows import row; from pathlib import Path\n"
-        "from benchmarks.analysis.figures import drawings\n"
-        "rows = [row(noise=noise, seed=seed) for noise in (0.0, 0.02) for seed in (0, 1)]\n"
-        "for each in drawings(rows, Path('nowhere')): each.figure.savefig(io.BytesIO())\n"
-        "assert 'matplotlib.pyplot' not in sys.modules and before == mpl.rcParams.copy()\n"
-    )
-    subprocess.run([sys.executable, "-c", script], check=True)
-
-
 def test_when_all_failed_or_nothing_ran_there_is_nothing_to_draw(tmp_path):
     run = write_folder(tmp_path / "run", [failed(row(seed=seed, laps=laps)) for seed in range(3) for laps in (0, 4)])
     assert plot(run, tmp_path / "out") == []
     (run / "results.jsonl").write_text("", encoding="utf-8")
     with pytest.raises(ValueError, match=r"^[^\n]*no results[^\n]*$"):
         plot(run, tmp_path / "out")
-
-
-def test_a_log_is_drawn_without_the_truth(tmp_path):
-    made = replace(row("log:fr079", policy="replay"), metrics={"relation_error_m": 1.0})
-    run = write_folder(tmp_path / "run", [made])
-    kept = {name: value for name, value in series_of(made).items()
-            if name in {"time", "estimated", "odometry", "segments"}}  # fmt: skip
-    np.savez(run / "series" / f"{made.key}.npz", **kept)
-    assert [path.stem for path in plot(run, tmp_path / "out")] == ["maps_logs"]
-
-
-def test_many_worlds_and_noises_are_paged_and_thinned(tmp_path):
-    rows = [row(f"w{world}", noise / 100) for world in range(5) for noise in range(9)]
-    run = write_folder(tmp_path / "run", rows)
-    found = {each.name: each for each in drawings(read_rows(run), run)}
-    assert set(found) == {"maps", "maps_2", "noise"}
-    assert [axes.get_title()[:8] for axes in found["maps_2"].figure.axes[:3]] == ["w3, 0 cm", "w3, 4 cm", "w3, 8 cm"]
-
-
-def test_what_is_chosen_begins_and_ends_with_the_ends():
-    assert chosen([1, 2, 3], 3) == [1, 2, 3]
-    assert chosen(range(17), 3) == [0, 8, 16]
-    assert file_word("plan:KTH, 50/2") == "plan-KTH-50-2"
 
 
 @pytest.mark.parametrize("columns", [1, 3])

@@ -1,6 +1,5 @@
 """Suites that run: every engine gives the same numbers, a kill loses nothing, and a job that dies ends no other."""
 
-import json
 import multiprocessing
 import os
 import signal
@@ -157,22 +156,6 @@ def test_killed_at_random_moments_and_resumed_the_rows_are_the_same(rows, tmp_pa
     assert comparable(out) == rows
 
 
-def test_ctrl_c_keeps_what_is_done_and_ends_with_130(tmp_path):
-    suite, out = tmp_path / "tiny.toml", tmp_path / "out"
-    suite.write_text(TINY)
-    run = subprocess.Popen(command(suite, out), stderr=subprocess.PIPE, start_new_session=True)
-    while run.poll() is None and count_lines(out / RESULTS) < 1:
-        time.sleep(0.01)
-    workers = workers_of(run)
-    assert workers
-    os.killpg(run.pid, signal.SIGINT)
-    _, err = run.communicate(timeout=GUARD)
-    await_end(workers)
-    assert run.returncode == 130
-    assert err.decode() == "benchmarks: stopped; what is done is kept, and the same command goes on\n"
-    assert len(comparable(out)) >= 1
-
-
 TROUBLED = [Job("env1", 0.0, seed=seed) for seed in range(6)]
 REASONS = {
     benchmark_work.RAISES: "ArithmeticError: two lines",
@@ -210,16 +193,6 @@ def test_workers_end_when_the_caller_stops_listening():
     assert not multiprocessing.active_children()
 
 
-def test_failed_jobs_are_done_again_only_when_asked_for(tmp_path):
-    suite = Suite("troubled", "", tuple(TROUBLED[:2]), "d")
-    engine = Processes(1, GUARD)
-    assert len(run_suite(suite, tmp_path, Processes(2, GUARD), work=benchmark_work.troubled).failures) == 1
-    again = run_suite(suite, tmp_path, engine, work=benchmark_work.outcome)
-    assert (again.before, len(again.failures)) == (2, 1)
-    retried = run_suite(suite, tmp_path, engine, work=benchmark_work.outcome, retry_failed=True)
-    assert (retried.done, retried.before, retried.failures) == (2, 1, ())
-
-
 def test_a_failed_job_ends_the_command_with_1_and_its_reason(tmp_path):
     (tmp_path / "hasty.toml").write_text(HASTY)
     out = tmp_path / "out"
@@ -244,16 +217,3 @@ def test_the_command_tabulates_plots_and_reports(results):
     assert call(main, "plot", results) == Finished(0, "", "")  # there is nothing to draw
     assert call(main, "report", results).stdout == f"report      {results}/report.html\n"
     assert "Exploration" in (results / "report.html").read_text()
-
-
-def test_results_that_are_not_there_are_refused(tmp_path):
-    for name in ("table", "plot", "report"):
-        done = call(main, name, tmp_path / "nothing")
-        assert done.returncode == 2
-        assert done.stderr.startswith("benchmarks: ")
-
-
-def test_the_stamp_names_suite_and_versions(tmp_path):
-    run_suite(Suite("one", "", (TROUBLED[0],), "d"), tmp_path, Processes(1, GUARD), work=benchmark_work.outcome)
-    stamp = json.loads((tmp_path / STAMP).read_text())
-    assert (stamp["suite"], stamp["digest"], stamp["jobs"], stamp["versions"]) == ("one", "d", 1, package_versions())

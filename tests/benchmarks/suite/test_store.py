@@ -6,10 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support import benchmark_work
-from support.benchmark_rows import grid, write_folder
-from support.command_line import call
+from support.benchmark_rows import series_of
 
-from benchmarks.__main__ import main
 from benchmarks.analysis.series import read_series
 from benchmarks.suite.jobs import Job
 from benchmarks.suite.runner import run_suite
@@ -77,24 +75,10 @@ def test_damaged_series_are_refused_in_one_line(folder, damage):
     elif damage == "torn":
         path.write_bytes(path.read_bytes()[:60])
     else:
-        wrong = {"time": np.zeros(2), "estimated": np.zeros((2, 1, 2)), "odometry": np.zeros((2, 1, 3))}
-        np.savez(path, **wrong, **({"segments": np.zeros((0, 4))} if damage == "shape" else {}))
+        right = series_of(row)
+        np.savez(
+            path, **({"time": right["time"]} if damage == "lacking" else {**right, "estimated": np.zeros((2, 1, 2))})
+        )
     with pytest.raises(ValueError, match=str(path)) as caught:
         read_series(folder, row)
     assert "\n" not in str(caught.value)
-
-
-def test_keys_tell_jobs_apart():
-    changes = [
-        {"world": "env2"}, {"noise": 0.03}, {"robots": 2}, {"preset": "odometry"}, {"policy": "random"},
-        {"ablation": "no-ekf"}, {"laps": 1}, {"seed": 1}, {"max_time": 10.0}, {"limit": True},
-    ]  # fmt: skip
-    keys = {Job(**{"world": "env1", "noise": 0.02, **change}).key for change in [{}, *changes]}
-    assert len(keys) == len(changes) + 1
-
-
-def test_the_table_of_a_folder_given_twice_is_the_table_of_the_folder(tmp_path):
-    folder = write_folder(tmp_path / "made-up", grid(seeds=3, worlds=("env1",)))
-    once, twice = call(main, "table", folder), call(main, "table", folder, folder)
-    assert (once.returncode, once.stderr) == (0, "")
-    assert twice.stdout == once.stdout

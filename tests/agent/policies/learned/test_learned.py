@@ -13,7 +13,6 @@ from limslam_agent.config.presets import GridConfig, PolicyConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.policies.learned.learned import (
     ONLY_REMNANTS,
-    FinishConfig,
     LearnedPolicy,
     own_part,
 )
@@ -115,7 +114,7 @@ def test_turning_what_is_seen_turns_the_scores_but_for_the_compass():
 def test_torch_trains_what_numpy_runs():
     torch = pytest.importorskip("torch", reason="needs the extra rl")
     pytest.importorskip("stable_baselines3", reason="needs the extra rl")
-    from benchmarks.training.direction_policy import DirectionExtractor
+    from benchmarks.training.network import DirectionExtractor
 
     twin = DirectionExtractor(ViewConfig(), 8)
     told = np.random.default_rng(3).random((5, ViewConfig().size(6))).astype(np.float32)
@@ -166,9 +165,10 @@ def test_driving_ahead_shows_what_the_beams_at_the_sides_will_see():
 
 
 @pytest.mark.parametrize(("large", "is_over"), [(20, True), (1, False)])
-def test_the_exploration_is_over_when_the_map_does_not_grow_and_only_remnants_are_left(large, is_over):
-    finish = FinishConfig(window=1.0, farthest=0.0, large_frontier=large)
-    policy = LearnedPolicy(ROBOT, PolicyConfig(), network(ViewConfig()), finish=finish)
+def test_the_exploration_is_over_when_the_map_does_not_grow_and_only_remnants_are_left(monkeypatch, large, is_over):
+    for name, value in {"_WINDOW": 1.0, "_FARTHEST": 0.0, "_LARGE_FRONTIER": large}.items():
+        monkeypatch.setattr(f"limslam_agent.policies.learned.learned.{name}", value)
+    policy = LearnedPolicy(ROBOT, PolicyConfig(), network(ViewConfig()))
     for step in range(40):
         policy.act(belief([1.05, 0.35, 0.0]))
         if step == 8:

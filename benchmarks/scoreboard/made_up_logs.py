@@ -1,27 +1,36 @@
-"""CARMEN logs of drives that were made up, and how well they are smoothed.
+"""CARMEN logs of drives that were made up, and how well they are smoothed when few of their readings are used.
 
 A robot with a laser scanner of 180 degrees drives through a building that was not used for development. Its odometry
-has errors of several kinds, its ranges are older than its odometry, and people walk past. ``python -m benchmarks
-made-up-logs OUT`` writes logs with their relations, and prints the errors of the smoothed paths.
+has errors of several kinds, its ranges are older than its odometry, and people walk past.
 """
 
 import gzip
 import math
-from collections.abc import Callable, Iterator, Sequence
+import tempfile
+import time
+from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from limslam_agent.replay.local_views import moves_of
+from limslam_agent.replay.reversing import with_reversing
 
-from benchmarks.log_variations import Outcome, outcome, variation
+from benchmarks.scoreboard.drives import LEAST_WAY, next_place
 from benchmarks.suite.work import data_folder
+from limslam_agent.config.graph import GraphConfig
+from limslam_agent.logs.log_reader import read_log
+from limslam_agent.logs.relations import read_relations, relation_errors, summary
+from limslam_agent.replay.smoothing import log_data, trusted_path
 from limslam_agent.slam.graph.key_poses import integrate
 from limslam_env.bounds.roadmap import Roadmap
 from limslam_env.bounds.tours import Speeds, poses_along
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 from limslam_env.interface import RobotSpec
+from limslam_env.metrics.metrics import trajectory_metrics
 from limslam_env.simulation.sensors import build_wall_index
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
@@ -38,10 +47,7 @@ _LOOP_AFTER, _LOOP_WITHIN = 60.0, 1.5  # s and m between the ends of a relation 
 _RELATIONS = 300  # of each kind
 _LEAST_DRIVEN, _SEEN_WITHIN = 40.0, 4.0  # m: a drive with few revisits ends after this way, when all places were near
 _BEGIN = 1000.0  # s
-WRONG = 0.6
-"""A path is wrong if the root mean square error of its positions after rigid alignment is larger, m."""
-
-_WORSE, _WORSE_BY = 1.3, 0.1  # a path is worse than odometry if its error is more than so many times larger, plus m
+_RANGE, _STD = 5.0, 0.02  # m; longest range that is used, and the standard deviation that the smoother is told
 
 # Constant errors of distances and turns (shares), and of the heading (deg/m), whose signs are drawn; standard
 # deviations of the heading after one metre (deg) and after one radian (rad); and the number of slips.
@@ -134,9 +140,8 @@ WORLDS: dict[str, Callable[[np.random.Generator], World]] = {
 def driven_path(world: World, length: float, generator: np.random.Generator, *, revisits: bool = True) -> FloatArray:
     """Poses (n, 3) in each control period of a drive of at least ``length`` m from place to place, with stops there.
 
-    Mostly the robot goes to the one of a few places that is farthest from all where it has been, and otherwise to a
-    place that it may have seen before. Without ``revisits``, it always does the former, and stops when no place is far
-    from where it has been. Headings are not wrapped.
+    Without ``revisits``, the robot only goes to new places, and stops when no place is far from where it has been.
+    Headings are not wrapped.
     """
     space = world.free_space(_ROBOT.radius)
     centres = space.centres(starting_cells(world, space))
@@ -145,13 +150,11 @@ def driven_path(world: World, length: float, generator: np.random.Generator, *, 
     at, been, driven = roads.places[0], [roads.places[0]], 0.0
     parts = [np.array([[*at, 0.0]])]
     while driven < length:
-        some = generator.choice(roads.places, 8)
-        apart = np.hypot(*(some[:, None] - np.array(been)).transpose(2, 0, 1)).min(axis=1)
-        if not revisits and driven > _LEAST_DRIVEN and apart.max() < _SEEN_WITHIN:
+        goal, farthest = next_place(roads, been, generator, revisits=revisits)
+        if not revisits and driven > _LEAST_DRIVEN and farthest < _SEEN_WITHIN:
             break
-        goal = some[np.argmax(apart)] if not revisits or generator.random() < 0.6 else some[0]
         way = roads.way(at, goal)
-        if way is None or np.hypot(*(goal - at)) < 1.0:
+        if way is None or np.hypot(*(goal - at)) < LEAST_WAY:
             continue
         leg = poses_along(parts[-1][-1], way, _ROBOT, speeds)
         parts += [leg[1:], np.tile(leg[-1], (int(generator.integers(1, 30)), 1))]
@@ -265,64 +268,43 @@ def _pairs(log: MadeUpLog) -> IntArray:
     return np.concatenate((near, loops[:_RELATIONS]))
 
 
-def sparse_sensor(seed: int) -> str:
-    """The variation of a log with few points: 4, 6, 8 or 11 beams in turns, and 5 to 40 points a metre."""
+def sparse_sensor(seed: int) -> tuple[tuple[float, ...], float]:
+    """The beams of a log, deg (4, 6, 8 or 11 in turns), and the readings of walls in a metre of driving (5 to 40)."""
     count = (4, 6, 8, 11)[seed // 8 % 4]
     points = 5.0 * 8.0 ** np.random.default_rng([seed, 1]).random()
-    return f"beams={','.join(f'{beam:g}' for beam in np.linspace(90.0, -90.0, count))} points={points:.3g}"
+    return tuple(np.round(np.linspace(90.0, -90.0, count), 4).tolist()), float(f"{points:.3g}")
 
 
-def smoothing_table(
-    seeds: Sequence[int], variations: Sequence[str], folder: Path, *, sparse: bool = False, length: float | None = None
-) -> Iterator[str]:
-    """Write the logs of these seeds, and yield the lines of a table of their smoothed paths in all variations.
+def thinned(hit: BoolArray, moves: FloatArray, points: float) -> BoolArray:
+    """The hits (n, b) of so many scans, evenly spread, that ``points`` of them are left in a metre of driving."""
+    share = min(1.0, points * float(np.hypot(moves[:, 0], moves[:, 1]).sum()) / max(1, int(hit.sum())))
+    number = np.cumsum(hit.any(axis=1))
+    return np.asarray(hit & (np.floor(share * number) > np.floor(share * (number - 1)))[:, None])
 
-    With ``sparse``, each log has few points by :func:`sparse_sensor`, to which the variations are added, and every
-    other four logs have few revisits. ``length`` is the distance driven, m; None to draw it.
 
-    Raises
-    ------
-    ValueError
-        Before the first line, if a variation cannot be read, or there are no floor plans for the seeds that need them.
+def smoothing_scores(log: MadeUpLog, seed: int, jitter: float) -> dict[str, Any]:
+    """The errors of a log's path, smoothed without the filter in front of it, its status, and the processor time.
+
+    The errors are those of the relations, and of the positions after rigid alignment, m. ``jitter`` is the standard
+    deviation of further noise of the ranges, m.
     """
-    for text in variations:
-        variation(text)
-    if "real" in {_kind(seed) for seed in seeds}:
-        data_folder()
-    yield "| log | driven, m | odometry | its error, m | variation | smoothed, m | m / deg | loops, m | status | s |"
-    yield "|---|---|---|---|---|---|---|---|---|---|"
-    found = list[Outcome]()
-    for seed in seeds:
-        log = made_up_log(seed, length, revisits=not sparse or seed // 4 % 2 == 0)
-        path, relations = write_log(log, folder)
-        driven = np.hypot(*np.diff(log.truth[:, :2], axis=0).T).sum()
-        for added in variations:
-            text = f"{sparse_sensor(seed)} {added}".strip() if sparse else added
-            row = f"| {log.name} | {driven:.0f} | {log.errors} |"
-            try:
-                each = outcome(path, relations, variation(text), (_BEGIN + log.time, log.truth))
-            except (ValueError, ArithmeticError, LookupError) as error:
-                yield f"{row} | {text or 'none'} | failed: {type(error).__name__}: {error} | | | | |"
-                continue
-            found.append(each)
-            yield f"{row} {each.aligned[0]:.2f} | {text or 'none'} | {_cells(each)} |"
-    yield f"\n{_verdict(found)}"
-
-
-def _cells(found: Outcome) -> str:
-    """The last cells of a row: errors of the smoothed path in a variation of a log, status, and processor time."""
-    names = "relation_error_m", "relation_error_deg", "loop_relation_error_m"
-    metres, degrees, loops = (math.nan if found.errors[name] is None else found.errors[name] for name in names)
-    errors = f"{found.aligned[1]:.3f} | {metres:.3f} / {degrees:.2f} | {loops:.3f}"
-    return f"{errors} | {found.signals.status.level} | {found.seconds:.0f}"
-
-
-def _verdict(found: Sequence[Outcome]) -> str:
-    """How many paths are wrong although they are called ok, right although they are not, and worse than odometry."""
-    wrong = np.array([each.aligned[1] > WRONG for each in found], dtype=np.bool_)
-    ok = np.array([each.signals.status.level == "ok" for each in found], dtype=np.bool_)
-    worse = sum(each.aligned[1] > _WORSE * each.aligned[0] + _WORSE_BY for each in found)
-    return (
-        f"of {len(found)} paths, {(wrong & ok).sum()} are wrong and ok, {(~wrong & ~ok).sum()} right and not ok, and "
-        f"{worse} worse than odometry"
-    )
+    beams, points = sparse_sensor(seed)
+    with tempfile.TemporaryDirectory() as folder:
+        path, relations = write_log(log, Path(folder))
+        read, known = read_log(path, beams, _RANGE), read_relations(relations)
+    assert read.odometry is not None  # noqa: S101 (it was written)
+    data = log_data(read, read.odometry, _STD)
+    moves, noise = moves_of(data), jitter * np.random.default_rng(1).standard_normal(data.ranges.shape)
+    data = replace(
+        data, odometry=integrate(np.zeros(3), moves), ranges=np.where(data.hit, data.ranges + noise, data.ranges),
+        hit=thinned(data.hit, moves, points),
+    )  # fmt: skip
+    config, begin = GraphConfig(), time.process_time()
+    found, signals = trusted_path(with_reversing(data, config), np.zeros(3), config)
+    seconds = time.process_time() - begin
+    true = np.column_stack([np.interp(data.time, _BEGIN + log.time, each) for each in log.truth.T])
+    return {
+        "ate_smoothed_m": summary(relation_errors(known, data.time, found.poses, data.odometry))["relation_error_m"],
+        "ate_smoothed_aligned_m": trajectory_metrics(true, found.poses)["ate_aligned_m"],
+        "status": signals.status.level, "smoothing_cpu_s": seconds,
+    }  # fmt: skip
