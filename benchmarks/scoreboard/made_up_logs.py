@@ -16,8 +16,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from limslam_agent.replay.local_views import moves_of
-from limslam_agent.replay.reversing import with_reversing
 
 from benchmarks.scoreboard.drives import LEAST_WAY, next_place
 from benchmarks.suite.work import data_folder
@@ -26,6 +24,8 @@ from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.relations import read_relations, relation_errors, summary
 from limslam_agent.replay.smoothing import log_data, trusted_path
 from limslam_agent.slam.graph.key_poses import integrate
+from limslam_agent.slam.graph.local_views import moves_of
+from limslam_agent.slam.graph.reversing import with_reversing
 from limslam_env.bounds.roadmap import Roadmap
 from limslam_env.bounds.tours import Speeds, poses_along
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
