@@ -19,6 +19,7 @@ import numba
 from llvmlite import ir
 from numba import njit, types
 from numba.core import cgutils
+from numba.core.runtime.nrt import rtsys
 from numba.extending import intrinsic
 
 from limslam_env.messages import announce
@@ -43,16 +44,33 @@ _TRIED = ("0.68.",)
 
 def _njit(kernel: Kernel, *, is_kernel: bool = False, **options: Any) -> Any:
     """Compile by way of ``limslam_env.linking``, if this version of numba allows it."""
-    if getattr(numba.config, "DISABLE_JIT", False) or not numba.__version__.startswith(_TRIED):
-        return njit(**options)(kernel)
-    try:
-        from limslam_env.linking import InnerPipeline, KernelPipeline, compile_once_for_constants, retry_as_usual
-    except (ImportError, AttributeError):
-        return njit(**options)(kernel)
-    function = njit(pipeline_class=KernelPipeline if is_kernel else InnerPipeline, **options)(kernel)
-    retry_as_usual(function)
-    compile_once_for_constants(function)
+    function = njit(**options)(kernel)
+    if not getattr(numba.config, "DISABLE_JIT", False) and numba.__version__.startswith(_TRIED):
+        _link(function, is_kernel)
     return function
+
+
+def _link(function: Any, is_kernel: bool) -> None:
+    """Leave a function to ``limslam_env.linking``, which is loaded when something is compiled: most starts need none.
+
+    Calls with constants share the code of calls with variables. numba compiles a function for each constant.
+    """
+    part = function._compiler  # noqa: SLF001
+    compile_core, of_types = part._compile_core, function.get_call_template  # noqa: SLF001
+
+    def compile_by_linking(*arguments: Any) -> Any:
+        try:
+            from limslam_env.linking import compile_or_retry
+        except (ImportError, AttributeError):
+            return compile_core(*arguments)
+        return compile_or_retry(part, compile_core, arguments, is_kernel=is_kernel)
+
+    def of_plain_types(arguments: Any, named: Any) -> Any:
+        plain = tuple(types.unliteral(argument) for argument in arguments)
+        return of_types(plain, {name: types.unliteral(argument) for name, argument in named.items()})
+
+    part._compile_core = compile_by_linking  # noqa: SLF001
+    function.get_call_template = of_plain_types
 
 
 def compiled(kernel: Kernel) -> Kernel:
@@ -148,21 +166,27 @@ def entry_of(*sources: str, allocates: bool = True) -> Callable[[Kernel], Kernel
         file = getattr(getattr(kept, "_cache", None), "_cache_file", None)
         if not hasattr(file, "_source_stamp"):
             return cast(Kernel, _njit(kernel, is_kernel=True, **options))
-        _announce(kept, kernel.__name__)
+        _load_or_announce(kept, kernel.__name__, allocates)
         file._source_stamp = source_stamp(*ENV_SOURCES, *sources)  # type: ignore[union-attr]  # noqa: SLF001
         return cast(Kernel, kept)
 
     return entry
 
 
-def _announce(kept: Any, name: str) -> None:
-    """Let a kernel say on stderr that it is not on disk and has to be compiled: those that take long, and the first."""
+def _load_or_announce(kept: Any, name: str, allocates: bool) -> None:
+    """Let a kernel say on stderr that it is not on disk and has to be compiled: those that take long, and the first.
+
+    numba loads all that it could need to compile something before it looks at the disk, which takes longer than to
+    load an agent. Its compiler loads the same, so here code from the disk does without it.
+    """
     # Not public either: numba asks its cache for the code before it compiles.
     cache = kept._cache  # noqa: SLF001
-    load = cache.load_overload
 
-    def load_or_announce(*arguments: Any) -> Any:
-        found = load(*arguments)
+    def load_or_announce(signature: Any, target: Any) -> Any:
+        if allocates:
+            rtsys.initialize(target)
+        with cache._guard_against_spurious_io_errors():  # noqa: SLF001
+            found = cache._load_overload(signature, target)  # noqa: SLF001
         if found is None and name in _SECONDS:
             announce(f"compiling {name!r}, once, about {_SECONDS[name]} s")
         elif found is None:

@@ -31,7 +31,6 @@ from numba.core import (
     targetconfig,
     transforms,
     typed_passes,
-    types,
 )
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.environment import lookup_environment
@@ -350,31 +349,23 @@ class KernelPipeline(InnerPipeline):
     is_kernel = True
 
 
-def compile_once_for_constants(function: Any) -> None:
-    """Let calls with constants share the code of calls with variables; numba compiles a function for each constant."""
-    of_types = function.get_call_template
+def compile_or_retry(part: Any, compile_core: Callable[..., Any], arguments: Any, *, is_kernel: bool) -> Any:
+    """Compile a function here, or as numba does by itself if that fails.
 
-    def of_plain_types(arguments: Any, named: Any) -> Any:
-        plain = tuple(types.unliteral(argument) for argument in arguments)
-        return of_types(plain, {name: types.unliteral(argument) for name, argument in named.items()})
-
-    function.get_call_template = of_plain_types
-
-
-def retry_as_usual(function: Any) -> None:
-    """Let numba compile a function as usual if it cannot be compiled this way."""
-    part = function._compiler  # noqa: SLF001
-    compile_core = part._compile_core  # noqa: SLF001
-
-    def compile_or_retry(*arguments: Any) -> Any:
-        try:
-            return compile_core(*arguments)
-        except errors.TypingError:
+    Parameters
+    ----------
+    part, compile_core, arguments
+        The compiler of the function, its method that compiles, and what that method is called with.
+    is_kernel
+        Whether Python calls the function.
+    """
+    part.pipeline_class = KernelPipeline if is_kernel else InnerPipeline
+    try:
+        return compile_core(*arguments)
+    except errors.TypingError:
+        raise
+    except Exception:
+        if InnerPipeline.depth:
             raise
-        except Exception:
-            if InnerPipeline.depth:
-                raise
-            part.pipeline_class = compiler.Compiler
-            return compile_core(*arguments)
-
-    part._compile_core = compile_or_retry  # noqa: SLF001
+        part.pipeline_class = compiler.Compiler
+        return compile_core(*arguments)

@@ -4,13 +4,12 @@ import functools
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.coverage import look_out, sweep
 from limslam_env.simulation.sensors import beam_table, build_wall_index
-from limslam_env.worlds.free_space import FreeSpace
+from limslam_env.worlds.free_space import FreeSpace, eroded
 from limslam_env.worlds.world import World
 
 CELL = 0.10
@@ -98,8 +97,7 @@ def _lookouts(space: FreeSpace, reachable: BoolArray) -> FloatArray:
 
     Every view of such a cell crosses the border of the reachable region, and the border lies nearer to the cell.
     """
-    inner = ndimage.binary_erosion(reachable, np.ones((3, 3), dtype=bool))
-    places = space.centres(reachable & ~inner)
+    places = space.centres(reachable & ~eroded(reachable))
     # One place in each cell of the coverage grid is enough.
     _, first = np.unique(np.floor(places / CELL).astype(int), axis=0, return_index=True)
     return places[np.sort(first)]

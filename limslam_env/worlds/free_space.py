@@ -5,8 +5,8 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
-from scipy import ndimage
 
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.segment import lengths, polygon_edges
@@ -19,9 +19,12 @@ MAX_CELLS = 4_000_000
 COARSEST = 0.6
 """Largest side of a cell, in radii: neighbouring free centres must not lie on two sides of a wall."""
 
-_EIGHT = np.ones((3, 3), dtype=int)  # a cell and its eight neighbours
+_EIGHT = np.ones((3, 3), dtype=np.uint8)  # a cell and its eight neighbours
 _BATCH = 200_000  # cells looked at in one go: enough for numpy, little enough for the processor's cache
 _COUNTED = 1_000_000  # cells counted in one go, for each of which bincount makes a number of eight bytes
+
+
+_Labels = np.ndarray[tuple[int, int], np.dtype[np.int32]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,14 +95,14 @@ class FreeSpace:
         A gap is that narrow if a disc with one cell more of radius does not pass. The cavity of a wall whose lines
         leave a slit is such a part. The largest part of the region is no pocket.
         """
-        parts, count = ndimage.label(ndimage.binary_erosion(region, _EIGHT), structure=_EIGHT)
-        if count < 2:
+        parts = connected(eroded(region))
+        if parts.max() < 2:
             return np.zeros_like(region)
         sizes = np.bincount(parts.ravel())
         sizes[0] = 0
         main = parts == np.argmax(sizes)
-        others = ndimage.binary_dilation((parts > 0) & ~main, _EIGHT)
-        return np.asarray(region & others & ~ndimage.binary_dilation(main, _EIGHT))
+        others = _dilated((parts > 0) & ~main)
+        return np.asarray(region & others & ~_dilated(main))
 
     def is_open(self, points: FloatArray) -> BoolArray:
         """Whether a disc at each point (n, 2) does not fit, or can reach the outermost cells, beyond every wall."""
@@ -112,11 +115,29 @@ class FreeSpace:
         return np.unique(np.concatenate((labels[0], labels[-1], labels[:, 0], labels[:, -1])))
 
     @functools.cached_property
-    def labels(self) -> np.ndarray[tuple[int, int], np.dtype[np.int32]]:
+    def labels(self) -> _Labels:
         """The number of each cell's connected region, from 1; 0 where the disc does not fit."""
         # Diagonal steps cannot cross a wall: free centres keep a radius away from it on either side.
-        labels, _ = ndimage.label(self.free, structure=_EIGHT)
-        return np.asarray(labels, dtype=np.int32)
+        return connected(self.free)
+
+
+def connected(mask: BoolArray) -> _Labels:
+    """The number of the region, connected diagonally too, that each cell of a mask is in, from 1; 0 outside of it.
+
+    Regions are numbered by their first cells, row by row.
+    """
+    _, labels = cv2.connectedComponentsWithAlgorithm(mask.astype(np.uint8), 8, cv2.CV_32S, cv2.CCL_SAUF)
+    return np.asarray(labels, dtype=np.int32)
+
+
+def eroded(mask: BoolArray) -> BoolArray:
+    """The cells of a mask all of whose eight neighbours are in it; nothing beyond the border of the grid is."""
+    inner = cv2.erode(mask.astype(np.uint8), _EIGHT, borderType=cv2.BORDER_CONSTANT, borderValue=(0,))
+    return np.asarray(inner, dtype=np.bool_)
+
+
+def _dilated(mask: BoolArray) -> BoolArray:
+    return np.asarray(cv2.dilate(mask.astype(np.uint8), _EIGHT), dtype=np.bool_)
 
 
 def cell_for(edges: FloatArray, radius: float) -> float:
