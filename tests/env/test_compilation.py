@@ -40,7 +40,7 @@ def package(tmp_path):
 
 
 def called_anew(package) -> list[int]:
-    """What a kernel returns in a new interpreter, whether it came from the disk, and whether the compiler was loaded."""
+    """What a kernel returns in a new interpreter, whether it came from the disk, and if the compiler was loaded."""
     code = f"import sys\nsys.path.insert(0, {str(package.parent)!r})\n{MAIN}"
     command = [sys.executable, "-B", "-c", code]
     output = subprocess.run(command, check=True, capture_output=True, text=True, cwd=package.parent).stdout
