@@ -296,6 +296,10 @@ def test_importing_the_env_loads_no_heavy_library():
     assert loaded_by(["limslam_env"], {"pymunk", "numba", "cv2", "pygame"}) == set()
 
 
+def test_an_environment_needs_no_library_that_takes_long_to_load():
+    assert loaded_by(["limslam_env.envs.env"], {"scipy.ndimage", "scipy.linalg", "matplotlib"}) == set()
+
+
 def test_importing_the_agent_loads_no_simulator():
     compiled = [name for place in COMPILED & set(AGENT) for name in PLACES[place]]
     compiled += [

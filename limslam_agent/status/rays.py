@@ -141,5 +141,8 @@ def _latest(rays: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.intp]]:
     """The numbers of the latest ray in each square, in the order of time."""
     ended = have_ended(rays)
     squares = np.floor(ends_of(rays) / np.where(ended, *_APART)[:, None]).astype(np.int64)
-    _, first = np.unique(np.column_stack((ended, squares))[::-1], axis=0, return_index=True)
+    columns, rows = (squares - squares.min(axis=0, initial=0)).T
+    # One number for each square, since numpy sorts numbers much faster than rows.
+    numbers = np.ravel_multi_index((ended, columns, rows), (2, columns.max(initial=0) + 1, rows.max(initial=0) + 1))
+    _, first = np.unique(numbers[::-1], return_index=True)
     return np.sort(len(rays) - 1 - first)
