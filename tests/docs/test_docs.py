@@ -12,7 +12,7 @@ import yaml
 from support.markdown import ROOT, all_blocks
 
 import limslam_env
-from limslam_env.config import NoiseConfig
+from limslam_env import NoiseConfig
 from limslam_env.envs import wrappers
 
 DOCS = ROOT / "docs"

@@ -60,14 +60,6 @@ def test_each_reading_belongs_to_the_wall_that_it_was_given_to(recording):
     assert (arrays["given"][owned] >= np.nonzero(owned)[0]).all()  # no reading is given away before it was measured
 
 
-def test_the_final_map_of_the_filter_is_the_last_state(recording):
-    arrays, meta = recording
-    last = arrays["map_index"][-1]
-    rows = slice(arrays["wall_starts"][last], arrays["wall_starts"][last + 1])
-    assert len(arrays["walls"][rows]) == arrays["landmarks"][-1] > 2
-    assert np.abs(arrays["walls"][rows, :4] * meta["quantum"]).max() < 8.0
-
-
 def test_decisions_agree_with_the_values_that_they_show(recording):
     _, meta = recording
     decisions = [event for event in meta["events"] if event["kind"] in DECISIONS]
@@ -98,7 +90,7 @@ def test_frontiers_have_costs_and_the_goal_is_at_one_of_them(recording):
     assert np.hypot(*(np.concatenate(cells) - goal).T).min() < 0.5
 
 
-@pytest.mark.parametrize("options", [("--robots", 2), ("--preset", "paper"), ("--policy", "tour", "--laps", 1)])
+@pytest.mark.parametrize("options", [("--robots", 2), ("--policy", "tour", "--laps", 1)])
 def test_other_runs(tmp_path, options):
     folder = short_run(tmp_path / "run", "--max-time", 8, *options)
     done = inspected(folder, tmp_path / "page.html")
@@ -150,10 +142,8 @@ def test_long_runs_keep_every_second_step(run_folder, monkeypatch, tmp_path):
     ("make", "words"),
     [
         (lambda folder: (folder / "run.toml").unlink(), "there is no run.toml"),
-        (lambda folder: (folder / "log.npz").unlink(), "there is no log.npz"),
         (lambda folder: (folder / "log.npz").write_bytes(b"PK\x03\x04"), "log.npz"),
         (lambda folder: (folder / "run.toml").write_text("world = 3"), "run.toml"),
-        (lambda folder: (folder / "result.json").unlink(), "there is no result.json"),
     ],
 )
 def test_damaged_folders_are_refused_in_one_line(tmp_path, run_folder, make, words):

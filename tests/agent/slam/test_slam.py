@@ -1,21 +1,20 @@
 """LineSlam on corridors made of nothing but geometry: exact ranges, wheels that may lie, no environment."""
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from support.drives import drive, placed, recorded, straight
 
-from limslam_agent.config.presets import AgentConfig, HoughConfig, preset
+from limslam_agent import AgentConfig, LineSlam, preset
 from limslam_agent.config.published import AssociationConfig, BufferConfig, MapConfig, PublishedConfig
 from limslam_agent.slam.core.motion import motion_from_wheels
-from limslam_agent.slam.slam import LineSlam
+from limslam_env import Observation, RobotSpec, SensorSpec
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.line import along, distance, nearest_form, through
+from limslam_env.geometry.line import distance, nearest_form, through
 from limslam_env.geometry.se2 import compose, transform_points, wrap_angle
-from limslam_env.interface import NominalNoise, Observation, RobotSpec, SensorSpec, side_of
+from limslam_env.interface import side_of
 
 ROBOT = RobotSpec()
 # Every observed line counts here; when a landmark becomes a wall of the map is tested in test_loop_closing.
@@ -36,7 +35,7 @@ def corridor(half: float) -> FloatArray:
 
 
 CORRIDOR = corridor(0.4)
-STARTS = [(0.0, 0.0, 0.0), (1.0, 2.0, 2.5), (-3.0, 1.0, -2.9), (0.5, 0.0, 0.5 * math.pi)]
+STARTS = [(1.0, 2.0, 2.5), (0.5, 0.0, 0.5 * math.pi)]
 
 
 def run(observations: list[Observation], config: AgentConfig, start: FloatArray, robot: RobotSpec = ROBOT) -> LineSlam:
@@ -53,8 +52,7 @@ def with_wheels(observations: list[Observation], factors: tuple[float, float]) -
     ]
 
 
-@pytest.mark.parametrize("half", [0.4, 0.5])
-@pytest.mark.parametrize("place", STARTS)
+@pytest.mark.parametrize(("place", "half"), [(STARTS[0], 0.5), (STARTS[1], 0.4)])
 def test_a_straight_corridor_becomes_its_two_walls(place: tuple[float, float, float], half: float) -> None:
     start = np.array(place)
     walls = placed(corridor(half), start)
@@ -157,13 +155,13 @@ def test_a_robot_whose_readings_are_all_refused_drives_on_by_odometry() -> None:
     assert not slam.measured.any()
 
 
-@pytest.mark.parametrize("shape", [(5,), (7,), (6, 1), (1, 6), (1,), (), (0,)])
+@pytest.mark.parametrize("shape", [(5,), (6, 1), ()])
 def test_ranges_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
     with pytest.raises(ValueError, match="ranges must be 6 numbers"):
         LineSlam(ROBOT, CONFIG).step({"ranges": np.ones(shape), "wheels": np.zeros(2)})
 
 
-@pytest.mark.parametrize("wheels", [[math.nan, 0.0], [0.0, math.inf], [0.1], [0.1, 0.1, 0.1]])
+@pytest.mark.parametrize("wheels", [[math.nan, 0.0], [0.1]])
 def test_wheels_that_are_not_two_finite_numbers_are_refused_and_move_nothing(wheels: list[float]) -> None:
     slam = LineSlam(ROBOT, CONFIG, np.array([1.0, 2.0, 3.0]))
     with pytest.raises(ValueError, match="wheels must be 2 finite numbers"):
@@ -202,14 +200,6 @@ def test_associations_name_the_steps_and_beams_that_made_them() -> None:
     for landmark_number in (0, 1):
         beams = {int(b) for record in records if record.landmark == landmark_number for b in record.readings[:, 1]}
         assert beams in ({0, 1}, {4, 5})
-
-
-def test_each_landmark_counts_the_lines_that_it_was_made_of() -> None:
-    start = np.zeros(3)
-    slam, records = recorded(drive(CORRIDOR, start, straight(3.0))[0], CONFIG, start)
-    assert len(slam.landmarks) == 2
-    for number, landmark in enumerate(slam.landmarks):
-        assert landmark.observations == sum(record.landmark == number for record in records) > 1
 
 
 def test_readings_at_a_beams_limits_make_no_wall() -> None:
@@ -255,50 +245,6 @@ def test_odometry_poses_serve_in_place_of_wheels() -> None:
     np.testing.assert_allclose(slam.pose, poses[-1], atol=5e-3)
 
 
-def test_the_nominal_noise_decides_how_sure_a_new_wall_is() -> None:
-    # Four times the noise (5 mm is credited at least) is sixteen times the variance; the pose's own, and what odometry
-    # has done to the points on the way, comes on top.
-    start = np.zeros(3)
-    observations, _ = drive(CORRIDOR, start, straight(0.45))
-    sure, unsure = (run(observations, replace(CONFIG, noise=NominalNoise(std)), start) for std in (0.0, 0.02))
-    ratios = np.diag(unsure.landmarks[0].covariance) / np.diag(sure.landmarks[0].covariance)
-    assert unsure.landmarks[0].observations == 1
-    assert ratios[0] > 1.5
-    assert ratios[1] > 1.2
-    assert (ratios < 16.0).all()
-
-
-def test_a_larger_buffer_waits_longer_for_its_first_wall() -> None:
-    start = np.zeros(3)
-    observations, _ = drive(CORRIDOR, start, straight(2.0))
-    firsts = []
-    for size in (20, 60):
-        _, records = recorded(observations, published(buffer=BufferConfig(size=size)), start)
-        firsts.append(int(records[0].readings[:, 0].max()))
-    assert firsts[0] + 15 < firsts[1]
-
-
-def test_segments_lie_on_their_landmarks_lines() -> None:
-    start = np.array([1.0, 2.0, 2.5])
-    slam = run(with_wheels(drive(placed(CORRIDOR, start), start, straight(4.0))[0], (1.0, 1.002)), CONFIG, start)
-    for landmark, segment in zip(slam.landmarks, slam.segments, strict=True):
-        line = np.array([landmark.r, landmark.theta])
-        np.testing.assert_allclose(distance(line, segment.reshape(2, 2)), 0.0, atol=1e-9)
-        np.testing.assert_array_equal(landmark.ends, segment.reshape(2, 2))
-        assert np.ptp(along(line, landmark.ends)) > 1.0
-
-
-def test_a_map_is_made_the_same_whether_or_not_anybody_keeps_a_record() -> None:
-    start = np.zeros(3)
-    observations, _ = drive(CORRIDOR, start, straight(3.0))
-    slam, records = recorded(observations, CONFIG, start)
-    alone = run(observations, CONFIG, start)
-    assert len(records) > 2
-    assert alone.on_association is None
-    np.testing.assert_array_equal(slam.segments, alone.segments)
-    np.testing.assert_array_equal(slam.pose, alone.pose)
-
-
 def test_finish_uses_what_is_left_in_the_buffers() -> None:
     # The buffers are so large that they never fill: without an end nothing comes of the drive.
     start = np.array([1.0, 2.0, 2.5])
@@ -331,14 +277,6 @@ def test_finish_loses_no_reading_and_uses_none_twice() -> None:
     assert len(np.unique(readings, axis=0)) == len(readings)
 
 
-def test_finish_before_anything_was_measured_does_nothing() -> None:
-    slam = LineSlam(ROBOT, CONFIG)
-    slam.finish()
-    slam.step({"wheels": np.float32([0.1, 0.1])})
-    slam.finish()
-    assert len(slam.segments) == 0
-
-
 @pytest.mark.parametrize(("least", "walls"), [(0.99, 2), (1.01, 0)])
 def test_a_short_line_that_matches_nothing_is_no_new_landmark(least: float, walls: int) -> None:
     # Sideways from 0 to 0.6 m, slanted from 0.4 to 1.0 m.
@@ -348,29 +286,6 @@ def test_a_short_line_that_matches_nothing_is_no_new_landmark(least: float, wall
     slam, records = recorded(observations, config, start)
     slam.finish()
     assert len(slam.segments) == len(records) == walls
-
-
-def test_new_landmarks_have_a_least_length() -> None:
-    # One beam a side, so that a line is as long as the drive.
-    robot = RobotSpec(beams=(ROBOT.beams[0], ROBOT.beams[5]))
-    config = published(buffer=BufferConfig(size=1000), association=AssociationConfig(min_new_length=0.5))
-    for metres, walls in ((0.475, 0), (0.525, 2)):
-        observations, _ = drive(CORRIDOR, np.zeros(3), straight(metres), robot)
-        slam, records = recorded(observations, config, np.zeros(3), robot)
-        slam.finish()
-        assert len(slam.segments) == len(records) == walls
-
-
-def test_a_short_line_that_matches_still_counts() -> None:
-    # The first 1 m makes the walls; the last 0.4 m of sideways readings are shorter than a new landmark must be.
-    robot = RobotSpec(beams=(ROBOT.beams[0], ROBOT.beams[5]))
-    observations, _ = drive(CORRIDOR, np.zeros(3), straight(1.375), robot)
-    slam, records = recorded(observations, published(buffer=BufferConfig(size=40)), np.zeros(3), robot)
-    assert [record.is_new for record in records] == [True, True]
-    slam.finish()
-    assert [record.is_new for record in records] == [True, True, False, False]
-    assert [landmark.observations for landmark in slam.landmarks] == [2, 2]
-    assert np.ptp(slam.segments[:, [0, 2]], axis=1) == pytest.approx(1.375, abs=0.02)
 
 
 def test_observations_without_ranges_move_the_robot_and_measure_nothing() -> None:
@@ -385,36 +300,3 @@ def test_observations_without_ranges_move_the_robot_and_measure_nothing() -> Non
     # The latest readings stay those that were last made, and none was refused.
     np.testing.assert_allclose(slam.ranges, 0.7, rtol=1e-6)
     assert slam.refused_readings == 0
-
-
-def test_events_without_ranges_leave_the_map_as_it_would_be_without_them() -> None:
-    # Every other event brings its motion alone; the walls go on all the same, and no reading is made up.
-    start = np.zeros(3)
-    observations, poses = drive(CORRIDOR, start, straight(4.0))
-    thinned: list[Observation] = [
-        each if number % 2 == 0 else {"wheels": each["wheels"]} for number, each in enumerate(observations)
-    ]
-    slam, records = recorded(thinned, CONFIG, start)
-    assert len(slam.segments) == 2
-    assert (np.concatenate([record.readings[:, 0] for record in records]) % 2 == 0).all()
-    np.testing.assert_allclose(slam.pose, poses[-1], atol=5e-3)
-
-
-def test_a_long_way_without_a_measurement_does_not_end_a_wall() -> None:
-    # Scans 0.4 m apart, as logs have them: further than max_gap, but nothing was missed. Hough's own gap would part
-    # the points, so it is let be.
-    start = np.zeros(3)
-    observations, _ = drive(CORRIDOR, start, straight(4.8))
-    rare: list[Observation] = [
-        each if number % 16 == 0 else {"wheels": each["wheels"]} for number, each in enumerate(observations)
-    ]
-    config = published(buffer=BufferConfig(size=20, max_gap=0.25), hough=HoughConfig(max_gap=0.5))
-    slam, records = recorded(rare, config, start)
-    assert [len(record.readings) for record in records] == [20, 20]
-    # Had the beams looked in between and seen nothing, each of them would have been a wall's end.
-    blind = [
-        each if number % 16 == 0 else {"ranges": np.float32(ROBOT.max_ranges), "wheels": each["wheels"]}
-        for number, each in enumerate(observations)
-    ]
-    assert recorded(blind, config, start)[1] == []
-    assert len(slam.segments) == 2

@@ -1,23 +1,20 @@
 """Floor plans of a batch: prepared in one compiled pass as in the plain way, kept on disk, and little memory."""
 
-import io
 import os
-import threading
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from limslam_env import FloorPlanConfig, RobotSpec, World, load_world
 from limslam_env.batch import places, plan_cache
 from limslam_env.batch.places import Places
 from limslam_env.batch.plan_cache import FOLDER, PlanCache, cache_folder
 from limslam_env.batch.progress import work_through
 from limslam_env.batch.worlds import Site, prepare, prepare_plan
-from limslam_env.interface import RobotSpec, beams_on_rim
-from limslam_env.messages import QUIET
-from limslam_env.worlds.formats.loading import load_world
-from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
-from limslam_env.worlds.world import World, WorldError
+from limslam_env.interface import beams_on_rim
+from limslam_env.worlds.generation.floor_plans import floor_plan
+from limslam_env.worlds.world import WorldError
 
 ROBOT = RobotSpec()
 FAR = RobotSpec(beams=beams_on_rim((0.0, 90.0, -90.0), 0.1, max_range=8.0))
@@ -44,8 +41,9 @@ def assert_same(one: Site, other: Site) -> None:
     assert (one.near is None) == (other.near is None)
 
 
-@pytest.mark.parametrize("robot", [ROBOT, FAR, LARGE], ids=["default", "far", "large"])
-@pytest.mark.parametrize("config", [SMALL, FULL, WIDE], ids=["small", "full", "wide"])
+@pytest.mark.parametrize(
+    ("config", "robot"), [(SMALL, FAR), (FULL, ROBOT), (WIDE, LARGE)], ids=["small", "full", "wide"]
+)
 def test_one_compiled_pass_gives_the_same_bits(config, robot):
     for seed in range(3):
         world = plan(config, seed, robot)
@@ -63,15 +61,6 @@ def test_where_no_robot_fits_is_refused():
     walls = np.hstack((corners, np.roll(corners, -1, axis=0)))
     with pytest.raises(WorldError, match="no room"):
         prepare_plan(World("slit", (0.15, 2.0), walls), ROBOT)
-
-
-def test_thousands_of_plans_need_little_memory():
-    made = Places(FloorPlanConfig(), ROBOT, 1, 16, range(16))
-    sites = made.sites
-    total = sum(array.nbytes for array in sites.worlds) + sum(each.runs.nbytes for each in made._starts)
-    # The rows grow in leaps, of which the last one is half empty at worst.
-    assert total / len(sites) < 35_000
-    assert not made._worlds
 
 
 @pytest.fixture
@@ -97,7 +86,7 @@ def test_an_entry_belongs_to_one_plan_one_robot_and_one_version(cache, tmp_path,
     assert len({cache.path(7), *others}) == 5
 
 
-@pytest.mark.parametrize("place", [0, 3, 20, 50, 60, 200, -1])
+@pytest.mark.parametrize("place", [0, 50, -1])
 def test_a_damaged_entry_counts_as_missing(cache, place):
     cache.write(7, prepare_plan(plan(SMALL, 7), ROBOT))
     data = bytearray(cache.path(7).read_bytes())
@@ -106,7 +95,7 @@ def test_a_damaged_entry_counts_as_missing(cache, place):
     assert cache.read(7) is None
 
 
-@pytest.mark.parametrize("length", [0, 5, 40, 50, 80, 500])
+@pytest.mark.parametrize("length", [0, 50, 500])
 def test_an_entry_that_is_cut_off_counts_as_missing(cache, length):
     cache.write(7, prepare_plan(plan(SMALL, 7), ROBOT))
     cache.path(7).write_bytes(cache.path(7).read_bytes()[:length])
@@ -121,7 +110,6 @@ def bad(**changes) -> Site:
 @pytest.mark.parametrize(
     "site",
     [
-        lambda: bad(count=1),
         lambda: bad(count=10**9),
         lambda: bad(runs=np.array([[-5, 0]], dtype=np.int32)),
         lambda: bad(runs=np.array([[5, 3]], dtype=np.int32)),
@@ -155,24 +143,6 @@ def test_the_oldest_entries_make_room(cache):
         os.utime(cache.path(seed), (1000.0 + seed, 1000.0 + seed))
     cache.prune(2 * cache.path(0).stat().st_size)
     assert [seed for seed in range(4) if cache.read(seed)] == [2, 3]
-
-
-def test_readers_never_see_half_an_entry(cache):
-    site, seen, ended = prepare_plan(plan(SMALL, 7), ROBOT), [], threading.Event()
-    cache.write(7, site)
-
-    def read() -> None:
-        while not ended.is_set():
-            seen.append(cache.read(7) is not None)
-
-    reader = threading.Thread(target=read)
-    reader.start()
-    for _ in range(50):
-        cache.write(7, site)
-    ended.set()
-    reader.join()
-    assert seen
-    assert all(seen)
 
 
 def test_plans_come_from_the_disk_the_second_time_and_damaged_ones_are_made_again(tmp_path, monkeypatch):
@@ -220,23 +190,3 @@ def test_results_come_in_order_and_the_first_error_ends_the_work(threads):
     with pytest.raises(WorldError, match="no room"):
         list(work_through(failing, range(300), threads, "failures"))
     assert done[:3] == [0, 1, 2] or threads > 1
-
-
-class Terminal(io.StringIO):
-    def isatty(self) -> bool:
-        return True
-
-
-def test_a_terminal_shows_how_far_long_work_is(monkeypatch):
-    clock = iter(np.arange(0.0, 1e3, 0.6))
-    terminal = Terminal()
-    monkeypatch.delenv(QUIET, raising=False)
-    monkeypatch.setattr("limslam_env.batch.progress.sys.stderr", terminal)
-    monkeypatch.setattr("limslam_env.batch.progress.time.monotonic", lambda: next(clock))
-    list(work_through(lambda number: number, range(4), 1, "floor plans"))
-    text = terminal.getvalue()
-    assert "floor plans [###############               ] 2 of 4, 1 s left" in text
-    assert text.endswith("\r\x1b[K"), "the bar is removed"
-    monkeypatch.setenv(QUIET, "1")
-    list(work_through(lambda number: number, range(4), 1, "floor plans"))
-    assert terminal.getvalue() == text

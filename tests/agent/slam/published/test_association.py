@@ -10,9 +10,9 @@ from limslam_agent.config.published import AssociationConfig
 from limslam_agent.slam.core.diagnostics import CandidateTest
 from limslam_agent.slam.core.ekf import LineEKF
 from limslam_agent.slam.published import association
-from limslam_agent.slam.published.association import ObservedLine, alike, associate, visible
+from limslam_agent.slam.published.association import ObservedLine, associate
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.line import normalise, through, to_frame
+from limslam_env.geometry.line import through, to_frame
 from limslam_env.geometry.se2 import transform_points
 
 # Given here, not left to the defaults: the scenes are drawn around these gaps.
@@ -21,7 +21,7 @@ MAX_RANGE = 1.6
 ROBOT = np.zeros(3)
 # Scenes are written down about a robot at the origin and then put anywhere: all round, behind the
 # start, turned by more than 90 degrees, and such that the walls of the scenes pass close by the origin.
-PLACES = [(0.0, 0.0, 0.0), (2.0, -1.0, 2.5), (-0.5, 0.2, 1.6), (0.0, 0.499, 3.1)]
+PLACES = [(2.0, -1.0, 2.5), (0.0, 0.499, 3.1)]
 
 
 def sure(_line: FloatArray, _covariance: FloatArray, _landmark: int) -> tuple[FloatArray, FloatArray]:
@@ -151,30 +151,3 @@ def test_the_nearest_landmark_comes_first_and_the_gate_ends_the_list(place: tupl
 
 def test_without_landmarks_there_is_no_match() -> None:
     assert matched(WALL_AHEAD, ROBOT, np.zeros((0, 2)), np.zeros((0, 4))) == []
-
-
-@pytest.mark.parametrize("place", PLACES)
-def test_most_beams_must_see_the_landmark(place: tuple[float, float, float]) -> None:
-    pose = np.array(place)
-    _, segments = landmarks(pose, (-0.5, 1.0, 0.5, 1.0))
-    up, down = (0.0, 0.5), (0.0, -0.5)
-    for ahead, expected in ((10, True), (5, True), (4, False), (0, False)):
-        points = np.array([up] * ahead + [down] * (10 - ahead))
-        scene = ObservedLine(np.array([0.5, 0.5 * math.pi]), np.eye(2), points[:2], np.zeros((10, 2)), points)
-        assert visible(scene, pose, segments, 1.2, 0.0).tolist() == [expected]
-        assert visible(scene, pose, segments, 0.9, 0.0).tolist() == [False]
-
-
-@pytest.mark.parametrize("degrees", range(-180, 181, 90))
-def test_likeness_holds_all_round_the_circle_and_across_its_seam(degrees: int) -> None:
-    theta = math.radians(degrees)
-    line = np.array([1.0, theta])
-    middle = np.array([[math.cos(theta), math.sin(theta)]])
-    for off, expected in ((0.0, True), (10.0, True), (-10.0, True), (20.0, False), (-20.0, False), (90.0, False)):
-        # Turned about the observation's middle, so that only the angle counts.
-        turned = theta + math.radians(off)
-        candidate = np.array([[math.cos(turned - theta), turned]])
-        for form in (candidate, normalise(candidate), np.array([[-candidate[0, 0], turned + math.pi]])):
-            assert alike(line, middle, form, CONFIG.max_angle, 0.35).tolist() == [expected]
-    for r, expected in ((1.3, True), (0.7, True), (1.4, False), (0.6, False)):
-        assert alike(line, middle, np.array([[r, theta]]), CONFIG.max_angle, 0.35).tolist() == [expected]
