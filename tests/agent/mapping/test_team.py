@@ -5,8 +5,6 @@ import pytest
 
 from limslam_agent import AgentConfig, FrontierPolicy, LimSlamTeam, LineSlam, preset
 from limslam_agent.slam.core.ekf import LineEKF
-from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.core.teammates import may_hit_others
 from limslam_env import LimSlamParallelEnv, NominalNoise, RobotSpec
 from limslam_env.geometry.line import to_frame
 from limslam_env.geometry.se2 import compose
@@ -65,42 +63,6 @@ def test_a_wall_that_both_see_ties_their_poses_together():
     after = ekf.joint_pose_covariance
     assert np.abs(after[:3, 3:]).max() > 0.0
     assert np.linalg.eigvalsh(before - after).min() > -1e-12, "nobody becomes less certain by a measurement"
-
-
-def suspicious(other: tuple[float, float], ranges: dict[int, float], covariance: np.ndarray | None = None):
-    """Which beams of a robot at the origin, looking along x, may hit one at ``other``."""
-    readings = ROBOT.max_ranges.copy()
-    for beam, reading in ranges.items():
-        readings[beam] = reading
-    poses = np.array([[0.0, 0.0, 0.0], [*other, 0.0]])
-    joint = np.zeros((6, 6)) if covariance is None else covariance
-    return may_hit_others(0, readings, poses, joint, ROBOT, RangeSensor(0.01)).tolist()
-
-
-def test_a_beam_that_ends_on_a_teammate_is_suspicious_and_others_are_not():
-    # Beam 0 points to the left, from 0.1 m on: a reading of 0.5 ends at (0, 0.6).
-    assert suspicious((0.0, 0.7), {0: 0.5, 5: 0.5}) == [True, False, False, False, False, False]
-    assert suspicious((0.0, 1.5), {0: 0.5}) == [False] * 6
-    # A wall before the teammate, or behind it, is a wall.
-    assert suspicious((0.0, 1.0), {0: 0.3}) == [False] * 6
-    assert suspicious((0.0, 0.5), {0: 0.9}) == [False] * 6
-
-
-def test_the_less_is_known_of_a_teammate_the_more_is_suspicious():
-    place, reading = (0.0, 0.95), {0: 0.5}
-    assert not suspicious(place, reading)[0]
-    vague = np.zeros((6, 6))
-    vague[4, 4] = 0.1**2
-    assert suspicious(place, reading, vague)[0]
-    # Not knowing the teammate's place across the beam says little about the distance along it.
-    across = np.zeros((6, 6))
-    across[3, 3] = 0.1**2
-    assert not suspicious(place, reading, across)[0]
-    # The measuring robot's heading swings the end of the beam past the teammate.
-    heading = np.zeros((6, 6))
-    heading[2, 2] = 0.5**2
-    assert suspicious((0.25, 0.6), reading, heading)[0]
-    assert not suspicious((0.35, 0.6), reading)[0]
 
 
 def test_dropped_readings_are_neither_measured_nor_collected():

@@ -14,7 +14,7 @@ from limslam_agent.video import video
 from limslam_agent.video.belief_frame import BeliefFrame, Event, hough_image, wall_bands
 from limslam_agent.video.belief_picture import draw_belief
 from limslam_agent.video.film import FPS, HEIGHT, WIDTH, Film, layout_for
-from limslam_agent.video.narration import SPEED, Narrator
+from limslam_agent.video.narration import SPEED
 from limslam_agent.video.video import VideoError, video_file
 from limslam_env.geometry import line as lines
 
@@ -116,14 +116,6 @@ def test_a_belief_past_all_bounds_can_be_drawn():
 
 
 # What is said.
-
-
-def test_a_status_that_is_not_ok_is_told():
-    narrator = Narrator()
-    narrator.hear(frame_with())
-    reason = "lost: 9 of 90 readings contradict the map"
-    said = [narrator.hear(frame_with(time=0.2 * step, warning=reason))[-1].caption for step in range(1, 30)]
-    assert f"The estimate is {reason}." in {caption.headline for caption in said}
 
 
 # The frame and the film.

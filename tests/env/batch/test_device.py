@@ -5,12 +5,7 @@ import subprocess
 import sys
 
 import gymnasium as gym
-import numpy as np
 import pytest
-
-from limslam_env import NoiseConfig, RobotSpec, load_world
-from limslam_env.batch.places import Places
-from limslam_env.config import TaskConfig
 
 # The simulator runs the kernel in Python and what it calls as on the processor: the results are the same bits.
 COMPARED = """
@@ -62,38 +57,6 @@ def test_in_the_simulator_of_cuda_the_results_are_those_of_the_processor():
     command = [sys.executable, "-c", COMPARED]
     done = subprocess.run(command, capture_output=True, text=True, env=surroundings, check=False)
     assert done.stdout == "equal\n", done.stderr
-
-
-def test_all_that_the_kernel_calls_can_be_compiled_for_a_gpu(monkeypatch):
-    pytest.importorskip("numba_cuda")
-    from numba import cuda
-    from numba.cuda import dispatcher
-    from numba.cuda.typing.typeof import typeof
-
-    from limslam_env.batch import device
-
-    class Captured:
-        arguments = ()
-
-        def specialize(self, *arguments):
-            self.arguments = arguments
-            return self
-
-        def __getitem__(self, _):
-            return lambda *_: None
-
-    captured, kernel_for = Captured(), device._kernel_for
-    for name, value in {"_to_device": np.array, "_device_array": np.empty, "_kernel_for": lambda *_: captured}.items():
-        monkeypatch.setattr(device, name, value)
-    monkeypatch.setattr(cuda, "is_available", lambda: True)
-    # No GPU is asked what it is.
-    monkeypatch.setattr(dispatcher, "get_current_device", lambda: type("Hopper", (), {"compute_capability": (9, 0)}))
-    places = Places(load_world("env1"), RobotSpec(), 1, 2)
-    simulation = device.DeviceSimulation(places, RobotSpec(), [NoiseConfig()], TaskConfig())
-    simulation.reset(np.ones(2, dtype=bool), None, np.random.SeedSequence(0))
-    types = tuple(map(typeof, captured.arguments))
-    code, _ = cuda.compile_ptx(kernel_for(1, 8).py_func, types, cc=(9, 0))
-    assert ".target sm_90" in code
 
 
 @pytest.mark.parametrize(

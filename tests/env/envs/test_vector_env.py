@@ -174,18 +174,6 @@ def test_noise_levels_share_starts_and_draws():
     )
 
 
-def test_seeds_begin_again_and_differ():
-    batch = LimSlamVectorEnv("env1", 3, sensor_noise=0.02)
-    first, _ = batch.reset(seed=1)
-    unseeded, _ = batch.reset()
-    again, _ = batch.reset(seed=1)
-    other, _ = batch.reset(seed=2)
-    np.testing.assert_array_equal(first["ranges"], again["ranges"])
-    assert (first["ranges"] != other["ranges"]).any()
-    assert (first["ranges"] != unseeded["ranges"]).any()
-    assert (first["ranges"][0] != first["ranges"][1]).any()
-
-
 @pytest.mark.parametrize("name", ["Env1", "Env2", "Env3"])
 def test_gymnasium_makes_it_by_default(name):
     with warnings.catch_warnings():
@@ -298,17 +286,6 @@ def test_rewards_are_of_the_settings():
         before = infos["coverage"]
         if infos["time"][0] > 0.15:
             np.testing.assert_allclose(values, 2.0 * new - 0.5 - 7.0 * infos["collision"], atol=1e-9)
-
-
-def test_a_start_in_another_part_has_its_own_coverage():
-    starts = load_world("env2").starts
-    batch = LimSlamVectorEnv("env2", 2, noise=QUIET)
-    _, infos = batch.reset(seed=0, options={"start": starts[:2]})
-    np.testing.assert_allclose(infos["pose"], starts[:2])
-    _, infos = batch.reset(options={"start": tuple(starts[1])})
-    np.testing.assert_allclose(infos["pose"], starts[[1, 1]])
-    _, infos = batch.reset()
-    np.testing.assert_allclose(infos["pose"], starts[[0, 0]])
 
 
 def test_wrappers_of_gymnasium_work():

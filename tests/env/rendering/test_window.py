@@ -79,14 +79,6 @@ def test_a_key_tapped_between_two_looks_is_not_missed(window, pygame):
     assert window.pressed_keys() == frozenset()
 
 
-def test_keys_are_let_go_with_the_keyboard(window, pygame):
-    window.show(PICTURE)
-    press(pygame, pygame.K_UP)
-    assert window.pressed_keys() == {"up"}
-    pygame.event.post(pygame.event.Event(pygame.WINDOWFOCUSLOST))
-    assert window.pressed_keys() == frozenset()
-
-
 @pytest.mark.parametrize("look", [lambda window: window.show(PICTURE), lambda window: window.pressed_keys()])
 def test_closing_by_the_user_is_noticed_and_lasts(window, pygame, look):
     window.show(PICTURE)
@@ -97,17 +89,6 @@ def test_closing_by_the_user_is_noticed_and_lasts(window, pygame, look):
     assert window.closed
     assert pygame.display.get_surface() is None
     assert window.pressed_keys() == frozenset()
-
-
-def test_closing_twice_is_fine_and_so_is_closing_what_never_opened(window, pygame):
-    window.show(PICTURE)
-    window.close()
-    window.close()
-    assert window.closed
-    assert not pygame.display.get_init()
-    unopened = Window("never", 10.0)
-    unopened.close()
-    assert unopened.closed
 
 
 def test_a_window_that_lost_its_place_leaves_the_others_alone(window, pygame):

@@ -91,15 +91,6 @@ def test_the_simulation_carries_what_its_encoders_left_out():
     assert np.abs(np.cumsum(told - TOP * np.array(actions), axis=0)).max() <= resolution + 1e-5
 
 
-def test_a_reset_forgets_what_the_encoders_left_out():
-    simulation, noise = Simulation(HALL, ROBOT), NoiseConfig(wheel_variance=0.0, encoder_resolution=0.02)
-    told = []
-    for _ in range(2):
-        simulation.reset(np.random.SeedSequence(0), noise, MIDDLE)
-        told.append([simulation.step([(0.5, 0.5)])[0].wheels.tolist() for _ in range(3)])
-    assert told[0] == told[1]
-
-
 def test_unequal_wheels_drive_as_before_and_only_report_otherwise():
     actions = [(0.5, 0.8)] * 30
     plain, true = drive(NoiseConfig(wheel_variance=0.0), actions)

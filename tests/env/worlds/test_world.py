@@ -142,28 +142,6 @@ def test_a_list_that_is_left_empty_must_still_be_a_list(key, value):
 
 
 @pytest.mark.parametrize(
-    "other",
-    ["1979-05-27", "9" * 400, "true"],
-    ids=["date", "huge", "boolean"],
-)
-def test_a_nan_does_not_hide_what_stands_beside_it(other):
-    with pytest.raises(WorldError, match="walls"):
-        parse_world(with_key("walls", f"[[nan, 0, 4, 0], [{other}, 0, 4, 0]]"), "w.toml")
-
-
-def test_arrays_of_the_wrong_shape_are_refused_by_the_world_itself():
-    for field, value in {"walls": [[0, 0, 1]], "starts": [1, 2, 3], "doors": [[1, 2]], "loop": [[1, 2, 3]]}.items():
-        with pytest.raises(WorldError, match=field):
-            box_world(**{field: np.array(value, dtype=float)})
-    with pytest.raises(WorldError, match="2 corners"):
-        box_world(obstacles=(np.array([[1.0, 1.0], [2.0, 2.0]]),))
-    with pytest.raises(WorldError, match="size"):
-        box_world(size=(4.0, math.nan))
-    with pytest.raises(WorldError, match="not finite"):
-        box_world(walls=np.array([[0.0, 0.0, math.inf, 0.0]]))
-
-
-@pytest.mark.parametrize(
     ("start", "reason"),
     [
         ([2.0, 3.0, 0.0], "inside an obstacle"),

@@ -11,7 +11,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
-from support.drives import FOUR_BEAMS, ROBOT, along, drive, laps_of_square, room, straight, turn
+from support.drives import ROBOT, along, drive, laps_of_square, room, straight, turn
 
 from limslam_agent import (
     AgentConfig,
@@ -249,23 +249,6 @@ def test_without_room_for_clones_the_oldest_are_given_up() -> None:
         beliefs = batch.step(seen["ranges"][None], seen["wheels"][None])
     assert batch.overflows[0] > 0
     assert np.isfinite(beliefs.pose).all()
-
-
-def test_a_batch_takes_the_odometry_as_specified_where_one_robot_alone_would_be_calibrated() -> None:
-    log = laps_of_square(0.02, seed=5)
-    config = preset("consistent", NominalNoise(0.02))
-    single = LineSlam(FOUR_BEAMS, config, log.poses[0])
-    # A batch takes the sensor as specified, too; beams would be found to be turned here.
-    never = LineSlam(FOUR_BEAMS, without_sensor_errors(self_calibrating(config, "never")), log.poses[0])
-    batch = BatchSlam(FOUR_BEAMS, config, 1, num_threads=1, size=0)
-    batch.reset(log.poses[:1])
-    for seen in log.observations:
-        wheels = (np.array([1.02, 0.98]) * seen["wheels"]).astype(np.float32)
-        single.step({**seen, "wheels": wheels})
-        never.step({**seen, "wheels": wheels})
-        beliefs = batch.step(seen["ranges"][None], wheels[None])
-    assert single.odometry_calibration is not None
-    np.testing.assert_allclose(beliefs.pose[0], never.pose, atol=1e-6)
 
 
 def test_a_small_grid_goes_along() -> None:

@@ -617,21 +617,3 @@ def test_what_odometry_is_wrong_by_spreads_to_the_pose_as_the_dense_filter_has_i
     noise[3:6, 3:6] = by_increment @ MOTION @ by_increment.T
     np.testing.assert_allclose(ekf.P, dense @ covariance @ dense.T + noise, atol=1e-12)
     np.testing.assert_allclose(ekf.poses[1], compose(before[3:6], STEP))
-
-
-def test_factors_are_no_part_of_what_a_turned_world_turns() -> None:
-    plain, calibrating = (CloneEKF(np.zeros(3), prior) for prior in (None, spread(3, 1)))
-    calibrating.calibrate()
-    for ekf in (plain, calibrating):
-        ekf.P[:3, :3] = spread(3, 2)
-        ekf.clone()
-        ekf.predict(STEP, MOTION)
-        ekf.add_line(0.5 * math.pi, np.array([0.0, 0.6]))
-        observe(ekf, readings_of([0, 0], LEFT, np.array([0.5, 0.6])), 0, STD, 3, 0.0)
-    np.testing.assert_allclose(calibrating.pose, plain.pose, atol=1e-12)
-    np.testing.assert_allclose(calibrating.lines, plain.lines, atol=1e-12)
-    np.testing.assert_allclose(calibrating.joint_pose_covariance, plain.joint_pose_covariance, atol=1e-12)
-    factors = calibrating.calibration()
-    assert factors is not None
-    assert factors[0].tolist() == [0.0, 0.0, 0.0]
-    assert plain.calibration() is None

@@ -17,7 +17,6 @@ from limslam_env.geometry.se2 import compose, wrap_angle
 MOTION = np.diag([2e-6, 5e-7, 4e-5])
 SEEN = np.array([[1e-4, 3e-5], [3e-5, 2e-4]])
 LINES = np.array([(2.0, 0.3), (1.5, 1.9), (3.0, -2.8), (0.8, -1.2)])
-coordinates = st.floats(-4.0, 4.0)
 angles = st.floats(-math.pi, math.pi)
 
 
@@ -209,27 +208,6 @@ def test_angles_and_distances_keep_to_their_ranges(seed: int) -> None:
         assert (ekf.lines[:, 0] >= 0.0).all()
         assert (np.abs(np.append(ekf.lines[:, 1], ekf.pose[2])) <= math.pi).all()
         assert np.append(ekf.lines[:, 1], ekf.pose[2]).min() > -math.pi
-
-
-@settings(deadline=None, max_examples=100)
-@given(coordinates, coordinates, angles, st.integers(0, 3), st.integers(0, 1000))
-def test_the_opposite_form_of_an_observed_line_gives_the_same_update(
-    x: float, y: float, yaw: float, index: int, seed: int
-) -> None:
-    pose = np.array([x, y, yaw])
-    one, other = (filter_with(LINES, pose, spread(11, seed)) for _ in range(2))
-    observed = to_frame(LINES[index], pose) + np.array([0.02, -0.03])
-    # The same line with its normal turned round: r changes its sign, and the correlation with it.
-    opposite = np.array([-observed[0], observed[1] + math.pi])
-    turned = SEEN * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    for each, line, covariance in ((one, observed, SEEN), (other, opposite, turned)):
-        difference, total = each.innovation(line, covariance, index)
-        np.testing.assert_allclose(difference, one.innovation(observed, SEEN, index)[0], atol=1e-9)
-        np.testing.assert_allclose(total, one.innovation(observed, SEEN, index)[1], atol=1e-12)
-    one.observe_line(observed, SEEN, index)
-    other.observe_line(opposite, turned, index)
-    np.testing.assert_allclose(other.x, one.x, atol=1e-9)
-    np.testing.assert_allclose(other.P, one.P, atol=1e-12)
 
 
 @pytest.mark.parametrize("beyond", [1e-3, 1.0])

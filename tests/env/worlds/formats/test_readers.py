@@ -168,13 +168,6 @@ class TestMapServer:
         path.write_bytes(codecs.BOM_UTF8 + path.read_bytes().replace(b"\n", b"\r\n"))
         assert read_map_server(path) == expected
 
-    def test_a_long_thin_wall_is_one_wall(self, tmp_path):
-        world = read_map_server(write_map(tmp_path, "\n".join(["." * 42, "." + "#" * 40 + ".", "." * 42])))
-        # Its cells' middles: from (1.75, 2.75) to (21.25, 2.75).
-        assert len(world.edges) == 1
-        assert distances(world.edges.reshape(-1, 2), np.array([[1.75, 2.75, 21.25, 2.75]])).max() < 0.5
-        assert lengths(world.edges) > 19.0
-
     def test_a_slanting_staircase_becomes_straight(self, tmp_path):
         cells = np.full((60, 120), 254)
         column = np.arange(5, 115)
@@ -183,14 +176,6 @@ class TestMapServer:
         world = read_map_server(write_map(tmp_path, binary_pgm(cells)))
         assert len(world.edges) == 4
         assert np.sort(lengths(world.edges))[2:] == pytest.approx(0.5 * math.hypot(109, 36), abs=0.75)
-
-    def test_patches_that_meet_at_a_corner_are_one_obstacle(self, tmp_path):
-        world = read_map_server(write_map(tmp_path, "####....\n" * 4 + "....####\n" * 4))
-        (polygon,) = world.obstacles
-        # Of 2 x 2 m each: their middles are inside, and those of the empty quarters are not.
-        middles = np.array([[2.0, 5.0], [4.0, 3.0], [2.0, 3.0], [4.0, 5.0]])
-        assert inside_polygon(middles, polygon).tolist() == [True, True, False, False]
-        assert distances(middles, world.edges).min(axis=1) == pytest.approx(0.875, abs=0.26)
 
 
 def yaml_with(line: str) -> str:
@@ -304,37 +289,10 @@ class TestPlans:
         world.check(RADIUS)
         assert load_world(tmp_path / "plan.json") == read_json(tmp_path / "plan.json") == world
 
-    @pytest.mark.parametrize(
-        "verts",
-        [
-            [[0, 0], [4, 0], [4, 3], [0, 3], [0, 0]],
-            [[0, 0], [0, 0], [4, 0], [4, 3], [4, 3], [4, 3], [0, 3]],
-        ],
-        ids=["closed", "doubled"],
-    )
-    def test_a_corner_given_twice_adds_no_wall(self, tmp_path, verts):
-        world = read_json(write_json(tmp_path, {**HOUSE, "verts": verts}))
-        assert segment_set(world.walls) == box(0.0, 0.0, 4.0, 3.0)
-        assert len(world.walls) == 4
-
-    def test_a_shifted_building_keeps_its_coordinates(self, tmp_path):
-        shift = np.array([-120.5, 33.25])
-        plan = {**PLAN, "walls": (np.array(PLAN["walls"]) + np.tile(shift, 2)).tolist()}
-        house = {**HOUSE, "verts": (np.array(HOUSE["verts"]) + shift).tolist()}
-        for world in (read_json(write_json(tmp_path, plan)), read_json(write_json(tmp_path, house))):
-            assert world.size == (4.0, 3.0)
-            np.testing.assert_array_equal(world.walls.reshape(-1, 2).min(axis=0), shift)
-            world.check(RADIUS)
-
     def test_what_is_not_used_may_be_missing_or_anything(self, tmp_path):
         expected = read_json(write_json(tmp_path, PLAN))
         assert read_json(write_json(tmp_path, {**PLAN, "wall_thickness": [None]})) == expected
         assert read_json(write_json(tmp_path, {"id": "plan", "walls": PLAN["walls"]})) == expected
-
-    def test_a_byte_order_mark_is_no_part_of_the_text(self, tmp_path):
-        path = write_json(tmp_path, PLAN)
-        path.write_bytes(codecs.BOM_UTF8 + path.read_bytes())
-        assert read_json(path).name == "plan"
 
     @pytest.mark.parametrize(
         ("content", "reason"),
