@@ -69,6 +69,8 @@ def test_values_stay_within_the_limit_and_can_always_be_outvoted() -> None:
     for _ in range(20):
         grid.update(at_centre(0, 0), ONE, np.array([1.5]), YES)
     assert value(grid, 10, 0) == 1
+    view = grid.view
+    assert view.free[tuple(view.cells(at_centre(10, 0)[None, :2])[0])], "one more beam through it than into it"
 
 
 def test_cells_and_centres_are_inverse_and_tell_rows_from_columns() -> None:

@@ -11,7 +11,12 @@ from limslam_env import World, load_world
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, transform_points
 from limslam_env.geometry.segment import distances
-from limslam_env.metrics.association import AssociationEvent, association_metrics
+from limslam_env.metrics.association import (
+    AssociationEvent,
+    association_metrics,
+    closure_metrics,
+    dropped_beam_metrics,
+)
 from limslam_env.metrics.metrics import (
     WallSamples,
     consistency_metrics,
@@ -393,3 +398,16 @@ class TestAssociation:
     def test_a_wall_that_does_not_exist_is_refused(self) -> None:
         with pytest.raises(ValueError, match="wall 5, but there are 5 walls"):
             association_metrics([AssociationEvent(0, is_new=True, true_walls=(5, 5))], 5)
+
+    def test_closures_by_hand(self) -> None:
+        events = [
+            AssociationEvent(number, is_new=True, true_walls=(wall, wall)) for number, wall in enumerate((3, 3, 4, -1))
+        ]
+        found = closure_metrics(events, [(0, 1), (0, 2), (0, 3), (1, 9)], 5)
+        assert found == {"closures_right": 1, "closures_wrong": 1, "closures_mixed": 2}
+
+    def test_beams_on_other_robots_by_hand(self) -> None:
+        dropped, seen = np.array([[True, False, True], [False, True, False]]), np.array([[-2, -2, 3], [-1, -1, 0]])
+        found = dropped_beam_metrics(dropped, seen)
+        assert found == {"robot_beams_dropped": 0.5, "robot_beams_dropped_wrongly": pytest.approx(2.0 / 3.0)}
+        assert set(dropped_beam_metrics(dropped & (seen == 9), seen + 9).values()) == {None}
