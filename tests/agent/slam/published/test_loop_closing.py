@@ -82,9 +82,10 @@ def sensed(poses: FloatArray, walls: FloatArray, drift: float) -> list[dict[str,
     return observations
 
 
-def test_round_a_loop_old_walls_are_found_again_and_the_error_shrinks():
+@pytest.mark.parametrize("drift", [0.012, -0.012])
+def test_round_a_loop_old_walls_are_found_again_and_the_error_shrinks(drift):
     poses, walls = walled_loop()
-    observations = sensed(poses, walls, 0.012)
+    observations = sensed(poses, walls, drift)
     errors, slams = [], []
     for enabled in (True, False):
         estimator = PublishedConfig(closing=LoopClosingConfig(enabled=enabled))

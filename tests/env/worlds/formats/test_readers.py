@@ -206,6 +206,7 @@ class TestMapsRefused:
             (yaml_with("origin: [0, 0, up]"), "origin must be a number"),
             (yaml_with("origin: [1e5, 0, 0]"), "walls reach further than 500 m"),
             (yaml_with("origin: [[0], 0, 0]"), "nested deeper"),
+            (yaml_with("negate: 2"), "negate must be a number from 0 to 1"),
             (yaml_with("negate: 0.5"), "negate must be 0 or 1"),
             (yaml_with("occupied_thresh: 1.5"), "occupied_thresh must be a number from 0 to 1"),
             (yaml_with("free_thresh: 0.7"), r"free_thresh must be a number from 0 to 0\.65"),
