@@ -7,7 +7,7 @@ from scipy.linalg import solve_triangular
 from limslam_agent.slam.core.triangular import solve_lower
 
 
-@pytest.mark.parametrize("shape", [(1,), (30,), (9, 2), (30, 5), (30, 6), (70, 150)])
+@pytest.mark.parametrize("shape", [(1,), (30,), (30, 1), (1, 5), (9, 2), (30, 5), (30, 6), (70, 150)])
 @pytest.mark.parametrize("order", ["C", "F"])
 def test_a_triangular_system_is_solved_as_scipy_solves_it(shape, order):
     generator = np.random.default_rng([1, *shape])
