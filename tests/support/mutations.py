@@ -134,7 +134,7 @@ def main() -> int:
     survived = []
     with tempfile.TemporaryDirectory() as folder:
         checkout = Path(folder, "checkout")
-        shutil.copytree(ROOT, checkout, ignore=shutil.ignore_patterns(".*", "__pycache__", "runs"))
+        shutil.copytree(ROOT, checkout, ignore=shutil.ignore_patterns(".*", "__pycache__"))
         if not _passes(checkout, options.tests or [*{tests_of(one.file) for one in drawn}]):
             parser.error("these tests fail without a mutation")
         for one in drawn:
