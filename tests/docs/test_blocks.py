@@ -13,16 +13,16 @@ import typer
 from support.arena import made_entry
 from support.markdown import ROOT, Block, all_blocks, blocks, code_spans, commands, name_of, pages
 
+from limslam_agent import read_log
 from limslam_agent.cli.main import app as limslam_app
 from limslam_agent.cli.settings import robot_named
 from limslam_agent.config.shared import OdometryConfig
 from limslam_agent.live.emulator.__main__ import app as emulator_app
-from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.table_options import TableOptions
 from limslam_agent.output.summary import record_summary
 from limslam_agent.replay.calibration import calibrated
-from limslam_env.interface import RobotSpec, beams_on_rim
-from limslam_env.worlds.formats.loading import load_world
+from limslam_env import RobotSpec, load_world
+from limslam_env.interface import beams_on_rim
 
 # Blocks that no program reads, by the words that they begin with.
 DIAGRAMS = {

@@ -10,9 +10,8 @@ import pytest
 from support.command_line import call
 from support.markdown import blocks, commands
 
+from limslam_agent import read_log, replay_log
 from limslam_agent.cli.main import main
-from limslam_agent.logs.log_reader import read_log
-from limslam_agent.replay.replay import replay_log
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 EXAMPLE = EXAMPLES / "live_robot.py"

@@ -32,12 +32,6 @@ def test_the_two_commands_make_all_that_they_need():
         assert steps[2][0] == last
 
 
-def test_it_can_be_read_in_one_go():
-    text = README.read_text(encoding="utf-8")
-    assert len(text.split()) <= 620
-    assert len(text.split("```sh")[0].split()) <= 80
-
-
 def test_nothing_was_left_to_be_filled_in():
     assert len(pages()) > 3
     # Names of environment variables stand as code.

@@ -2,12 +2,10 @@
 
 import subprocess
 import sys
-from concurrent.futures import ThreadPoolExecutor
 
-import numpy as np
 import pytest
 
-from limslam_env.compilation import compiled, next_of, source_stamp
+from limslam_env.compilation import source_stamp
 
 CALLED = """from limslam_env.compilation import compiled
 from kernel_package.constants import FACTOR
@@ -118,13 +116,6 @@ sys.path.insert(0, {str(folder)!r})
     return subprocess.run(command, check=True, capture_output=True, text=True, cwd=folder).stdout.splitlines()
 
 
-def test_a_function_that_python_has_called_can_be_part_of_another_one(tmp_path):
-    statements = """from inner_kernels import copied, doubled_largest, largest
-numbers = np.array([1.0, 5.0, 3.0])
-print(doubled_largest(numbers), largest(numbers), copied(numbers, np.array([7.0])))"""
-    assert run_inner(tmp_path, statements) == ["10.0 5.0 21.0"]
-
-
 LACKING = """
 from numba.core import compiler, environment
 del environment.lookup_environment
@@ -194,35 +185,3 @@ for holder, values in zip(holders, before):
 print(gc.isenabled())
 """
     assert run_inner(tmp_path, statements) == ["[]"] * 8 + ["True"]
-
-
-@compiled
-def count_taken(counter, taken):
-    number = next_of(counter)
-    while number < len(taken):
-        taken[number] += 1
-        number = next_of(counter)
-
-
-def test_threads_that_share_a_counter_take_each_number_once():
-    counter, taken = np.zeros(1, dtype=np.int64), np.zeros(300_000, dtype=np.int64)
-    with ThreadPoolExecutor(4) as pool:
-        for done in [pool.submit(count_taken, counter, taken) for _ in range(4)]:
-            done.result()
-    assert (taken == 1).all()
-    assert counter[0] == len(taken) + 4
-
-
-@compiled
-def shifted(values, by):
-    return values[0] + by
-
-
-@compiled
-def shifted_twice(values):
-    return shifted(values, 1) * shifted(values, 2) + shifted(values, by=3)
-
-
-def test_calls_with_constants_share_the_code_of_one_function():
-    assert shifted_twice(np.array([1.0])) == 10.0
-    assert len(shifted.overloads) == 1

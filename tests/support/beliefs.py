@@ -4,17 +4,12 @@ import math
 
 import numpy as np
 
-from limslam_agent import LimSlamAgent, preset
-from limslam_agent.belief import Belief
+from limslam_agent import Belief, LimSlamAgent, Policy, preset
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.policies.policy import Policy
-from limslam_env.config import NoiseConfig
-from limslam_env.envs.env import LimSlamEnv
+from limslam_env import LimSlamEnv, NoiseConfig, NominalNoise, RobotSpec, World
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc
-from limslam_env.interface import NominalNoise, RobotSpec
-from limslam_env.worlds.world import World
 
 ROBOT = RobotSpec()
 CONFIG = PolicyConfig()

@@ -6,8 +6,9 @@ import numpy as np
 from support.drives import along, drive, room
 
 from limslam_agent.slam.graph.key_poses import LogData
+from limslam_env import RobotSpec
 from limslam_env.geometry import FloatArray, se2
-from limslam_env.interface import RobotSpec, beams_on_rim
+from limslam_env.interface import beams_on_rim
 
 SIX_BEAMS = RobotSpec(beams=beams_on_rim((90.0, 54.0, 18.0, -18.0, -54.0, -90.0), 0.10, max_range=5.0))
 FOUR_BEAMS = RobotSpec(beams=beams_on_rim((90.0, 0.0, -90.0, 180.0), 0.05, max_range=5.0))

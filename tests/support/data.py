@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from limslam_agent.logs.log_reader import read_log
+from limslam_agent import read_log
 from limslam_agent.logs.recorded_log import LogError
 
 DEFAULT_FOLDER = Path(__file__).resolve().parents[3] / "shared" / "data"

@@ -6,16 +6,13 @@ from itertools import pairwise
 
 import numpy as np
 
-from limslam_agent.config.presets import AgentConfig
+from limslam_agent import AgentConfig, LineSlam
 from limslam_agent.slam.core.diagnostics import AssociationRecord
-from limslam_agent.slam.slam import LineSlam
-from limslam_env.config import NoiseConfig
-from limslam_env.envs.env import LimSlamEnv
+from limslam_env import LimSlamEnv, NoiseConfig, Observation, RobotSpec, load_world
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.se2 import arc, compose, inverse, transform_points, wheels_to_arc, wrap_angle
 from limslam_env.geometry.segment import polygon_edges
-from limslam_env.interface import Observation, RobotSpec, beams_on_rim
-from limslam_env.worlds.formats.loading import load_world
+from limslam_env.interface import beams_on_rim
 
 ROBOT = RobotSpec()
 FOUR_BEAMS = RobotSpec(beams=beams_on_rim((90.0, 45.0, -45.0, -90.0), 0.10))

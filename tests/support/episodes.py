@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from limslam_env.config import NoiseConfig
+from limslam_env import NoiseConfig
 
 EVERYTHING = NoiseConfig.sharp(
     encoder_resolution=0.001,

@@ -7,11 +7,9 @@ import numpy as np
 
 from benchmarks.suite.faults import Fault
 from benchmarks.suite.jobs import KIDNAPPED
-from limslam_agent import LimSlamAgent
-from limslam_agent.config.presets import preset
+from limslam_agent import LimSlamAgent, preset
 from limslam_agent.runs.kidnapping import another_place
-from limslam_env.envs.env import LimSlamEnv
-from limslam_env.interface import NominalNoise
+from limslam_env import LimSlamEnv, NominalNoise
 
 
 def steps_with(

@@ -32,17 +32,16 @@ from support.bags import distance, odometry, scan, storage_of, write_bag
 from benchmarks.analysis.series import read_series
 from benchmarks.suite.store import Row, read_rows
 from benchmarks.suite.suite import load_suite
+from limslam_agent import read_log
 from limslam_agent.cli.settings import Given, ReplayOptions, replay_agent, run_config, run_options
 from limslam_agent.cli.show import true_edges
-from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.relations import read_relations
 from limslam_agent.output.finished_run import read_run
 from limslam_agent.output.summary import replay_summary, run_summary
 from limslam_agent.policies.learned.learned import SHIPPED, WEIGHTS
 from limslam_agent.policies.learned.network import load_network
-from limslam_env.interface import RobotSpec
+from limslam_env import RobotSpec, load_world
 from limslam_env.messages import LONGEST_MESSAGE
-from limslam_env.worlds.formats.loading import load_world
 
 LONGEST_S = 5
 MOST_BYTES = 500_000_000

@@ -10,8 +10,8 @@ from limslam_agent.grid.occupancy import drawn_grid
 from limslam_agent.places.history import LoggedStep
 from limslam_agent.places.localisation import KnownPlaces
 from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_env import RobotSpec
 from limslam_env.geometry.se2 import compose, inverse
-from limslam_env.interface import RobotSpec
 
 ROBOT, STD = RobotSpec(), 0.01
 SENSOR = RangeSensor(STD)

@@ -4,16 +4,13 @@ import subprocess
 import sys
 from dataclasses import replace
 
-from limslam_agent.config.presets import preset
+from limslam_agent import LimSlamAgent, preset
 from limslam_agent.live.emulator.channel import Faults
 from limslam_agent.live.emulator.emulator import Body, Emulator
 from limslam_agent.live.link import Link
 from limslam_agent.live.recording import Recording
 from limslam_agent.live.session import Session
-from limslam_agent.mapping.agent import LimSlamAgent
-from limslam_env.config import NoiseConfig
-from limslam_env.interface import NominalNoise, RobotSpec
-from limslam_env.worlds.formats.loading import load_world
+from limslam_env import NoiseConfig, NominalNoise, RobotSpec, load_world
 
 NOISE = 0.02
 

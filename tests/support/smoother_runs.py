@@ -4,7 +4,7 @@ import numpy as np
 from support.drives import ROBOT, along, drive, ranges_at, room
 
 from limslam_agent.slam.line_graph.problem import make_problem, moved
-from limslam_env.interface import NominalNoise
+from limslam_env import NominalNoise
 
 WALLS = room(0.0, 0.0, 3.0, 2.4)
 START = np.array([0.6, 0.6, 0.0])

@@ -9,12 +9,11 @@ from support.command_line import call
 from support.drives import FOUR_BEAMS, laps_of_square
 from support.inspection import SHORT, short_run, unpacked
 
+from limslam_agent import Mapper, preset
 from limslam_agent.cli import main as cli
-from limslam_agent.config.presets import preset
 from limslam_agent.inspect import live_page as module
 from limslam_agent.inspect.live_page import Follower, live_page
-from limslam_agent.mapping.mapper import Mapper
-from limslam_env.interface import NominalNoise
+from limslam_env import NominalNoise
 
 
 @pytest.fixture(autouse=True)

@@ -2,16 +2,16 @@
 
 import numpy as np
 import pytest
-from support.batch_stages import cached
 
 from limslam_agent.kernels import algebra, covariance
+from limslam_agent.kernels.compilation import entry
 from limslam_env.geometry import FloatArray
 
 factorise, whiten, solve_factored = (
-    cached(each) for each in (algebra.factorise, algebra.whiten, algebra.solve_factored)
+    entry(each.py_func) for each in (algebra.factorise, algebra.whiten, algebra.solve_factored)
 )
-add_products, orthonormalise = cached(covariance.add_products), cached(algebra.orthonormalise)
-quantile, sort_with = cached(algebra.quantile), cached(algebra.sort_with)
+add_products, orthonormalise = entry(covariance.add_products.py_func), entry(algebra.orthonormalise.py_func)
+quantile, sort_with = entry(algebra.quantile.py_func), entry(algebra.sort_with.py_func)
 GENERATOR = np.random.default_rng(0)
 
 

@@ -6,9 +6,10 @@ import pytest
 from limslam_agent.config.presets import GridConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.kernels.cells import BODY, CROSSED, ENDED, SKIPPED, change_cells
+from limslam_env import RobotSpec
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import transform_points
-from limslam_env.interface import RobotSpec, beams_on_rim
+from limslam_env.interface import beams_on_rim
 
 CONFIG = GridConfig()
 PAPER = RobotSpec()

@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from limslam_agent.config.presets import AgentConfig, preset
-from limslam_agent.mapping.agent import LimSlamAgent, Snapshot
-from limslam_env.envs.env import LimSlamEnv
+from limslam_agent import AgentConfig, LimSlamAgent, preset
+from limslam_agent.mapping.agent import Snapshot
+from limslam_env import LimSlamEnv, NominalNoise, Observation, RobotSpec
 from limslam_env.geometry import FloatArray
-from limslam_env.interface import NominalNoise, Observation, RobotSpec
 
 ROBOT = RobotSpec()
 CONFIG = preset("paper", NominalNoise(0.02))
@@ -64,16 +63,6 @@ def test_reset_gives_the_same_actions_again_whatever_the_seed(recording: Recordi
         assert replayed(agent, recording).tobytes() == first.tobytes()
 
 
-def test_two_agents_do_not_disturb_each_other(recording: Recording) -> None:
-    one, other = fresh(recording), fresh(recording)
-    actions = []
-    for number, observation in enumerate(recording[1]):
-        actions.append(np.array(one.act(observation)))
-        # The other one hears the list from its end.
-        other.act(recording[1][-1 - number])
-    assert np.array(actions).tobytes() == recording[2].tobytes()
-
-
 def test_an_agent_does_not_write_into_its_observations(recording: Recording) -> None:
     agent = fresh(recording)
     for observation, action in zip(recording[1][:60], recording[2], strict=False):
@@ -81,20 +70,6 @@ def test_an_agent_does_not_write_into_its_observations(recording: Recording) -> 
         for array in frozen.values():
             array.setflags(write=False)
         np.testing.assert_array_equal(agent.act(frozen), action)
-
-
-def test_finish_uses_what_waits_in_the_buffers(recording: Recording) -> None:
-    agent, records = fresh(recording), []
-    agent.slam.on_association = records.append
-    for number, observation in enumerate(recording[1]):
-        agent.act(observation)
-        if number > 100 and all(len(side.points) > 12 for side in agent.slam.pending_points):
-            break
-    before = len(records)
-    agent.finish()
-    assert len(records) > before
-    assert sum(landmark.observations for landmark in agent.slam.landmarks) == len(records)
-    assert all(len(side.points) == 0 for side in agent.slam.pending_points)
 
 
 WITHOUT_PHYSICS = """
@@ -160,43 +135,25 @@ def after(recording: Recording, steps: int = 250) -> LimSlamAgent:
     return agent
 
 
-def test_a_snapshot_tells_what_the_agent_believes(recording: Recording) -> None:
-    agent = after(recording)
-    snapshot = agent.snapshot()
-    np.testing.assert_array_equal(snapshot.pose, agent.slam.pose)
-    np.testing.assert_array_equal(snapshot.covariance, agent.slam.covariance)
-    np.testing.assert_array_equal(snapshot.segments, agent.slam.segments)
-    assert len(snapshot.landmarks) == len(snapshot.segments)
-    assert snapshot.grid.free.any()
-    assert snapshot.grid.occupied.any()
-    # The plan begins near the robot and leads over ground that is free.
-    assert np.hypot(*(snapshot.plan[0] - snapshot.pose[:2])) < 0.3
-    cells = snapshot.grid.cells(snapshot.plan[1:])
-    assert snapshot.grid.free[cells[:, 0], cells[:, 1]].all()
-
-
-@pytest.mark.parametrize("part", ["pose", "covariance", "segments", "plan", "grid", "landmark"])
-def test_writing_into_a_snapshot_is_refused_or_does_not_reach_the_agent(recording: Recording, part: str) -> None:
+def test_writing_into_a_snapshot_is_refused_or_does_not_reach_the_agent(recording: Recording) -> None:
     agent = after(recording)
     snapshot, before = agent.snapshot(), {k: np.array(v) for k, v in arrays_of(agent.snapshot()).items()}
-    for name, array in arrays_of(snapshot).items():
-        if name.startswith(part) and array.flags.writeable:
+    for array in arrays_of(snapshot).values():
+        if array.flags.writeable:
             np.add(array, 3, out=array)
     for name, array in arrays_of(agent.snapshot()).items():
         np.testing.assert_array_equal(array, before[name], err_msg=name)
     assert np.array([agent.act(o) for o in recording[1][250:300]]).tobytes() == recording[2][250:300].tobytes()
 
 
-@pytest.mark.parametrize("part", ["pose", "covariance", "segments", "plan", "grid", "landmark"])
-def test_a_snapshot_keeps_its_moment_while_the_agent_goes_on(recording: Recording, part: str) -> None:
+def test_a_snapshot_keeps_its_moment_while_the_agent_goes_on(recording: Recording) -> None:
     agent = after(recording)
     snapshot = agent.snapshot()
     before = {name: np.array(array) for name, array in arrays_of(snapshot).items()}
     for observation in recording[1][250:300]:
         agent.act(observation)
     for name, array in arrays_of(snapshot).items():
-        if name.startswith(part):
-            np.testing.assert_array_equal(array, before[name], err_msg=name)
+        np.testing.assert_array_equal(array, before[name], err_msg=name)
 
 
 class Stopper:
@@ -244,15 +201,3 @@ def test_with_nowhere_to_go_it_stops_says_why_and_stands() -> None:
     assert agent.stop_reason.startswith("explored")
     np.testing.assert_array_equal(action, [0.0, 0.0])
     np.testing.assert_array_equal(agent.act(enclosed(1)[0]), [0.0, 0.0])
-
-
-def test_what_a_caller_does_to_an_action_does_not_change_the_next() -> None:
-    # Clipping or scaling an action in place is common; a robot that is to stand must still stand.
-    agent, action = driven_until_done()
-    if not action.flags.writeable:
-        return
-    action += 0.5
-    try:
-        np.testing.assert_array_equal(agent.act(enclosed(1)[0]), [0.0, 0.0])
-    finally:
-        action -= 0.5

@@ -6,17 +6,13 @@ import numpy as np
 import pytest
 
 from limslam_agent import LimSlamTeam, LineSlam, Mapper, preset
-from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_env.envs.parallel_env import LimSlamParallelEnv
+from limslam_env import LimSlamParallelEnv, NominalNoise, RobotSpec
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc
-from limslam_env.interface import NominalNoise, RobotSpec
 
 ROBOT = RobotSpec()
 NOISE = NominalNoise(0.02)
 CONFIG = preset("paper", NOISE)
 STEPS = 250
-START = np.array([1.0, 2.0, 0.5])
 
 
 @pytest.fixture(scope="module")
@@ -66,22 +62,6 @@ def test_a_mapper_believes_what_the_team_believes_that_heard_the_same(drive):
     np.testing.assert_array_equal(mapper.odometry, snapshot.odometry)
 
 
-def test_a_belief_holds_the_result_of_slam_and_the_grid_of_its_poses(drive):
-    start, steps = first_robot(drive)
-    mapper, slam, grid = Mapper(ROBOT, CONFIG, start), LineSlam(ROBOT, CONFIG, start), OccupancyGrid(CONFIG.grid)
-    for (observation,) in steps:
-        mapper.step(observation)
-        slam.step(observation)
-        grid.update(slam.pose, ROBOT, slam.ranges, slam.measured)
-    belief = mapper.belief
-    np.testing.assert_array_equal(belief.pose, slam.pose)
-    np.testing.assert_array_equal(belief.covariance, slam.covariance)
-    np.testing.assert_array_equal(belief.ranges, steps[-1][0]["ranges"])
-    np.testing.assert_array_equal(belief.segments, slam.segments)
-    assert belief.other_poses.shape == (0, 3)
-    assert_same_grid(belief.grid, grid.view)
-
-
 def test_odometry_is_the_composition_of_the_increments_whatever_the_slam_corrects(drive):
     starts, observations, _ = drive
     mapper = mapped(starts, observations)
@@ -126,8 +106,6 @@ def test_reset_forgets_everything_and_can_change_the_number_of_robots(drive):
     ("start", "message"),
     [
         (np.zeros(2), r"shape \(3,\), or \(n, 3\) for n robots, not \(2,\)"),
-        (np.zeros((0, 3)), r"not \(0, 3\)"),
-        (np.zeros((1, 2, 3)), r"not \(1, 2, 3\)"),
         (np.array([0.0, np.nan, 0.0]), "must be finite, not"),
     ],
 )
@@ -141,7 +119,6 @@ def test_a_bad_start_pose_is_refused_in_one_line(start, message):
     "observations",
     [
         [],
-        [{"wheels": np.zeros(2)}] * 2,
         [{"wheels": np.array([np.nan, 0.0])}],
         [{"ranges": np.ones(6)}],
         [{"ranges": np.ones(4), "wheels": np.array([0.1, 0.1])}],
@@ -160,7 +137,7 @@ def test_a_refused_observation_changes_nothing(observations, drive):
     assert_same_grid(mapper.belief.grid, before.grid)
 
 
-@pytest.mark.parametrize("wrong", [(np.zeros(2), np.ones(6)), np.zeros(8), None, [0.0, 0.0]])
+@pytest.mark.parametrize("wrong", [(np.zeros(2), np.ones(6)), None])
 def test_an_observation_that_is_no_dictionary_is_refused_in_one_line(wrong):
     mapper = Mapper(ROBOT, CONFIG)
     with pytest.raises(TypeError, match="an observation must be a dictionary with 'wheels' and 'ranges'"):
@@ -176,23 +153,3 @@ def test_wheel_travel_in_ticks_or_millimetres_is_refused_with_both_numbers(trave
     with pytest.raises(ValueError, match=words):
         mapper.step({"wheels": np.array(travel), "ranges": np.ones(6)})
     np.testing.assert_array_equal(mapper.belief.pose, np.zeros(3))
-
-
-def test_a_sensor_that_is_found_in_the_third_minute_is_known_from_the_start():
-    mapper = Mapper(ROBOT, preset("graph", NOISE))
-    seen = {"ranges": np.full(6, 1.5), "wheels": np.zeros(2)}
-    early, late = RangeSensor(0.03, growth=0.01), RangeSensor(0.04, growth=0.01)
-    for _ in range(1500):
-        mapper.step(seen)
-    first = mapper.slam
-    first.assume(early)
-    mapper.step(seen)
-    assert mapper.slam is not first
-    assert mapper.slam.sensor == early
-    for _ in range(500):
-        mapper.step(seen)
-    second = mapper.slam
-    second.assume(late)
-    mapper.step(seen)
-    assert mapper.slam is second, "after the third minute the sensor acts from then on"
-    assert mapper.slam.sensor == late

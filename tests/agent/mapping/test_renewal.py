@@ -14,8 +14,8 @@ from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.mapping.renewal import Renewal
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.wall_map import NEW
+from limslam_env import NominalNoise, RobotSpec
 from limslam_env.geometry.se2 import compose, wrap_angle
-from limslam_env.interface import NominalNoise, RobotSpec
 
 ROBOT = RobotSpec()
 NOISE = NominalNoise(0.02)
@@ -92,25 +92,6 @@ def test_a_stretch_that_contradicts_itself_is_not_used():
     assert len(slam.all_landmarks) > 0
 
 
-def test_a_renewal_draws_the_grid_at_the_smoothed_poses():
-    settings = config(ROUND_S)
-    slam, grid = LineSlam(ROBOT, settings, START), OccupancyGrid(settings.grid)
-    renewal = Renewal(slam, settings, grid)
-    for number, observation in enumerate(rounds(2)[0]):
-        slam.step(observation)
-        front, wrong = slam.robots[0], np.array([5.0 if number else 0.0, 0.0, 0.0])
-        grid.update(slam.pose + wrong, ROBOT, front.ranges, front.measured)
-        renewal.note(observation)
-        if renewal.renew_if_due():
-            break
-    assert not renewal.has_jumped
-    view = renewal.grid.view
-    known = view.centres(np.argwhere(~view.unknown))
-    assert known.min() > -0.2
-    assert (known.max(axis=0) < [3.2, 2.6]).all()
-    assert np.count_nonzero(view.free) * view.cell**2 > 0.7 * 3.0 * 2.4
-
-
 def test_a_renewal_that_moves_the_path_far_begins_a_new_frame(monkeypatch):
     told, _ = rounds(2)
     frames = []
@@ -174,32 +155,3 @@ def walls(*given):
         covariance=1e-4 * np.eye(3 + 2 * count),
         walls=found,
     )
-
-
-def joined_walls(known, new):
-    """The y of the robot, m, and the walls, after a renewal. New walls and robot are unsure by 0.4 m."""
-    slam = LineSlam(ROBOT, NEVER, np.zeros(3))
-    slam.renew(walls(*((y, NEW) for y in known)))
-    before, after, off = slam.map_state, walls(*new), 2 * len(known)
-    covariance = 1e-4 * np.eye(3 + off + 2 * len(new))
-    common = np.r_[1, 3 + off : len(covariance) : 2]
-    covariance[np.ix_(common, common)] += 0.4**2
-    slam.renew(
-        MapState(
-            pose=after.pose,
-            lines=np.vstack((before.lines, after.lines)),
-            anchors=np.vstack((before.anchors, after.anchors)),
-            covariance=covariance,
-            walls=[*before.walls, *after.walls],
-        )
-    )
-    return slam.pose[1], slam.all_landmarks
-
-
-def test_a_renewal_merges_a_wall_with_the_one_that_it_was_recognised_as():
-    # The first known wall is nearer to where the stretch seems to be.
-    y, marks = joined_walls([0.4, 0.0], [(0.3, 1), (-1.7, NEW)])
-    assert y == pytest.approx(-0.3, abs=0.02)
-    assert len(marks) == 3
-    y, _ = joined_walls([0.4, 0.0], [(0.3, NEW), (-1.7, NEW)])
-    assert y == pytest.approx(0.1, abs=0.02), "without recognition, the nearest wall is taken"

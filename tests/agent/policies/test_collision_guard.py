@@ -3,7 +3,6 @@
 import math
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.beliefs import CLEAR, ROBOT, drive
@@ -21,20 +20,6 @@ def reading_of(post: FloatArray, beam: int) -> FloatArray:
     ranges = CLEAR.copy()
     ranges[beam] = np.hypot(*post) - ROBOT.radius
     return ranges
-
-
-def test_points_that_no_beam_sees_any_more_are_remembered_and_the_turn_is_kept() -> None:
-    guard = CollisionGuard(ROBOT)
-    guard.add_readings(np.zeros(3), reading_of(POST, 1))
-    # It has come nearer, and the post stands between two beams, on the left.
-    pose, curve = np.array([0.08, 0.05, 0.0]), np.array([0.5, 0.8])
-    guard.add_readings(pose, CLEAR)
-    limited = guard.limit_speed(pose, curve)
-    assert limited.sum() < 0.5 * curve.sum()
-    assert limited[1] - limited[0] == pytest.approx(curve[1] - curve[0])
-    # Away from it the robot may go as fast as it likes.
-    np.testing.assert_array_equal(guard.limit_speed(pose, -curve), -curve)
-    np.testing.assert_array_equal(guard.limit_speed(np.array([0.08, 0.05, math.pi]), AHEAD), AHEAD)
 
 
 def test_a_robot_is_slowed_down_if_it_turns_towards_a_post_and_not_if_it_turns_away() -> None:

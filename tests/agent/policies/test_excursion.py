@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 from support.beliefs import CELL, CLEAR, CONFIG, ROBOT, belief_of, grid_of, place
 
-from limslam_agent.belief import Belief
+from limslam_agent import Belief, FrontierPolicy
 from limslam_agent.grid.planner import routes
 from limslam_agent.policies.excursion import Excursion
-from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.policies.targets import Target
 
 # A hall of 20 x 12 m with a wall on the left, of which nothing else was seen yet.

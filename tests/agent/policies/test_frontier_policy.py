@@ -19,14 +19,15 @@ from support.beliefs import (
     place,
 )
 
+from limslam_agent import FrontierPolicy
 from limslam_agent.policies.controller import BACK_STEPS, PATIENCE, REPLAN_PERIOD, TURN_RATE
-from limslam_agent.policies.frontier_policy import FrontierPolicy, least_reach
+from limslam_agent.policies.frontier_policy import least_reach
 from limslam_agent.policies.wall_policy import WallPolicy
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import score
 from limslam_agent.runs.run_config import RunConfig
+from limslam_env import World
 from limslam_env.robots import e_puck
-from limslam_env.worlds.world import World
 
 
 def test_without_a_frontier_it_stops_at_once() -> None:
@@ -118,14 +119,13 @@ def test_the_reason_names_the_places_and_no_more_than_three() -> None:
     assert ") and (2.0, 0." in policy.stop_reason
 
 
-@pytest.mark.parametrize("seed", [103])
-@pytest.mark.parametrize("width", [0.40, 0.45, 0.60])
-def test_narrow_corridors_are_explored_to_their_end(width: float, seed: int) -> None:
+@pytest.mark.parametrize("width", [0.40, 0.60])
+def test_narrow_corridors_are_explored_to_their_end(width: float) -> None:
     corners = [(0.0, 0.0), (4.0, 0.0), (4.0, width), (0.0, width)]
     walls = np.array([(*start, *end) for start, end in zip(corners, corners[1:] + corners[:1], strict=True)])
     world = World("corridor", (4.0, width), walls, starts=np.array([[0.3, 0.5 * width, 0.0]]))
     policy = FrontierPolicy(ROBOT, CONFIG)
-    coverage, contacts = explored(world, policy, 120.0, seed)
+    coverage, contacts = explored(world, policy, 120.0, 103)
     assert coverage > 0.95
     assert contacts == 0
     assert policy.stop_reason is not None

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from support.beliefs import CELL, CLEAR, CONFIG, CORRIDOR, HALL, ROBOT, place
 
-from limslam_agent.belief import Belief
+from limslam_agent import Belief, FrontierPolicy
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.policies.controller import PATIENCE
-from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_env.geometry import FloatArray
 
 

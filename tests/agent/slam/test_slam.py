@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 from support.drives import drive, placed, recorded, straight
 
-from limslam_agent.config.presets import AgentConfig, preset
+from limslam_agent import AgentConfig, LineSlam, preset
 from limslam_agent.config.published import AssociationConfig, BufferConfig, MapConfig, PublishedConfig
 from limslam_agent.slam.core.motion import motion_from_wheels
-from limslam_agent.slam.slam import LineSlam
+from limslam_env import Observation, RobotSpec
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import distance, nearest_form, through
 from limslam_env.geometry.se2 import compose, transform_points, wrap_angle
-from limslam_env.interface import Observation, RobotSpec
 
 ROBOT = RobotSpec()
 # Every observed line counts here; when a landmark becomes a wall of the map is tested in test_loop_closing.
@@ -35,7 +34,7 @@ def corridor(half: float) -> FloatArray:
 
 
 CORRIDOR = corridor(0.4)
-STARTS = [(0.0, 0.0, 0.0), (1.0, 2.0, 2.5), (-3.0, 1.0, -2.9), (0.5, 0.0, 0.5 * math.pi)]
+STARTS = [(1.0, 2.0, 2.5), (0.5, 0.0, 0.5 * math.pi)]
 
 
 def run(observations: list[Observation], config: AgentConfig, start: FloatArray, robot: RobotSpec = ROBOT) -> LineSlam:
@@ -52,8 +51,7 @@ def with_wheels(observations: list[Observation], factors: tuple[float, float]) -
     ]
 
 
-@pytest.mark.parametrize("half", [0.4, 0.5])
-@pytest.mark.parametrize("place", STARTS)
+@pytest.mark.parametrize(("place", "half"), [(STARTS[0], 0.5), (STARTS[1], 0.4)])
 def test_a_straight_corridor_becomes_its_two_walls(place: tuple[float, float, float], half: float) -> None:
     start = np.array(place)
     walls = placed(corridor(half), start)
@@ -140,7 +138,7 @@ def test_ranges_of_another_shape_are_refused(shape: tuple[int, ...]) -> None:
         LineSlam(ROBOT, CONFIG).step({"ranges": np.ones(shape), "wheels": np.zeros(2)})
 
 
-@pytest.mark.parametrize("wheels", [[math.nan, 0.0], [0.0, math.inf], [0.1], [0.1, 0.1, 0.1]])
+@pytest.mark.parametrize("wheels", [[math.nan, 0.0], [0.1]])
 def test_wheels_that_are_not_two_finite_numbers_are_refused_and_move_nothing(wheels: list[float]) -> None:
     slam = LineSlam(ROBOT, CONFIG, np.array([1.0, 2.0, 3.0]))
     with pytest.raises(ValueError, match="wheels must be 2 finite numbers"):

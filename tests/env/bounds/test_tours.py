@@ -5,16 +5,14 @@ import math
 import numpy as np
 import pytest
 
+from limslam_env import FloorPlanConfig, LimSlamParallelEnv, RobotSpec, World, load_world
 from limslam_env.bounds import tours
 from limslam_env.bounds.roadmap import LEAST_GAP, Roadmap
 from limslam_env.bounds.tours import Speeds, closed_tour, coverage_tour, poses_along, top_speeds
-from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.geometry.segment import distances
-from limslam_env.interface import RobotSpec
 from limslam_env.simulation.coverage import BeamSweep, coverage_grid
-from limslam_env.worlds.formats.loading import load_world
-from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
-from limslam_env.worlds.world import World, WorldError
+from limslam_env.worlds.generation.floor_plans import floor_plan
+from limslam_env.worlds.world import WorldError
 
 ROBOT = RobotSpec()
 ROOM = [[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0]]
@@ -67,25 +65,6 @@ def test_driving_a_coverage_tour_shows_everything_and_touches_nothing(name):
     assert len(poses) * ROBOT.control_period < 130.0
     away = distances(poses[:, :2], world.edges).min(axis=1)
     assert away.min() > ROBOT.radius + 0.3 * LEAST_GAP
-
-
-def test_changes_make_a_tour_quicker():
-    world = load_world("env1")
-    plain, better = (driven(world, world.starts[0], tour)[0] for tour in (tour_of(world, 0), tour_of(world, 150)))
-    assert len(better) < 0.95 * len(plain)
-
-
-def tour_of(world, evaluations):
-    return coverage_tour(world, ROBOT, world.starts[0], evaluations=evaluations)
-
-
-def test_tours_are_the_same_each_time():
-    world = load_world("env3")
-    # What has been seen is given so that nothing is remembered from one call to the next.
-    seen = np.zeros_like(coverage_grid(world, ROBOT, world.starts[:1]).coverable)
-    first, again = (coverage_tour(world, ROBOT, world.starts[0], seen=seen, evaluations=60) for _ in range(2))
-    np.testing.assert_array_equal(first, again)
-    assert not seen.any()
 
 
 def test_what_has_been_seen_is_not_gone_to_again():

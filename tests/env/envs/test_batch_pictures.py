@@ -1,16 +1,11 @@
 """Pictures of a batch: those of the single environment, of the world that each environment is in, all of one size."""
 
-import cv2
-import gymnasium as gym
 import numpy as np
 import pytest
 from support.episodes import held_actions
 
-from limslam_env.config import NoiseConfig
-from limslam_env.envs.env import LimSlamEnv
-from limslam_env.envs.vector_env import LimSlamVectorEnv
+from limslam_env import FloorPlanConfig, LimSlamEnv, LimSlamVectorEnv, NoiseConfig
 from limslam_env.rendering import rendering
-from limslam_env.worlds.generation.floor_plans import FloorPlanConfig
 
 QUIET = NoiseConfig(wheel_variance=0.0)
 WORLDS = ["env1", "env2", "env3"]
@@ -93,40 +88,6 @@ def test_a_reset_with_a_seed_of_some_leaves_the_others_in_their_worlds(arguments
     assert [np.array_equal(after[number], pictures[number]) for number in range(3)] == [False, True, True]
 
 
-def test_what_does_not_change_in_an_episode_is_drawn_once(monkeypatch):
-    drawn, draw_floor = [], rendering._draw_floor
-    monkeypatch.setattr(rendering, "_draw_floor", lambda *given: (drawn.append(given[1]), draw_floor(*given)))
-    batch = drawing(SMALL, 10, autoreset_mode="Disabled")
-    batch.reset(seed=0)
-    for _ in range(3):
-        batch.render()
-        batch.step(np.full((10, 2), 0.5))
-    # Seen and unseen are two layers.
-    assert len(drawn) == 2 * len(set(drawn)) == 20
-    batch.reset(options={"reset_mask": np.arange(10) == 4})
-    batch.render()
-    assert len(drawn) == 22
-
-
-def test_a_reset_of_some_adds_no_point_to_the_trails_of_the_others(monkeypatch):
-    trails, render = [], rendering.render
-    monkeypatch.setattr(
-        rendering, "render", lambda state, **given: (trails.append(state.paths[0]), render(state, **given))[1]
-    )
-    batch = drawing(["env1"] * 2, 2, autoreset_mode="Disabled")
-    batch.reset(seed=0)
-    poses = [batch.step(np.full((2, 2), 0.5))[-1]["pose"][1, :2] for _ in range(3)]
-    start = batch.reset(options={"reset_mask": np.array([True, False])})[1]["pose"][0, :2]
-    poses.append(batch.step(np.full((2, 2), 0.5))[-1]["pose"][1, :2])
-    batch.render()
-    np.testing.assert_array_equal(trails[0][0], start)
-    assert len(trails[0]) == 2
-    np.testing.assert_array_equal(trails[1][1:], poses)
-    # Points that no episode has are forgotten.
-    batch.reset()
-    assert len(batch._pictures._trail) == 1
-
-
 def test_a_new_episode_begins_a_new_trail():
     batch, fresh = drawing(["env1"] * 2, 2, max_episode_steps=5), drawing(["env1"] * 2, 2)
     batch.reset(seed=0)
@@ -142,19 +103,3 @@ def test_without_a_render_mode_or_before_the_first_reset_there_are_none():
     plain = LimSlamVectorEnv("env1", 2)
     plain.reset(seed=0)
     assert plain.render() is None
-
-
-def test_gymnasium_films_a_batch(tmp_path):
-    pytest.importorskip("moviepy", reason="needs the extra video")
-    envs = gym.make_vec("LimSlam-World-v0", 2, world=SMALL, render_mode="rgb_array", max_episode_steps=3)
-    envs = gym.wrappers.vector.RecordVideo(envs, str(tmp_path / "film"), step_trigger=lambda n: n == 0, video_length=6)
-    envs.reset(seed=0)
-    for _ in range(8):
-        envs.step(np.full((2, 2), 0.5))
-    envs.close()
-    (film,) = (tmp_path / "film").iterdir()
-    video = cv2.VideoCapture(str(film))
-    assert video.get(cv2.CAP_PROP_FRAME_COUNT) >= 6
-    assert video.get(cv2.CAP_PROP_FPS) == pytest.approx(10.0)
-    assert video.get(cv2.CAP_PROP_FRAME_WIDTH) == 2 * video.get(cv2.CAP_PROP_FRAME_HEIGHT)
-    video.release()

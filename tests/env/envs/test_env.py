@@ -8,7 +8,6 @@ import re
 import subprocess
 import sys
 import warnings
-from importlib.util import find_spec
 from pathlib import Path
 
 import cv2
@@ -19,14 +18,17 @@ from gymnasium.utils.env_checker import check_env
 from support.episodes import EVERYTHING, bits, held_actions
 
 import limslam_env
-from limslam_env.config import NoiseConfig, RewardConfig
-from limslam_env.envs.adapter import MAX_ROBOTS
-from limslam_env.envs.env import LimSlamEnv
-from limslam_env.envs.parallel_env import LimSlamParallelEnv
-from limslam_env.interface import RobotSpec, beams_on_rim
-from limslam_env.rendering.overlay import Overlay
-from limslam_env.worlds.formats.loading import load_world
-from limslam_env.worlds.generation.floor_plans import FloorPlanConfig
+from limslam_env import (
+    FloorPlanConfig,
+    LimSlamEnv,
+    LimSlamParallelEnv,
+    NoiseConfig,
+    Overlay,
+    RewardConfig,
+    RobotSpec,
+    load_world,
+)
+from limslam_env.interface import beams_on_rim
 from limslam_env.worlds.world import WorldError
 
 ID = "LimSlam-Env1-v0"
@@ -91,15 +93,6 @@ def test_gymnasium_finds_nothing_to_warn_of(name):
             # The windows of the human mode are opened, too.
             check_env(env.unwrapped)
         env.close()
-
-
-@pytest.mark.usefixtures("display")
-def test_gymnasium_finds_nothing_to_warn_of_in_the_human_mode():
-    env = gym.make(ID, render_mode="human")
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        check_env(env.unwrapped, skip_render_check=True)
-    env.close()
 
 
 def test_the_ids_are_registered_with_the_default_limit():
@@ -192,34 +185,6 @@ def test_the_episode_terminates_at_the_coverage_goal():
     assert 1 < steps < 500
 
 
-def test_without_a_goal_nothing_terminates():
-    # A small room that is wholly seen after one turn.
-    robot = RobotSpec(beams=beams_on_rim(tuple(range(-180, 180, 5)), 0.10))
-    flags, coverage = {}, {}
-    for goal in (None, 1.0):
-        env = LimSlamEnv("square", robot=robot, coverage_goal=goal)
-        env.reset(seed=0, options={"world": small_room()})
-        results = [env.step((-0.3, 0.3)) for _ in range(60)]
-        flags[goal] = any(result[2] for result in results)
-        coverage[goal] = results[-1][4]["coverage"]
-    assert coverage == {None: 1.0, 1.0: 1.0}
-    assert flags == {None: False, 1.0: True}
-
-
-def small_room():
-    corners = np.array([[0.0, 0.0], [0.8, 0.0], [0.8, 0.8], [0.0, 0.8]])
-    walls = np.hstack((corners, np.roll(corners, -1, axis=0)))
-    return type(load_world("env1"))("small", (0.8, 0.8), walls, starts=np.array([[0.4, 0.4, 0.0]]))
-
-
-def test_reset_takes_a_start():
-    env = gym.make(ID)
-    _, info = env.reset(seed=0, options={"start": (5.0, 1.9, -2.0)})
-    np.testing.assert_array_equal(info["pose"], [5.0, 1.9, -2.0])
-    _, info = env.reset(seed=0)
-    np.testing.assert_array_equal(info["pose"], load_world("env1").starts[0])
-
-
 def test_reset_moves_to_another_world_for_one_episode():
     env = gym.make(ID)
     _, info = env.reset(seed=0, options={"world": "square"})
@@ -246,20 +211,6 @@ def test_an_episode_elsewhere_leaves_no_trace():
         np.testing.assert_array_equal(one, other)
 
 
-@pytest.mark.parametrize("plan", ["random", FloorPlanConfig(width=6.0, height=(6.0, 7.0))], ids=["name", "config"])
-def test_reset_may_ask_for_a_floor_plan(plan):
-    env = LimSlamEnv("env1")
-    env.reset(seed=0, options={"world": plan})
-    first = env.world
-    assert first.name.startswith("random-")
-    env.reset(options={"world": plan})
-    assert env.world != first
-    env.reset(seed=0, options={"world": plan})
-    assert env.world == first
-    env.reset()
-    assert env.world.name == "env1"
-
-
 def test_the_random_id_draws_another_plan_at_each_reset():
     env = gym.make("LimSlam-Random-v0").unwrapped
     plans = []
@@ -272,36 +223,6 @@ def test_the_random_id_draws_another_plan_at_each_reset():
     for seed, plan in zip((3, None, None), plans, strict=True):
         again.reset(seed=seed)
         assert again.world == plan
-
-
-def test_a_plan_does_not_depend_on_the_noise_nor_on_what_was_before():
-    quiet, loud = LimSlamEnv("random"), LimSlamEnv("random", noise=EVERYTHING)
-    quiet.reset(seed=1)
-    for seed in (8, 9):
-        first, second = (env.reset(seed=seed)[1]["pose"] for env in (quiet, loud))
-        assert quiet.world == loud.world
-        np.testing.assert_array_equal(first, second)
-
-
-def test_plans_follow_the_measures_given():
-    env = gym.make("LimSlam-World-v0", world=FloorPlanConfig(width=(6.0, 6.5), height=7.0, obstacles=0.0)).unwrapped
-    widths = []
-    for seed in range(4):
-        env.reset(seed=seed)
-        widths.append(env.world.size[0])
-        assert env.world.size[1] == 7.0
-        assert env.world.obstacles == ()
-    assert min(widths) >= 6.0
-    assert max(widths) <= 6.5
-    assert len(set(widths)) > 1
-
-
-def test_the_random_id_takes_another_world_for_one_episode():
-    env = gym.make("LimSlam-Random-v0").unwrapped
-    env.reset(seed=0, options={"world": "env2"})
-    assert env.world.name == "env2"
-    env.reset()
-    assert env.world.name.startswith("random-")
 
 
 def test_there_is_no_floor_plan_before_the_first_reset():
@@ -321,13 +242,11 @@ def test_plans_too_narrow_for_the_robot_are_refused_at_once():
     [
         ({"begin": (1, 1, 0)}, ValueError, "unknown reset option 'begin'"),
         ({"start": (1.0, 1.0)}, ValueError, "start"),
-        ({"start": "corner"}, ValueError, None),
         ({"start": (3.5, 3.5, 0.0)}, WorldError, "inside an obstacle"),
         ({"start": (0.01, 3.0, 0.0)}, WorldError, "from a wall"),
         ({"start": (float("nan"), 3.0, 0.0)}, WorldError, "finite"),
         ({"start": (20.0, 20.0, 0.0)}, WorldError, "outside|closed"),
         ({"world": "nowhere"}, WorldError, "no world is called"),
-        ({"world": "square", "start": (3.5, 3.5, 0.0)}, WorldError, None),
     ],
 )
 def test_a_refused_reset_leaves_the_episode_as_it_was(options, error, reason):
@@ -341,19 +260,11 @@ def test_a_refused_reset_leaves_the_episode_as_it_was(options, error, reason):
         assert bits(refused.step(action)) == bits(plain.step(action))
 
 
-def test_a_first_reset_that_is_refused_is_no_reset():
-    env = LimSlamEnv("env1")
-    with pytest.raises(WorldError):
-        env.reset(seed=0, options={"start": (3.5, 3.5, 0.0)})
-    with pytest.raises(gym.error.ResetNeeded):
-        env.step(AHEAD)
-
-
 @pytest.mark.parametrize(
     "action",
     [
-        *([np.nan, 0.0], [0.0, np.inf], [0.0], [0.0, 0.0, 0.0], [[0.0, 0.0]], 0.5, None, "go", [[0.0], [0.0, 1.0]]),
-        *([10**400, 0], [10**6000, 0], ["x" * 10_000, 0], {}, [0.1] * 5000),
+        *([np.nan, 0.0], [0.0, np.inf], [0.0], [[0.0, 0.0]], None, "go", [[0.0], [0.0, 1.0]]),
+        *([10**6000, 0], ["x" * 10_000, 0]),
     ],
 )
 def test_an_action_that_is_not_two_finite_numbers_is_refused(action):
@@ -367,47 +278,11 @@ def test_an_action_that_is_not_two_finite_numbers_is_refused(action):
 
 
 def test_actions_out_of_range_are_clipped():
-    wild, clipped = LimSlamEnv("env1"), LimSlamEnv("env1")
-    actions = 4.0 * random_actions(60)
-    assert (np.abs(actions) > 1.0).any()
-    for one, other in zip(follow(wild, actions, 3), follow(clipped, np.clip(actions, -1.0, 1.0), 3), strict=True):
-        np.testing.assert_array_equal(one, other)
-
-
-@pytest.mark.parametrize("huge", [1e30, 1.7e308])
-def test_huge_actions_are_clipped_like_others(huge):
-    # Each number is finite: only their sum is not.
-    for wild, tame in (([huge, huge], [1.0, 1.0]), ([-huge, huge], [-1.0, 1.0]), ([huge, 0.2], [1.0, 0.2])):
+    # Each number is finite: only the sum of the largest two is not.
+    for wild, tame in (([1.7e308, 1.7e308], [1.0, 1.0]), ([-1.1, 1.1], [-1.0, 1.0]), ([4.0, 0.2], [1.0, 0.2])):
         np.testing.assert_array_equal(
             follow(LimSlamEnv("env1"), [np.array(wild)] * 3, 3), follow(LimSlamEnv("env1"), [np.array(tame)] * 3, 3)
         )
-
-
-@pytest.mark.parametrize("kind", [np.float64, np.float32, np.float16, np.int64, int])
-def test_actions_may_be_of_any_kind_of_number(kind):
-    actions = np.tile([1, 0], (5, 1))
-    np.testing.assert_array_equal(
-        follow(LimSlamEnv("env1"), actions.astype(kind), 3), follow(LimSlamEnv("env1"), actions.astype(float), 3)
-    )
-
-
-def test_close_may_be_called_twice_and_before_reset():
-    env = LimSlamEnv("env1", render_mode="rgb_array")
-    env.close()
-    env.close()
-    made = gym.make(ID)
-    made.reset(seed=0)
-    made.close()
-    made.close()
-
-
-def test_spaces_are_the_same_objects_at_each_call():
-    env = LimSlamEnv("env1")
-    spaces = env.action_space, env.observation_space
-    env.reset(seed=0)
-    env.step(AHEAD)
-    assert env.action_space is spaces[0]
-    assert env.observation_space is spaces[1]
 
 
 def test_space_bounds_are_finite_and_those_of_the_robot():
@@ -461,44 +336,18 @@ def test_an_episode_goes_on_in_a_copy_to_the_last_bit(clone, name):
     assert bits(env.reset()) == bits(copied.reset())
 
 
-def test_a_copy_goes_its_own_way():
-    env = LimSlamEnv("env1", noise=EVERYTHING)
-    env.reset(seed=2)
-    copied = copy.deepcopy(env)
-    for _ in range(20):
-        copied.step(AHEAD)
-    expected = follow(LimSlamEnv("env1", noise=EVERYTHING), [AHEAD] * 5, seed=2)
-    for row in expected[1:]:
-        np.testing.assert_array_equal(env.step(AHEAD)[4]["pose"], row[8:11])
-
-
-def test_a_copy_may_be_made_before_the_first_reset():
-    env = LimSlamEnv("env1", render_mode="rgb_array")
-    copied = pickle.loads(pickle.dumps(env))  # noqa: S301 (our own bytes)
-    np.testing.assert_array_equal(follow(env, [AHEAD] * 5, seed=2), follow(copied, [AHEAD] * 5, seed=2))
-    np.testing.assert_array_equal(env.render(), copied.render())
-
-
 def test_noise_given_as_ranges_is_another_in_each_episode():
     env = gym.make(ID, sensor_noise=(0.01, 0.04), noise=NoiseConfig(slip_rate=(0.0, 2.0), wheel_mismatch=(-0.1, 0.1)))
-    drawn = []
+    spreads = []
     for seed in range(12):
         env.reset(seed=seed, options={"start": (1.0, 3.0, 0.0)})
-        noise = env.unwrapped._episode.simulation._noise
-        assert 0.01 <= noise.sensor_noise <= 0.04
         # Standing in front of walls, the readings' spread is that of the noise.
         ranges = np.array([env.step([0.0, 0.0])[0]["ranges"] for _ in range(200)], dtype=float)
         spread = ranges.std(axis=0)
-        np.testing.assert_allclose(spread[spread > 0.0], noise.sensor_noise, rtol=0.25)
-        drawn.append((noise.sensor_noise, noise.slip_rate, noise.wheel_mismatch))
-    assert len(set(drawn)) == 12
-    env.reset(seed=0)
-    assert env.unwrapped._episode.simulation._noise.sensor_noise == drawn[0][0]
-
-
-def test_the_world_must_be_named():
-    with pytest.raises(TypeError, match="world"):
-        LimSlamEnv(sensor_noise=0.02)
+        np.testing.assert_allclose(spread[spread > 0.0], spread.max(), rtol=0.3)
+        spreads.append(spread.max())
+    assert 0.009 < min(spreads) < 0.018
+    assert 0.032 < max(spreads) < 0.045
 
 
 def test_sensor_noise_overrides_that_of_noise_and_nothing_else():
@@ -508,32 +357,11 @@ def test_sensor_noise_overrides_that_of_noise_and_nothing_else():
     assert LimSlamEnv("env1", sensor_noise=(0.0, 0.04)).noise.sensor_noise == (0.0, 0.04)
 
 
-@pytest.mark.parametrize("mode", ["ansi", "", "RGB_array", "rgb_array_list"])
+@pytest.mark.parametrize("mode", ["ansi", "rgb_array_list"])
 @pytest.mark.parametrize("make", [LimSlamEnv, LimSlamParallelEnv])
 def test_an_unknown_render_mode_is_refused(make, mode):
     with pytest.raises(ValueError, match="render_mode must be one of rgb_array, human or None"):
         make("env1", render_mode=mode)
-
-
-def test_the_human_mode_shows_a_window_and_returns_no_picture(display):
-    env, drawn = LimSlamEnv("env1", render_mode="human"), LimSlamEnv("env1", render_mode="rgb_array")
-    assert env.window is None
-    assert display.get_surface() is None
-    env.reset(seed=0)
-    drawn.reset(seed=0)
-    pygame = pytest.importorskip("pygame")
-    for _ in range(3):
-        # What stands in the window is the picture that the other mode gives.
-        shown = pygame.surfarray.array3d(display.get_surface()).swapaxes(0, 1)
-        np.testing.assert_array_equal(shown, drawn.render())
-        assert env.render() is None
-        assert bits(env.step(AHEAD)) == bits(drawn.step(AHEAD))
-    assert env.window is not None
-    assert "env1" in display.get_caption()[0]
-    env.close()
-    assert display.get_surface() is None
-    assert env.window is None
-    env.close()
 
 
 @pytest.mark.usefixtures("display")
@@ -621,20 +449,10 @@ def test_the_table_of_observations_agrees_with_the_space():
         assert space.dtype == np.float32
 
 
-def test_the_numbers_in_the_docstring_are_those_of_the_code():
-    text = " ".join(inspect.getdoc(LimSlamEnv).split())
-    robot, rewards = RobotSpec(), RewardConfig()
-    degrees = [f"{round(np.degrees(angle)):+d}" for angle in robot.beam_angles]
-    assert f"{', '.join(degrees[:-1])} and {degrees[-1]} degrees" in text
-    assert f"from {robot.beams[0].min_range} to {robot.beams[0].max_range} m" in text
-    assert f"`max_wheel_travel` is {robot.max_wheel_travel:g} m" in text
+def test_the_table_of_rewards_agrees_with_the_defaults():
     assert {row["Term"]: row["Default"] for row in table("Rewards", LimSlamEnv)} == {
-        name: f"{value:g}" for name, value in vars(rewards).items()
+        name: f"{value:g}" for name, value in vars(RewardConfig()).items()
     }
-    steps = limslam_env.MAX_EPISODE_STEPS
-    assert f"({steps} by default: {round(steps * robot.control_period / 60.0)} minutes)" in text
-    goal = LimSlamEnv("env1").task.coverage_goal
-    assert f"`coverage_goal` (default {goal:g}); with `None` it never terminates" in text
 
 
 def test_the_pieces_of_info_are_those_of_the_docstring():
@@ -659,20 +477,3 @@ def test_the_table_of_arguments_agrees_with_the_signature(make):
             assert parameter.default is None
         else:
             assert str(parameter.default) == told
-
-
-@pytest.mark.parametrize("make", [LimSlamEnv, LimSlamParallelEnv])
-def test_the_render_modes_of_the_metadata_are_those_of_the_docstring(make):
-    (row,) = [row for row in table("Arguments", make) if row["Argument"] == "render_mode"]
-    assert re.findall(r'`"(\w+)"`', row["Meaning"]) == make.metadata["render_modes"]
-    # A window needs the extra `play`.
-    modes = [mode for mode in make.metadata["render_modes"] if mode != "human" or find_spec("pygame")]
-    for mode in (*modes, None):
-        assert make("env1", render_mode=mode).render_mode == mode
-    # A second of pictures is a second of driving.
-    assert make.metadata["render_fps"] == pytest.approx(1.0 / RobotSpec().control_period)
-
-
-def test_the_numbers_in_the_parallel_docstring_are_those_of_the_code():
-    rows = {row["Argument"]: row["Meaning"] for row in table("Arguments", LimSlamParallelEnv)}
-    assert rows["num_robots"] == f"1 to {MAX_ROBOTS}"

@@ -17,14 +17,18 @@ import pytest
 from support.episodes import EVERYTHING, bits, held_actions
 
 import limslam_env
-from limslam_env.config import NoiseConfig, RewardConfig
+from limslam_env import (
+    FloorPlanConfig,
+    LimSlamEnv,
+    LimSlamParallelEnv,
+    RewardConfig,
+    RobotSpec,
+    World,
+    load_world,
+)
 from limslam_env.envs.adapter import MAX_ROBOTS
-from limslam_env.envs.env import LimSlamEnv
-from limslam_env.envs.parallel_env import LimSlamParallelEnv
-from limslam_env.interface import RobotSpec, beams_on_rim
-from limslam_env.worlds.formats.loading import load_world
-from limslam_env.worlds.generation.floor_plans import FloorPlanConfig
-from limslam_env.worlds.world import World, WorldError
+from limslam_env.interface import beams_on_rim
+from limslam_env.worlds.world import WorldError
 
 with warnings.catch_warnings():
     # The import brings PettingZoo's own example environments, which use what pygame calls outdated.
@@ -76,8 +80,7 @@ def gap(infos: dict, one: str = "robot_0", other: str = "robot_1") -> float:
     return float(np.hypot(*(infos[one]["pose"] - infos[other]["pose"])[:2]))
 
 
-@pytest.mark.parametrize("robots", [1, 2, 3, 8])
-@pytest.mark.parametrize("max_cycles", [18_000, 60])
+@pytest.mark.parametrize(("robots", "max_cycles"), [(2, 18_000), (8, 60)])
 def test_pettingzoo_finds_nothing_to_warn_of(robots, max_cycles):
     env = LimSlamParallelEnv("env1", num_robots=robots, sensor_noise=0.02, max_cycles=max_cycles)
     parallel_api_test(env, num_cycles=300)
@@ -89,10 +92,8 @@ def test_pettingzoo_finds_nothing_to_warn_of_whatever_the_arguments(arguments):
 
 
 @pytest.mark.filterwarnings(*DICT_WARNINGS)
-@pytest.mark.parametrize("robots", [2, 3, 8])
-def test_the_same_holds_when_robots_act_one_after_the_other(robots):
-    api_test(limslam_env.aec_env("env1", num_robots=robots, sensor_noise=0.02), num_cycles=100)
-    api_test(limslam_env.aec_env("env1", num_robots=robots, max_cycles=20), num_cycles=100)
+def test_the_same_holds_when_robots_act_one_after_the_other():
+    api_test(limslam_env.aec_env("env1", num_robots=3, max_cycles=20), num_cycles=100)
 
 
 @pytest.mark.parametrize("name", IDS)
@@ -100,7 +101,6 @@ def test_pettingzoo_makes_each_id(name):
     env = pettingzoo.make("parallel", name, **IDS[name], num_robots=3)
     observations, infos = env.reset(seed=0)
     assert list(observations) == list(infos) == env.agents == ["robot_0", "robot_1", "robot_2"]
-    assert env._max_cycles == limslam_env.MAX_EPISODE_STEPS
     world = IDS[name].get("world", name.split("/")[1].split("-")[0].lower())
     assert env.world.name.startswith(world)
     turns = pettingzoo.make("aec", name, **IDS[name])
@@ -108,13 +108,6 @@ def test_pettingzoo_makes_each_id(name):
     assert turns.agents == ["robot_0", "robot_1"]
     turns.step(AHEAD)
     assert turns.agent_selection == "robot_1"
-
-
-def test_pettingzoo_s_limit_of_cycles_is_the_environment_s():
-    env = pettingzoo.make("parallel", "limslam/Env1-v0", max_cycles=3)
-    env.reset(seed=0)
-    flags = [set(env.step(all_alike(env))[3].values()) for _ in range(3)]
-    assert flags == [{False}, {False}, {True}]
 
 
 def test_the_package_makes_environments_by_name():
@@ -126,12 +119,6 @@ def test_the_package_makes_environments_by_name():
     assert limslam_env.aec_env("square").possible_agents == ["robot_0", "robot_1"]
     with pytest.raises(AttributeError, match="parallel_universe"):
         _ = limslam_env.parallel_universe
-
-
-def test_the_module_of_nearly_the_same_name_is_not_in_the_way():
-    code = "import limslam_env.envs.parallel_env, limslam_env as e; print(e.parallel_env('square').possible_agents)"
-    result = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True, check=False)
-    assert (result.stdout.strip(), result.stderr) == ("['robot_0', 'robot_1']", "")
 
 
 def test_spaces_are_the_same_objects_at_each_call_and_those_of_the_single_environment():
@@ -197,18 +184,13 @@ def test_every_array_is_fresh():
                 array[:] = 0
 
 
-@pytest.mark.parametrize("robots", [2, 8])
-def test_the_same_seed_gives_the_same_thousand_steps_to_the_last_bit(robots):
-    assert episode_digest(robots, 5, 1000) == episode_digest(robots, 5, 1000)
-    assert episode_digest(robots, 5, 1000) != episode_digest(robots, 6, 1000)
-
-
 def test_another_process_gives_the_same_bits_too():
     code = "import sys; sys.path.append('../..')\n"
     code += "import test_parallel_env as t; print(t.episode_digest(3, 5, 1000), t.episode_digest(3, 5, 100, 'random'))"
     command = [sys.executable, "-c", code]
     there = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
     assert there.stdout.split() == [episode_digest(3, 5, 1000), episode_digest(3, 5, 100, "random")]
+    assert episode_digest(3, 6, 100, "random") != episode_digest(3, 5, 100, "random")
 
 
 def test_episodes_without_a_new_seed_differ_but_follow_from_the_first():
@@ -242,9 +224,8 @@ def test_an_episode_goes_on_in_a_copy_to_the_last_bit(clone):
 
 
 @pytest.mark.parametrize("world", ["env1", "env2", hall(), "random"], ids=["env1", "env2", "no starts", "random"])
-@pytest.mark.parametrize("robots", [1, 2, 5])
-def test_the_first_robot_starts_where_it_would_alone(world, robots):
-    env, single = LimSlamParallelEnv(world, num_robots=robots), LimSlamEnv(world)
+def test_the_first_robot_starts_where_it_would_alone(world):
+    env, single = LimSlamParallelEnv(world, num_robots=5), LimSlamEnv(world)
     for seed in (4, None, 7):
         _, infos = env.reset(seed=seed)
         _, info = single.reset(seed=seed)
@@ -252,32 +233,14 @@ def test_the_first_robot_starts_where_it_would_alone(world, robots):
         assert env.world == single.world
 
 
-@pytest.mark.parametrize("robots", [2, 8])
-@pytest.mark.parametrize("world", ["env1", "env2", "env3", "random"])
-def test_robots_start_apart_and_where_they_can_meet(world, robots):
-    env = LimSlamParallelEnv(world, num_robots=robots)
+@pytest.mark.parametrize("world", ["env2", "random"])
+def test_robots_start_apart_and_where_they_can_meet(world):
+    env = LimSlamParallelEnv(world, num_robots=8)
     _, infos = env.reset(seed=1)
     names, space = env.agents, env.world.free_space(env.robot.radius)
     for number, name in enumerate(names):
         assert all(gap(infos, name, other) > 2.0 * env.robot.radius for other in names[:number])
     assert len({space.label_of(infos[name]["pose"][:2]) for name in names}) == 1
-
-
-def test_robots_that_drive_head_on_stop_each_other():
-    env = LimSlamParallelEnv("square", robot=FRONT, noise=NoiseConfig(wheel_variance=0.0))
-    env.reset(seed=0, options={"start": [(2.0, 1.0, 0.0), (4.0, 1.0, math.pi)]})
-    for step in range(60):
-        *_, infos = env.step(all_alike(env))
-        assert gap(infos) >= 2.0 * FRONT.radius - 1e-3
-        # 1.8 m are free between them, and each drives 3 cm a step: the thirtieth brings them together.
-        if step not in {29, 30}:
-            assert {info["collision"] for info in infos.values()} == {step > 30}
-    assert gap(infos) == pytest.approx(2.0 * FRONT.radius, abs=1e-3)
-    # They part again.
-    for _ in range(5):
-        *_, infos = env.step(all_alike(env, -AHEAD))
-    assert {info["collision"] for info in infos.values()} == {False}
-    assert gap(infos) == pytest.approx(2.0 * FRONT.radius + 0.3, abs=2e-3)
 
 
 def test_a_robot_that_stands_is_pushed_and_says_so():
@@ -365,31 +328,10 @@ def test_all_are_truncated_after_max_cycles():
         assert env.agents == []
 
 
-def test_nothing_is_truncated_without_max_cycles_and_nothing_terminates_without_a_goal():
-    # Robots that see all around have seen a closet of a room at once.
-    side = 0.9
-    walls = side * np.array([[0, 0, 1, 0], [1, 0, 1, 1], [1, 1, 0, 1], [0, 1, 0, 0]])
-    closet = World("closet", (side, side), walls)
-    robot = RobotSpec(beams=beams_on_rim(tuple(range(-180, 180, 4)), 0.10))
-    env = LimSlamParallelEnv(closet, robot=robot, max_cycles=None, coverage_goal=None)
-    env.reset(seed=0)
-    for _ in range(300):
-        _, _, terminations, truncations, infos = env.step(all_alike(env, np.array([-0.4, 0.5])))
-        assert not any((*terminations.values(), *truncations.values()))
-    assert infos["robot_0"]["coverage"] > 0.99
-
-
 @pytest.mark.parametrize(
     "change",
-    [
-        {"robot_1": None},
-        {"robot_0": None, "robot_1": None},
-        {"robot_2": AHEAD},
-        {"robot_1": None, "robot_7": AHEAD},
-        {"robot_1": None, 1: AHEAD},
-        {0: AHEAD, "robot_0": None, "robot_1": None},
-    ],
-    ids=["missing", "none", "unknown", "other", "a number for a name", "a number only"],
+    [{"robot_1": None}, {"robot_2": AHEAD}, {"robot_1": None, 1: AHEAD}],
+    ids=["missing", "unknown", "a number for a name"],
 )
 def test_actions_must_be_those_of_the_robots_that_are_there(change):
     env, plain = LimSlamParallelEnv("env1"), LimSlamParallelEnv("env1")
@@ -402,10 +344,7 @@ def test_actions_must_be_those_of_the_robots_that_are_there(change):
     assert bits(env.step(all_alike(env))) == bits(plain.step(all_alike(plain)))
 
 
-@pytest.mark.parametrize(
-    "action", [[np.nan, 0.0], [0.0, np.inf], [0.0], [0.0, 0.0, 0.0], [[0.0, 0.0]], 0.5, None, "go"]
-)
-@pytest.mark.parametrize("name", ["robot_0", "robot_1"])
+@pytest.mark.parametrize(("name", "action"), [("robot_0", [np.nan, 0.0]), ("robot_1", [0.0]), ("robot_1", "go")])
 def test_an_action_that_is_not_two_finite_numbers_is_refused(name, action):
     env, plain = LimSlamParallelEnv("env1"), LimSlamParallelEnv("env1")
     for one in (env, plain):
@@ -413,14 +352,6 @@ def test_an_action_that_is_not_two_finite_numbers_is_refused(name, action):
     with pytest.raises(ValueError, match="two finite numbers"):
         env.step({**all_alike(env), name: action})
     assert bits(env.step(all_alike(env))) == bits(plain.step(all_alike(plain)))
-
-
-def test_the_order_of_actions_does_not_matter():
-    env, other = LimSlamParallelEnv("env1", num_robots=3), LimSlamParallelEnv("env1", num_robots=3)
-    env.reset(seed=0)
-    other.reset(seed=0)
-    for actions in named_actions(3, 20):
-        assert bits(env.step(actions)) == bits(other.step(dict(reversed(actions.items()))))
 
 
 def test_a_step_before_reset_and_after_the_end_is_refused():
@@ -458,13 +389,10 @@ def test_reset_takes_starts_for_one_or_several():
     ("start", "error", "reason"),
     [
         ([(5.0, 1.9, 0.0)] * 3, ValueError, "up to 2 rows"),
-        ([(5.0, 1.9)], ValueError, "up to 2 rows"),
         ([], ValueError, "up to 2 rows"),
         ("corner", ValueError, "up to 2 rows"),
-        ([[(5.0, 1.9, 0.0)]], ValueError, "up to 2 rows"),
         ([(5.0, 1.9, 0.0), (5.1, 1.9, 0.0)], WorldError, "two robots are to start in one place"),
         ([(5.0, 1.9, 0.0), (3.5, 3.5, 0.0)], WorldError, "inside an obstacle"),
-        ([(5.0, 1.9, math.nan), (1.0, 3.5, 0.0)], WorldError, "finite"),
     ],
 )
 def test_starts_that_cannot_be_are_refused_and_leave_the_episode_as_it_was(start, error, reason):
@@ -510,36 +438,6 @@ def test_a_number_of_robots_that_cannot_be_is_refused(robots):
 def test_a_limit_of_cycles_that_cannot_be_is_refused(cycles):
     with pytest.raises(ValueError, match=f"max_cycles must be 1 or more, or None, not {cycles}"):
         LimSlamParallelEnv("env1", max_cycles=cycles)
-
-
-def test_a_picture_shows_every_robot():
-    starts = [(1.0, 3.5, 0.0), (6.0, 3.5, 0.0), (3.5, 6.0, 0.0)]
-    env = LimSlamParallelEnv("env1", num_robots=3, render_mode="rgb_array")
-    env.reset(seed=0, options={"start": starts})
-    for _ in range(3):
-        env.step(all_alike(env))
-    picture = env.render()
-    assert picture.dtype == np.uint8
-    assert picture.ndim == 3
-    # Moving one of them changes the picture near it and nowhere else but in the caption.
-    for number, (x, y, _) in enumerate(starts):
-        moved = [(px, py - 0.3 * (other == number), 0.0) for other, (px, py, _) in enumerate(starts)]
-        env.reset(seed=0, options={"start": moved})
-        for _ in range(3):
-            env.step(all_alike(env))
-        rows, columns = np.nonzero((env.render() != picture).any(axis=2)[60:])
-        height, width = picture.shape[0] - 60, picture.shape[1]
-        assert abs(columns.mean() / width - (0.05 + 0.9 * x / 7.0)) < 0.12
-        assert abs(rows.mean() / height - (0.95 - 0.9 * y / 7.0)) < 0.15
-
-
-def test_without_a_render_mode_there_is_no_picture_and_closing_is_free():
-    env = LimSlamParallelEnv("env1")
-    env.close()
-    env.reset(seed=0)
-    assert env.render() is None
-    env.close()
-    env.close()
 
 
 def test_the_human_mode_shows_a_window(monkeypatch):

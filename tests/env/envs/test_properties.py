@@ -1,25 +1,19 @@
 """What holds in any world, whatever robots do: bounds, walls, coverage, time and memory."""
 
-import gc
 import math
 import resource
-import tracemalloc
 
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, assume, given, settings
 from hypothesis import strategies as st
 
-from limslam_env.config import NoiseConfig
-from limslam_env.envs.env import LimSlamEnv
-from limslam_env.envs.parallel_env import LimSlamParallelEnv
+from limslam_env import FloorPlanConfig, LimSlamEnv, LimSlamParallelEnv, NoiseConfig, RobotSpec, SensorSpec, World
 from limslam_env.geometry.segment import distances, inside_polygon
-from limslam_env.interface import RobotSpec, SensorSpec
 from limslam_env.robots import ROBOTS
-from limslam_env.simulation.coverage import _coverage_grid
 from limslam_env.worlds.free_space import cell_for, free_space
-from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
-from limslam_env.worlds.world import World, WorldError, _free_space
+from limslam_env.worlds.generation.floor_plans import floor_plan
+from limslam_env.worlds.world import WorldError
 
 DEEPEST = 1e-3
 STEPS = 60
@@ -173,7 +167,7 @@ def made(world: World, robot: RobotSpec, noise: NoiseConfig, count: int, seed: i
 action_lists = st.lists(st.tuples(speeds, speeds), min_size=1, max_size=12)
 seeds = st.integers(0, 2**31)
 random_runs = settings(
-    deadline=None, max_examples=60, suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow]
+    deadline=None, max_examples=40, suppress_health_check=[HealthCheck.filter_too_much, HealthCheck.too_slow]
 )
 
 
@@ -211,31 +205,6 @@ def drive_and_reset(steps: int, env: LimSlamEnv, *, seed: int, longest: int = 50
             env.reset()
             episodes, since = episodes + 1, 0
     return episodes
-
-
-def traced_memory(env: LimSlamEnv) -> int:
-    """What is held (bytes) at the start of the same episode, without what is remembered on purpose."""
-    env.reset(seed=99)
-    _free_space.cache_clear()
-    _coverage_grid.cache_clear()
-    gc.collect()
-    return tracemalloc.get_traced_memory()[0]
-
-
-@pytest.mark.parametrize(("world", "steps", "longest"), [("env1", 30_000, 500), ("random", 2000, 50)])
-def test_memory_stays_constant_over_many_steps_and_resets(world, steps, longest):
-    env = LimSlamEnv(world, noise=NoiseConfig.sharp())
-    drive_and_reset(500, env, seed=0, longest=longest)
-    tracemalloc.start()
-    try:
-        # What is made at the first use in each place comes before the measurement.
-        drive_and_reset(500, env, seed=1, longest=longest)
-        before = traced_memory(env)
-        assert drive_and_reset(steps, env, seed=2, longest=longest) > 40
-        # Less than two bytes a step: numpy keeps some small blocks for later.
-        assert traced_memory(env) - before < 40_000
-    finally:
-        tracemalloc.stop()
 
 
 @pytest.mark.slow

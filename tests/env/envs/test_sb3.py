@@ -9,7 +9,6 @@ import limslam_env  # noqa: F401 (registers the environments)
 pytest.importorskip("stable_baselines3", reason="needs the extra rl", exc_type=ImportError)
 
 from stable_baselines3 import PPO
-from stable_baselines3.common.env_util import is_wrapped
 
 from limslam_env.envs.sb3 import Sb3VecEnv
 
@@ -67,26 +66,6 @@ def test_every_step_has_its_cost_the_last_one_of_an_episode_too():
     assert costs == expected
     assert costs[0] == [0.0] * 3
     assert costs[-1] == [1.0] * 3
-
-
-def test_reaching_the_goal_is_no_cut():
-    env = Sb3VecEnv(batch(coverage_goal=0.001))
-    env.reset()
-    _, _, ends, infos = env.step(AHEAD)
-    assert ends.all()
-    assert not any(info["TimeLimit.truncated"] for info in infos)
-
-
-def test_attributes_and_methods_are_the_batchs():
-    env = Sb3VecEnv(batch())
-    assert env.get_attr("num_envs") == [3, 3, 3]
-    assert env.get_attr("num_envs", indices=0) == [3]
-    env.set_attr("nickname", "three")
-    assert env.get_attr("nickname", [0, 2]) == ["three", "three"]
-    assert len(env.env_method("reset", seed=1)) == 3
-    assert not is_wrapped(env, gym.Wrapper)
-    assert env.env_is_wrapped(gym.Wrapper) == [False] * 3
-    env.close()
 
 
 def test_it_has_the_pictures_of_the_batch():

@@ -13,12 +13,17 @@ from scipy import stats
 from support.episodes import EVERYTHING, held_actions
 
 import limslam_env
-from limslam_env.config import NoiseConfig, RewardConfig
-from limslam_env.envs.env import LimSlamEnv
-from limslam_env.envs.vector_env import LimSlamVectorEnv
-from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim
-from limslam_env.worlds.formats.loading import load_world
-from limslam_env.worlds.generation.floor_plans import FloorPlanConfig
+from limslam_env import (
+    FloorPlanConfig,
+    LimSlamEnv,
+    LimSlamVectorEnv,
+    NoiseConfig,
+    RewardConfig,
+    RobotSpec,
+    SensorSpec,
+    load_world,
+)
+from limslam_env.interface import beams_on_rim
 from limslam_env.worlds.world import WorldError
 
 QUIET = NoiseConfig(wheel_variance=0.0)
@@ -169,18 +174,6 @@ def test_noise_levels_share_starts_and_draws():
     )
 
 
-def test_seeds_begin_again_and_differ():
-    batch = LimSlamVectorEnv("env1", 3, sensor_noise=0.02)
-    first, _ = batch.reset(seed=1)
-    unseeded, _ = batch.reset()
-    again, _ = batch.reset(seed=1)
-    other, _ = batch.reset(seed=2)
-    np.testing.assert_array_equal(first["ranges"], again["ranges"])
-    assert (first["ranges"] != other["ranges"]).any()
-    assert (first["ranges"] != unseeded["ranges"]).any()
-    assert (first["ranges"][0] != first["ranges"][1]).any()
-
-
 @pytest.mark.parametrize("name", ["Env1", "Env2", "Env3"])
 def test_gymnasium_makes_it_by_default(name):
     with warnings.catch_warnings():
@@ -283,7 +276,9 @@ def test_rewards_are_of_the_settings():
     rewards = RewardConfig(new_area=2.0, step=-0.5, collision=-7.0)
     batch = LimSlamVectorEnv("env3", 4, rewards=rewards, noise=QUIET)
     batch.reset(seed=0)
-    total = batch._simulation._places.sites.totals[0]
+    single = LimSlamEnv("env3")
+    single.reset(seed=0)
+    total = single.coverage_grid.total
     before = np.zeros(4)
     for actions in held_actions(200, 4):
         _, values, _, _, infos = batch.step(actions)
@@ -291,61 +286,6 @@ def test_rewards_are_of_the_settings():
         before = infos["coverage"]
         if infos["time"][0] > 0.15:
             np.testing.assert_allclose(values, 2.0 * new - 0.5 - 7.0 * infos["collision"], atol=1e-9)
-
-
-def test_each_environment_may_have_a_world_and_noise_of_its_own():
-    worlds, noises = ["env1", "env3", "env1"], [0.0, 0.0, 0.05]
-    batch = LimSlamVectorEnv(worlds, 3, sensor_noise=noises, noise=QUIET)
-    observations, infos = batch.reset(seed=0)
-    for env, world in enumerate(worlds[:2]):
-        single = LimSlamEnv(world, noise=QUIET)
-        observation, info = single.reset(seed=0)
-        np.testing.assert_allclose(observations["ranges"][env], observation["ranges"], atol=1e-6)
-        np.testing.assert_allclose(infos["pose"][env], info["pose"])
-        assert batch.seen(env).shape == single.seen.shape
-    assert np.abs(observations["ranges"][2] - observations["ranges"][0]).max() > 0.0
-    each = LimSlamVectorEnv("env1", 2, noise=[QUIET, EVERYTHING])
-    assert each.noise == [QUIET, EVERYTHING]
-    ranges = LimSlamVectorEnv("env1", 2, sensor_noise=np.array([[0.0, 0.1], [0.2, 0.3]]))
-    assert [noise.sensor_noise for noise in ranges.noise] == [(0.0, 0.1), (0.2, 0.3)]
-
-
-def test_each_environment_has_a_floor_plan_of_its_own_and_a_new_one_at_reset():
-    batch = LimSlamVectorEnv(SMALL, 3, max_episode_steps=2, noise=QUIET)
-    grids = []
-    batch.reset(seed=0)
-    sites = batch._simulation._places.sites
-    for _ in range(4):
-        grids += [sites.to_cells(env, sites.tiles[env]).tobytes() for env in range(3)]
-        poses = batch.step(np.full((3, 2), 0.3))[-1]["pose"]
-        batch.step(np.full((3, 2), 0.3))
-        batch.step(np.zeros((3, 2)))
-    assert len(set(grids)) == len(grids)
-    assert len(np.unique(poses, axis=0)) == 3
-
-
-def test_floor_plans_may_be_made_beforehand():
-    batch = gym.make_vec("LimSlam-World-v0", world=SMALL, num_envs=40, plans=range(10, 14), max_episode_steps=1)
-    _, infos = batch.reset(seed=0)
-    places = batch._simulation._places
-    first = places.world_of.copy()
-    assert set(first) == {0, 1, 2, 3}
-    assert len(np.unique(infos["pose"], axis=0)) == 40
-    batch.step(np.zeros((40, 2)))
-    batch.step(np.zeros((40, 2)))
-    assert (places.world_of != first).any()
-    assert len(places.sites) == 4
-
-
-def test_a_start_in_another_part_has_its_own_coverage():
-    starts = load_world("env2").starts
-    batch = LimSlamVectorEnv("env2", 2, noise=QUIET)
-    _, infos = batch.reset(seed=0, options={"start": starts[:2]})
-    np.testing.assert_allclose(infos["pose"], starts[:2])
-    _, infos = batch.reset(options={"start": tuple(starts[1])})
-    np.testing.assert_allclose(infos["pose"], starts[[1, 1]])
-    _, infos = batch.reset()
-    np.testing.assert_allclose(infos["pose"], starts[[0, 0]])
 
 
 def test_wrappers_of_gymnasium_work():
@@ -376,21 +316,9 @@ def test_wrappers_of_gymnasium_work():
         ({"render_mode": "human"}, "render_mode of a batch must be rgb_array or None, not 'human'"),
         ({"autoreset_mode": "sometimes"}, "not a valid AutoresetMode"),
         ({"num_envs": True}, "num_envs must be a whole number, 1 or more, not True"),
-        ({"num_envs": 3.0}, "num_envs must be a whole number, 1 or more, not 3.0"),
-        ({"num_envs": np.array([3, 3])}, "num_envs must be a whole number"),
         ({"max_episode_steps": 2.5}, "the steps of an episode must be a whole number, 1 or more, or None, not 2.5"),
-        ({"num_threads": 1.5}, "num_threads must be a whole number, 1 or more, or None, not 1.5"),
-        ({"num_threads": True}, "num_threads must be a whole number"),
-        ({"world": SMALL, "plans": 2.5}, "plans must be 1 or more, or seeds .*, not 2.5"),
-        ({"world": SMALL, "plans": [1.5]}, r"plans must be 1 or more, or seeds .*, not \[1.5\]"),
-        ({"world": SMALL, "plans": "ab"}, "plans must be 1 or more, or seeds .*, not 'ab'"),
         ({"world": SMALL, "plans": [3, -1]}, "plans must be 1 or more, or seeds"),
-        ({"world": SMALL, "plans": True}, "plans must be 1 or more, or seeds .*, not True"),
-        ({"noise": 3}, "noise must be a NoiseConfig, or one for each environment, not 3"),
         ({"noise": [QUIET, None, QUIET]}, "noise must be a NoiseConfig, or one for each"),
-        ({"num_envs": 2, "sensor_noise": (0.0, 0.02, 0.04)}, "3 values of sensor_noise for 2 environments; give"),
-        ({"sensor_noise": "0.02"}, "sensor_noise must be a number or a range"),
-        ({"sensor_noise": [0.0, (0.1, 0.2, 0.3), 0.0]}, "sensor_noise must be a number or a range"),
         ({"sensor_noise": [0.0, (0.1, (0.2, 0.3)), None]}, "sensor_noise must be a number or a range"),
     ],
 )
@@ -398,26 +326,6 @@ def test_arguments_that_cannot_be_are_refused_in_one_line(arguments, reason):
     with pytest.raises(ValueError, match=reason) as error:
         LimSlamVectorEnv(**{"world": "env1", "num_envs": 3} | arguments)
     assert "\n" not in str(error.value)
-
-
-def test_numbers_may_be_numpy_s():
-    batch = LimSlamVectorEnv(
-        SMALL, np.int64(3), sensor_noise=np.float32(0.02), plans=np.int32(2), max_episode_steps=np.int64(5),
-        num_threads=np.int64(1),
-    )  # fmt: skip
-    assert type(batch.num_envs) is int
-    assert batch.num_envs == 3
-    assert [noise.sensor_noise for noise in batch.noise] == [pytest.approx(0.02)]
-    assert batch.reset(seed=0)[0]["ranges"].shape[0] == 3
-    for given, expected in (
-        ((0.0, 0.04), [(0.0, 0.04)]),
-        (np.array(0.04), [0.04]),
-        ((0.0, 0.02, 0.04), [0.0, 0.02, 0.04]),
-        ([(0.0, 0.02), 0.04, np.float64(0.0)], [(0.0, 0.02), 0.04, 0.0]),
-    ):
-        made = LimSlamVectorEnv("env1", 3, sensor_noise=given, noise=QUIET)
-        assert [noise.sensor_noise for noise in made.noise] == expected
-    assert len(LimSlamVectorEnv(SMALL, 1, plans=np.array([3, 4]))._simulation._places.sites) == 2
 
 
 def test_bad_actions_and_options_are_refused_and_change_nothing():
@@ -459,16 +367,6 @@ def test_a_copy_goes_on_alike():
         np.testing.assert_array_equal(one[-1]["pose"], other[-1]["pose"])
 
 
-@pytest.mark.parametrize("copied", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))])  # noqa: S301 (our own)
-def test_a_copy_has_words_beyond_those_that_are_used(copied):
-    batch = LimSlamVectorEnv("env1", 2)
-    batch.reset(seed=0)
-    for env in (batch, copied(batch), copied(copied(batch))):
-        left = env._simulation._episodes.unseen
-        assert left.base.size >= left.size + 3 * left.shape[1] + 3
-        np.testing.assert_array_equal(left, batch._simulation._episodes.unseen)
-
-
 def assert_bits(one, other):
     """Whether all that a reset or step gives is the same, to the last bit."""
     assert type(one) is type(other)
@@ -491,8 +389,7 @@ REFUSED_RESETS = {
 
 
 @pytest.mark.parametrize("kind", REFUSED_RESETS)
-@pytest.mark.parametrize("seed", [None, 5])
-def test_a_refused_reset_changes_nothing(kind, seed):
+def test_a_refused_reset_changes_nothing(kind):
     batch, twin = (LimSlamVectorEnv(num_envs=4, max_episode_steps=15, **REFUSED_RESETS[kind]) for _ in range(2))
     first, actions = batch.reset(seed=0), held_actions(60, 4)
     assert_bits(first, twin.reset(seed=0))
@@ -504,7 +401,7 @@ def test_a_refused_reset_changes_nothing(kind, seed):
         if number in {5, 40}:
             for options in ({"start": (1e3, 0.0, 0.0)}, {"start": starts}, {"start": starts} | masked):
                 with pytest.raises(WorldError):
-                    batch.reset(seed=seed, options=options)
+                    batch.reset(seed=5, options=options)
         assert_bits(batch.step(row), twin.step(row))
     for options in (None, masked, {"start": first[1]["pose"]} if kind == "one world" else None):
         assert_bits(batch.reset(options=options), twin.reset(options=options))

@@ -7,8 +7,7 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from limslam_env.config import NoiseConfig
-from limslam_env.envs.env import LimSlamEnv
+from limslam_env import LimSlamEnv, NoiseConfig, RobotSpec
 from limslam_env.envs.wrappers import (
     FORWARD,
     FREE,
@@ -24,7 +23,7 @@ from limslam_env.envs.wrappers import (
     VelocityAction,
 )
 from limslam_env.geometry.segment import distances
-from limslam_env.interface import RobotSpec, beams_on_rim
+from limslam_env.interface import beams_on_rim
 from limslam_env.robots import ring
 from limslam_env.simulation.coverage import CELL
 
@@ -57,10 +56,10 @@ class Stranger(gym.Env):
     action_space = spaces.Box(-1.0, 1.0, (2,), np.float32)
 
 
-@pytest.mark.parametrize("name", [ID, "LimSlam-Random-v0"])
 @pytest.mark.parametrize("stack", STACKS)
-def test_what_comes_out_lies_in_the_space(stack, name):
-    env = STACKS[stack](gym.make(name, noise=NoiseConfig.sharp(wheel_variance=1e-3), max_episode_steps=100))
+def test_what_comes_out_lies_in_the_space(stack):
+    noise = NoiseConfig.sharp(wheel_variance=1e-3)
+    env = STACKS[stack](gym.make("LimSlam-Random-v0", noise=noise, max_episode_steps=100))
     env.action_space.seed(0)
     observation, _ = env.reset(seed=0)
     resets = 0
@@ -102,25 +101,11 @@ def test_normalized_readings_by_hand():
     assert observation["ranges"].dtype == observation["wheels"].dtype == np.float32
 
 
-def test_a_normalized_range_is_zero_at_the_shortest_reading():
-    env = NormalizedObservation(LimSlamEnv("square", robot=FRONT, noise=NO_NOISE))
-    observation, _ = env.reset(seed=0, options={"start": (6.88, 1.0, 0.0)})
-    assert observation["ranges"][0] == 0.0
-
-
 def test_each_beam_is_normalized_by_its_own_limits():
     beams = (*beams_on_rim((0.0,), 0.1, max_range=1.0), *beams_on_rim((0.0,), 0.1, min_range=0.2, max_range=4.2))
     env = NormalizedObservation(LimSlamEnv("square", robot=RobotSpec(beams=beams), noise=NO_NOISE))
     observation, _ = env.reset(seed=0, options={"start": (6.4, 1.0, 0.0)})
     np.testing.assert_allclose(observation["ranges"], [0.45 / 0.95, 0.3 / 4.0], atol=1e-6)
-
-
-def test_other_parts_of_an_observation_stay_as_they_are():
-    env = NormalizedObservation(PrivilegedLocalMap(LimSlamEnv("square"), size=11))
-    observation, _ = env.reset(seed=0)
-    assert set(observation) == set(env.observation_space.spaces) == {"ranges", "wheels", "local_map"}
-    assert observation["local_map"].dtype == np.uint8
-    assert observation["local_map"].max() > 1
 
 
 @pytest.mark.parametrize(
@@ -133,12 +118,9 @@ def test_other_parts_of_an_observation_stay_as_they_are():
         ((0.5, 0.25), (0.25, 0.75)),
         ((0.0, 0.0), (0.0, 0.0)),
         # More than a wheel can do: both are scaled down.
-        ((1.0, 1.0), (0.0, 1.0)),
         ((1.0, 0.5), (1.0 / 3.0, 1.0)),
         ((-1.0, 1.0), (-1.0, 0.0)),
-        ((0.8, -0.6), (1.0, 1.0 / 7.0)),
         # More than there is.
-        ((5.0, 0.0), (1.0, 1.0)),
         ((0.0, -9.0), (1.0, -1.0)),
         ((3.0, 0.5), (1.0 / 3.0, 1.0)),
     ],
@@ -169,7 +151,7 @@ def test_a_positive_turn_is_counter_clockwise():
     np.testing.assert_allclose(info["pose"][:2], before[:2], atol=1e-9)
 
 
-@pytest.mark.parametrize("action", [0.5, [0.5], [0.1, 0.2, 0.3], [[0.1, 0.2]], [np.nan, 0.0], [0.0, np.nan]])
+@pytest.mark.parametrize("action", [0.5, [0.1, 0.2, 0.3], [0.0, np.nan]])
 def test_a_speed_and_turn_that_cannot_be_are_refused(action):
     env = VelocityAction(LimSlamEnv("env1"))
     env.reset(seed=0)
@@ -203,15 +185,13 @@ def test_moves_may_be_others():
     np.testing.assert_allclose(env.action(2), (0.2, 1.0))
 
 
-@pytest.mark.parametrize(
-    "moves", [(), [(1.0,)], [(0.0, 0.0, 0.0)], [(1.1, 0.0)], [(0.0, -1.01)], [(math.nan, 0.0)], 0.5, [0.5, 0.5]]
-)
+@pytest.mark.parametrize("moves", [(), [(0.0, 0.0, 0.0)], [(0.0, -1.01)], [(math.nan, 0.0)], 0.5])
 def test_moves_that_cannot_be_are_refused(moves):
     with pytest.raises(ValueError, match="moves are pairs of wheel speeds"):
         DiscreteAction(LimSlamEnv("env1"), moves)
 
 
-@pytest.mark.parametrize("action", [3, -1, 0.5, None, [0], np.array([0.5, 0.5])])
+@pytest.mark.parametrize("action", [3, -1, 0.5, None])
 def test_a_move_that_there_is_not_is_refused(action):
     env = DiscreteAction(LimSlamEnv("env1"))
     env.reset(seed=0)
@@ -274,19 +254,7 @@ def test_ahead_is_up_and_left_is_left(quarter):
     assert (picture[10:30, 10:30][~near] == FREE).all()
 
 
-def test_a_thing_ahead_on_the_left_is_in_the_upper_left():
-    # The block's corner (2, 2) lies ahead and to the left of a robot at (1.4, 1.6) that faces right.
-    picture = map_of("square", (1.35, 1.55, 0.0), size=20)
-    rows, columns = np.nonzero(picture == WALL)
-    assert len(rows) > 3
-    assert (rows < 10).all(), "ahead"
-    assert columns.min() < 8, "the corner, to the left"
-    # 0.65 m ahead, of which the robot sees the side that faces it.
-    assert rows.max() == 9 - 6
-
-
-@pytest.mark.parametrize("heading", [0.0, 0.7, -2.4])
-@pytest.mark.parametrize("size", [25, 40])
+@pytest.mark.parametrize(("heading", "size"), [(0.7, 25), (-2.4, 40)])
 def test_every_cell_is_what_was_truly_seen_there(heading, size):
     env = PrivilegedLocalMap(LimSlamEnv("env3"), size=size)
     observation, info = env.reset(seed=0, options={"start": (1.2, 2.2, heading)})
@@ -316,23 +284,6 @@ def test_every_cell_is_what_was_truly_seen_there(heading, size):
     assert set(np.unique(picture)) == {UNSEEN, FREE, WALL}
 
 
-def test_what_was_not_seen_stays_unknown():
-    env = PrivilegedLocalMap(LimSlamEnv("square"))
-    observation, _ = env.reset(seed=0, options={"start": (1.0, 1.0, 0.0)})
-    picture = observation["local_map"][0]
-    # The paper's beams look ahead and to the sides: of what lies behind, only the body's own cells are known.
-    assert (picture[22:] == UNSEEN).all()
-    assert (picture[:19] != UNSEEN).any()
-    known = np.count_nonzero(picture)
-    for _ in range(20):
-        observation, *_ = env.step((-0.5, 0.5))
-    assert np.count_nonzero(observation["local_map"]) > known
-
-
-def test_a_map_of_one_cell_is_where_the_robot_stands():
-    np.testing.assert_array_equal(map_of("square", (1.05, 1.05, 0.3), size=1), [[FREE]])
-
-
 def test_the_map_follows_the_world_of_the_episode():
     env = PrivilegedLocalMap(LimSlamEnv("env1", robot=ring(180)))
     start = (1.2, 2.0, 0.0)
@@ -342,14 +293,6 @@ def test_the_map_follows_the_world_of_the_episode():
     back, _ = env.reset(seed=0, options={"start": start})
     np.testing.assert_array_equal(back["local_map"], own["local_map"])
     np.testing.assert_array_equal(other["local_map"][0], map_of("square", start))
-
-
-def test_the_map_does_not_depend_on_the_noise():
-    maps = [
-        map_of("env1", (1.2, 2.0, 0.4), turns=3, noise=noise)
-        for noise in (NoiseConfig(), NoiseConfig.sharp(dropout=1.0))
-    ]
-    np.testing.assert_array_equal(*maps)
 
 
 def test_maps_are_new_arrays():

@@ -64,7 +64,7 @@ def test_normalise_works_row_by_row():
 
 
 @pytest.mark.parametrize("pose", POSES)
-@pytest.mark.parametrize("r", [0.0, 1e-15, 1e-9, 1e-3, 0.5, 7.0])
+@pytest.mark.parametrize("r", [0.0, 1e-9, 0.5])
 def test_there_and_back_all_round_the_circle(pose, r):
     for theta in CIRCLE:
         world = np.array([r, theta])

@@ -101,14 +101,6 @@ def test_wrap_angle_lies_in_the_half_open_circle_and_keeps_the_direction(angle):
     assert abs(math.remainder(wrapped - angle, 2.0 * math.pi)) < 1e-12
 
 
-@pytest.mark.parametrize(
-    ("angle", "wrapped"),
-    [(math.pi, math.pi), (-math.pi, math.pi), (3 * math.pi, math.pi), (0.0, 0.0), (1.5 * math.pi, -0.5 * math.pi)],
-)
-def test_wrap_angle_at_the_seam(angle, wrapped):
-    assert wrap_angle(angle) == pytest.approx(wrapped, abs=1e-15)
-
-
 def test_wrap_angle_of_an_array_is_that_of_its_numbers():
     angles = np.array([[math.pi, -math.pi, 7.0], [-7.0, 0.0, BEYOND_PI]])
     wrapped = wrap_angle(angles)

@@ -76,15 +76,3 @@ def test_inside_of_an_l_is_the_union_of_its_two_bars():
     x, y = points.T
     bars = (x > 0) & (y > 0) & (((x < 3) & (y < 1)) | ((x < 1) & (y < 3)))
     np.testing.assert_array_equal(inside_polygon(points, L_SHAPE), bars)
-
-
-@given(st.floats(0.0, 6.28), st.floats(0.05, 2.0))
-@settings(deadline=None)
-def test_inside_of_a_regular_polygon_is_within_its_radii(angle, radius):
-    corners = np.arange(7) * (2.0 * np.pi / 7)
-    polygon = np.column_stack((np.cos(corners), np.sin(corners)))
-    spot = radius * np.array([[np.cos(angle), np.sin(angle)]])
-    if radius < np.cos(np.pi / 7) - 1e-9:
-        assert inside_polygon(spot, polygon)[0]
-    if radius > 1.0 + 1e-9:
-        assert not inside_polygon(spot, polygon)[0]

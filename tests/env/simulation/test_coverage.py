@@ -6,17 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from limslam_env.config import DrawnNoise, NoiseConfig
+from limslam_env import NoiseConfig, RobotSpec, World, load_world
+from limslam_env.config import DrawnNoise
 from limslam_env.geometry import FloatArray
-from limslam_env.interface import RobotSpec, beams_on_rim
-from limslam_env.kernels.coverage import mark_disc, mark_ray
+from limslam_env.interface import beams_on_rim
+from limslam_env.kernels.coverage import mark_disc
 from limslam_env.kernels.observation import drive_and_observe
 from limslam_env.simulation.coverage import CELL, coverage_grid
 from limslam_env.simulation.odometry import wheel_noise
 from limslam_env.simulation.sensors import beam_table, build_wall_index, range_noise
 from limslam_env.simulation.simulation import Simulation
-from limslam_env.worlds.formats.loading import load_world, shipped_worlds
-from limslam_env.worlds.world import World
+from limslam_env.worlds.formats.loading import shipped_worlds
 
 ROBOT = RobotSpec()
 BOX = [[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 2.0], [4.0, 2.0, 0.0, 2.0], [0.0, 2.0, 0.0, 0.0]]
@@ -80,22 +80,6 @@ def test_a_room_behind_a_gap_too_narrow_for_the_robot_counts_as_far_as_beams_rea
     assert not coverable[[0, 1, -2, -1], 20].any(), "beside the gap, behind the wall"
 
 
-def test_only_coverable_cells_count_as_new_and_each_once():
-    generator = np.random.default_rng(0)
-    coverable, area = generator.random((30, 40)) < 0.5, np.array([-1.0, -1.0, CELL])
-    seen = np.zeros_like(coverable)
-    for _ in range(300):
-        x, y, angle = generator.uniform(-1.5, 3.5), generator.uniform(-1.5, 2.5), generator.uniform(-math.pi, math.pi)
-        before = np.count_nonzero(seen & coverable)
-        ray = (seen, coverable, area, x, y, math.cos(angle), math.sin(angle), generator.uniform(0.0, 1.5))
-        disc = (seen, coverable, area, x, y, generator.uniform(0.02, 0.3))
-        assert mark_ray(*ray) + mark_disc(*disc) == np.count_nonzero(seen & coverable) - before
-        assert mark_ray(*ray) + mark_disc(*disc) == 0, "what has been seen is not new"
-    assert (seen & coverable).any()
-    assert (seen & ~coverable).any()
-    assert not seen.all()
-
-
 def test_a_body_marks_the_cells_that_it_touches():
     generator = np.random.default_rng(1)
     rows, columns = np.mgrid[0:40, 0:40]
@@ -109,13 +93,6 @@ def test_a_body_marks_the_cells_that_it_touches():
         # A body may stand a millimetre in a wall, which must not show what lies behind.
         assert seen[gap < radius - 2e-3].all()
         assert not seen[gap >= radius].any()
-
-
-def test_the_total_is_the_number_of_coverable_cells():
-    world = load_world("env1")
-    grid = coverage_grid(world, ROBOT, world.starts[:1])
-    assert grid.total == np.count_nonzero(grid.coverable)
-    np.testing.assert_array_equal(grid.area, [*grid.low, CELL])
 
 
 def test_a_cell_behind_a_wall_is_not_marked():
@@ -169,15 +146,6 @@ def test_coverage_grows_from_above_zero_and_never_beyond_one():
     assert area == pytest.approx(shares[-1] * total * CELL**2)
 
 
-def test_noise_does_not_change_what_counts_as_seen():
-    shares = []
-    for noise in (NoiseConfig(), NoiseConfig.sharp(sensor_noise=0.04, dropout=1.0, wheel_variance=1e-3)):
-        simulation = Simulation(load_world("env1"), ROBOT)
-        simulation.reset(np.random.SeedSequence(0), noise)
-        shares.append([simulation.step([(0.9, 1.0)])[1].coverage for _ in range(100)])
-    assert shares[0] == shares[1]
-
-
 @pytest.mark.parametrize("name", shipped_worlds())
 def test_what_can_be_seen_in_a_drive_was_coverable(name):
     simulation = Simulation(load_world(name), ROBOT)
@@ -200,19 +168,6 @@ def test_only_beams_that_measured_in_a_step_count():
     assert [step for step, area in enumerate(areas, start=1) if area > 0.0] == [10, 20, 30]
 
 
-def test_the_seen_cells_that_are_handed_out_are_a_copy():
-    simulation = Simulation(load_world("env1"), ROBOT)
-    simulation.reset(np.random.SeedSequence(0), NoiseConfig())
-    seen = simulation.seen
-    before = seen.copy()
-    seen[:] = True
-    np.testing.assert_array_equal(simulation.seen, before)
-    for _ in range(30):
-        simulation.step([(1.0, 1.0)])
-    assert (simulation.seen & ~before).any()
-    assert (simulation.seen >= before).all()
-
-
 def test_what_two_robots_see_at_once_counts_for_the_first_of_them():
     world = box_world()
     simulation = Simulation(world, ROBOT, 2)
@@ -228,40 +183,11 @@ def test_what_two_robots_see_at_once_counts_for_the_first_of_them():
     assert sum(both.new_area) == pytest.approx(both.coverage * total * CELL**2)
 
 
-def test_starts_in_one_region_share_one_grid():
-    world = box_world([2.0, 0.0, 2.0, 2.0])
-    left, right = np.array([[0.5, 1.0, 0.0]]), np.array([[3.0, 1.0, 0.0]])
-    grid = coverage_grid(world, ROBOT, left)
-    assert coverage_grid(world, ROBOT, np.array([[1.5, 0.4, 2.0], [0.7, 1.3, -1.0]])) is grid
-    other = coverage_grid(world, ROBOT, right)
-    assert other is not grid
-    assert not (other.coverable & grid.coverable).any()
-    both = coverage_grid(world, ROBOT, np.vstack((left, right)))
-    np.testing.assert_array_equal(both.coverable, grid.coverable | other.coverable)
-    assert coverage_grid(world, replace(ROBOT, radius=0.2), left) is not grid
-
-
-@pytest.mark.parametrize("side", [0.22, 0.25, 0.30, 0.35, 0.50])
+@pytest.mark.parametrize("side", [0.22, 0.35])
 def test_a_room_hardly_larger_than_the_robot_can_be_covered(side):
     walls = np.array([[0.0, 0.0, side, 0.0], [side, 0.0, side, side], [side, side, 0.0, side], [0.0, side, 0.0, 0.0]])
     world = World("closet", (side, side), walls, starts=np.array([[0.5 * side, 0.5 * side, 0.0]]))
     assert coverage_grid(world, ROBOT, world.starts).total >= (side / CELL - 1.0) ** 2
-
-
-def test_labels_tell_the_regions_apart():
-    space = box_world([2.0, 0.0, 2.0, 2.0]).free_space(ROBOT.radius)
-    left, right = space.label_of(np.array([0.5, 1.0])), space.label_of(np.array([3.0, 1.0]))
-    assert left > 0
-    assert right > 0
-    assert left != right
-    assert space.label_of(np.array([1.8, 1.9])) == left
-    # In the wall, and outside of the grid, the disc fits nowhere; all round the box it does.
-    assert space.label_of(np.array([2.0, 1.0])) == space.label_of(np.array([50.0, 1.0])) == 0
-    assert space.label_of(np.array([-50.0, -50.0])) == 0
-    assert not space.region_of(np.array([2.0, 1.0])).any()
-    np.testing.assert_array_equal(space.region_of(np.array([0.5, 1.0])), space.labels == left)
-    np.testing.assert_array_equal(space.labels > 0, space.free)
-    assert space.labels is space.labels
 
 
 def test_a_start_a_fraction_of_a_cell_off_the_free_ground_is_in_its_region():

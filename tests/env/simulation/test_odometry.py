@@ -5,14 +5,13 @@ import math
 import numpy as np
 import pytest
 
-from limslam_env.config import DrawnNoise, NoiseConfig
+from limslam_env import NoiseConfig, RobotSpec, World
+from limslam_env.config import DrawnNoise
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
-from limslam_env.interface import RobotSpec
 from limslam_env.kernels.readings import reported_travel
 from limslam_env.simulation.odometry import ground_travel, wheel_noise
 from limslam_env.simulation.simulation import Readings, Simulation, Truth
-from limslam_env.worlds.world import World
 
 ROBOT = RobotSpec()
 SIDE = 60.0
@@ -83,19 +82,6 @@ def test_the_simulation_s_wheels_err_apart_and_step_by_step():
         assert abs(np.corrcoef(errors[:-1, side], errors[1:, side])[0, 1]) < bound
 
 
-def test_standing_wheels_report_nothing():
-    np.testing.assert_array_equal(reports(np.zeros((50, 2)), DrawnNoise(wheel_variance=1e-3)), 0.0)
-
-
-@pytest.mark.parametrize("resolution", [0.001, 0.0037, 0.02])
-def test_an_encoder_with_coarse_steps_loses_nothing_over_time(resolution):
-    travel = np.random.default_rng(1).uniform(-0.03, 0.03, (2000, 2)) + 0.004
-    found = reports(travel, DrawnNoise(wheel_variance=0.0, encoder_resolution=resolution))
-    assert np.abs(np.cumsum(found - travel, axis=0)).max() <= resolution * (1.0 + 1e-9)
-    ticks = found / resolution
-    np.testing.assert_allclose(ticks, np.round(ticks), atol=1e-6)
-
-
 def test_the_simulation_carries_what_its_encoders_left_out():
     resolution, actions = 0.004, [(0.11, -0.47)] * 500
     readings, _ = drive(NoiseConfig(wheel_variance=0.0, encoder_resolution=resolution), actions)
@@ -103,20 +89,6 @@ def test_the_simulation_carries_what_its_encoders_left_out():
     assert (told[:, 0] == 0.0).any(), "some steps are too small to be told"
     np.testing.assert_allclose(told / resolution, np.round(told / resolution), atol=1e-4)
     assert np.abs(np.cumsum(told - TOP * np.array(actions), axis=0)).max() <= resolution + 1e-5
-
-
-def test_a_reset_forgets_what_the_encoders_left_out():
-    simulation, noise = Simulation(HALL, ROBOT), NoiseConfig(wheel_variance=0.0, encoder_resolution=0.02)
-    told = []
-    for _ in range(2):
-        simulation.reset(np.random.SeedSequence(0), noise, MIDDLE)
-        told.append([simulation.step([(0.5, 0.5)])[0].wheels.tolist() for _ in range(3)])
-    assert told[0] == told[1]
-
-
-def test_unequal_wheels_report_too_much_and_too_little():
-    found = reports(np.full((5, 2), 0.02), DrawnNoise(wheel_variance=0.0, wheel_mismatch=0.05))
-    np.testing.assert_allclose(found, np.tile([0.021, 0.019], (5, 1)), atol=1e-12)
 
 
 def test_unequal_wheels_drive_as_before_and_only_report_otherwise():
@@ -130,20 +102,6 @@ def test_unequal_wheels_drive_as_before_and_only_report_otherwise():
 def test_a_report_is_clipped_to_the_limit_and_the_rest_comes_later():
     found = reports(np.array([[0.1, -0.1], [0.01, 0.0], [0.0, 0.0]]), DrawnNoise(wheel_variance=0.0), limit=0.06)
     np.testing.assert_allclose(found, [[0.06, -0.06], [0.05, -0.04], [0.0, 0.0]], atol=1e-12)
-
-
-def test_even_wild_wheel_noise_stays_within_the_limit():
-    found = reports(np.full((500, 2), 0.03), DrawnNoise(wheel_variance=1.0))
-    assert np.abs(found).max() == 0.06
-
-
-def test_noise_levels_share_their_draws():
-    actions = [(0.9, 0.4)] * 100
-    errors = [
-        wheels_of(drive(NoiseConfig(wheel_variance=variance), actions)[0]) - TOP * np.array(actions)
-        for variance in (1e-5, 4e-5)
-    ]
-    np.testing.assert_allclose(2.0 * errors[0], errors[1], atol=1e-8)
 
 
 def test_the_encoders_draw_alike_whatever_the_noise():
@@ -182,20 +140,6 @@ def test_a_wheel_slips_as_often_per_metre_as_asked(rate, travel):
     np.testing.assert_allclose(carried[slips], 0.75 * travel, rtol=1e-12)
 
 
-def test_half_as_long_steps_slip_half_as_often():
-    noise = DrawnNoise(slip_rate=4.0)
-    uniforms = np.random.default_rng(0).random((100_000, 2))
-    long, short = (
-        (ground_travel(np.full(uniforms.shape, travel), noise, uniforms) != travel).mean() for travel in (0.01, 0.005)
-    )
-    assert long == pytest.approx(2.0 * short, rel=0.06)
-
-
-def test_standing_wheels_do_not_slip():
-    noise = DrawnNoise(slip_rate=1e6, slip_share=1.0)
-    np.testing.assert_array_equal(ground_travel(np.zeros((10, 2)), noise, np.zeros((10, 2))), 0.0)
-
-
 def test_a_slipping_robot_gets_less_far_and_reports_the_way_in_full():
     share, count = 0.4, 400
     readings, truths = drive(
@@ -211,14 +155,6 @@ def test_a_slipping_robot_gets_less_far_and_reports_the_way_in_full():
     assert (slips[:, 0] != slips[:, 1]).any(), "each wheel slips on its own"
 
 
-def test_wheels_that_slip_wholly_get_nowhere():
-    readings, truths = drive(
-        NoiseConfig(wheel_variance=0.0, slip_rate=1e6, slip_share=1.0), [(1.0, 0.7), (-0.5, 1.0)] * 10
-    )
-    np.testing.assert_allclose(poses_of(truths), np.tile(MIDDLE, (21, 1)), atol=1e-12)
-    np.testing.assert_allclose(wheels_of(readings)[0], TOP * np.array([1.0, 0.7]), atol=1e-8)
-
-
 def test_each_robot_slips_on_its_own():
     simulation = Simulation(HALL, ROBOT, 2)
     starts = np.array([[20.0, 20.0, 0.0], [40.0, 40.0, 0.0]])
@@ -231,16 +167,6 @@ def test_each_robot_slips_on_its_own():
     moved = np.array(moved)
     assert (moved[:, 0] & ~moved[:, 1]).any()
     assert (moved[:, 1] & ~moved[:, 0]).any()
-
-
-@pytest.mark.parametrize("mismatch", [0.05, -0.03, 0.5, -0.5])
-def test_wheels_farther_apart_turn_the_robot_less(mismatch):
-    actions = [(0.2, 0.9), (-0.4, 0.4), (1.0, 0.3), (0.5, 0.5)] * 10
-    readings, truths = drive(NoiseConfig(wheel_variance=0.0, axle_mismatch=mismatch), actions)
-    np.testing.assert_allclose(wheels_of(readings), TOP * np.array(actions), atol=1e-8)
-    asked = np.array([(right - left) * TOP / ROBOT.axle for left, right in actions])
-    turned = wrap_angle(np.diff(poses_of(truths)[:, 2]))
-    np.testing.assert_allclose(turned, asked / (1.0 + mismatch), atol=1e-9)
 
 
 def test_an_axle_mismatch_is_the_arc_of_the_true_axle():

@@ -9,12 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from limslam_env import load_world
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
 from limslam_env.geometry.segment import distances, inside_polygon, polygon_edges
-from limslam_env.kernels.observation import CLEARANCE
 from limslam_env.simulation.physics import Physics
-from limslam_env.worlds.formats.loading import load_world
 
 RADIUS, AXLE, PERIOD, TOP = 0.10, 0.16, 0.1, 0.03  # TOP is the wheel travel of one step, m
 DEEPEST = 1e-3
@@ -87,12 +86,6 @@ def test_one_step_is_the_exact_arc_whatever_its_length_in_time(heading, left, ri
     assert abs(wrap_angle(model.poses[0][2] - expected[2])) < 1e-12
 
 
-def test_headings_are_wrapped():
-    model = physics(BOX, (2.0, 2.0, 3.0))
-    drive(model, -TOP, TOP, 50)
-    assert -math.pi < model.poses[0, 2] <= math.pi
-
-
 @pytest.mark.parametrize("sign", [1.0, -1.0], ids=["forwards", "backwards"])
 @pytest.mark.parametrize("quarter", range(4))
 def test_driving_head_on_into_a_wall_stops_there(quarter, sign):
@@ -146,7 +139,7 @@ def test_a_robot_can_leave_a_wall_again():
     ],
     ids=["env1", "square", "wedge", "cell"],
 )
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_random_walk_never_enters_a_wall_nor_leaves(edges, start, seed):
     model = physics(edges, start)
     touched = False
@@ -174,7 +167,7 @@ def test_no_sequence_of_pushes_gets_deep_into_a_wedge(actions, heading):
             assert depth_in_walls(model.poses, WEDGE) < DEEPEST
 
 
-@pytest.mark.parametrize("speed", [0.3, 0.9, 1.0, 1.5, 3.0])
+@pytest.mark.parametrize("speed", [0.9, 3.0])
 def test_a_fast_robot_does_not_pass_through_a_wall(speed):
     # Nothing keeps a RobotSpec from moving further in a step than the body is wide.
     for start in (2.0, 2.017, 2.05, 2.1):
@@ -182,14 +175,6 @@ def test_a_fast_robot_does_not_pass_through_a_wall(speed):
         contact = drive(model, speed * PERIOD, speed * PERIOD, 100)
         assert model.poses[0, 0] == pytest.approx(4.0 - RADIUS, abs=DEEPEST)
         assert contact[-1].all()
-
-
-def test_two_robots_head_on_stop_each_other():
-    model = physics(BOX, (1.0, 2.0, 0.0), (3.0, 2.0, math.pi))
-    contact = drive(model, TOP, TOP, 60)
-    assert contact[-1].all(), "both are told"
-    assert -1e-4 < overlap(model.poses) < DEEPEST
-    np.testing.assert_allclose(model.poses[:, :2].mean(axis=0), [2.0, 2.0], atol=DEEPEST)
 
 
 @pytest.mark.parametrize(
@@ -201,7 +186,7 @@ def test_two_robots_head_on_stop_each_other():
     ],
     ids=["box", "four in a cell", "env1"],
 )
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_robots_never_overlap_nor_enter_walls(edges, starts, seed):
     model = physics(edges, *starts)
     touched = False
@@ -212,7 +197,7 @@ def test_robots_never_overlap_nor_enter_walls(edges, starts, seed):
     assert touched
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2, 3, 16, 26, 32, 34, 58])
+@pytest.mark.parametrize("seed", [3, 16, 58])
 def test_robots_that_push_each_other_into_a_wedge_do_not_overlap(seed):
     # Wedged, a robot cannot give way: what is done about the walls must not be at the other robot's cost.
     model = physics(WEDGE, (1.6, 0.2, math.pi), (1.85, 0.2, math.pi))
@@ -223,16 +208,6 @@ def test_robots_that_push_each_other_into_a_wedge_do_not_overlap(seed):
         assert inside_polygon(model.poses[:, :2], WEDGE[:, :2]).all()
 
 
-def test_the_same_drive_gives_the_same_bits():
-    ends = []
-    for _ in range(2):
-        model = physics(CELL, (0.2, 0.2, 0.0), (0.5, 0.5, 2.0))
-        for travel in random_actions(7, 2, 300):
-            model.step(travel, PERIOD)
-        ends.append(model.poses)
-    np.testing.assert_array_equal(*ends)
-
-
 @pytest.mark.parametrize("speed", [1.0, 3.0])
 def test_fast_robots_do_not_pass_through_each_other(speed):
     for start in (2.5, 2.55, 2.613, 2.7):
@@ -241,28 +216,6 @@ def test_fast_robots_do_not_pass_through_each_other(speed):
         assert contact[-1].all()
         assert model.poses[0, 0] < model.poses[1, 0]
         assert -1e-4 < overlap(model.poses) < DEEPEST
-
-
-def test_robots_apart_follow_their_own_exact_arcs():
-    model = physics(BOX * 100.0, (200.0, 200.0, 0.4), (202.0, 200.0, 2.0), (200.0, 195.0, -1.0))
-    expected = model.poses
-    generator = np.random.default_rng(0)
-    for travel in generator.uniform(-TOP, TOP, (1000, 3, 2)):
-        assert model.step(travel.tolist(), PERIOD) == [False] * 3
-        expected = np.array(
-            [compose(pose, arc(*wheels_to_arc(own, AXLE))) for pose, own in zip(expected, travel, strict=True)]
-        )
-    np.testing.assert_allclose(model.poses[:, :2], expected[:, :2], atol=1e-9)
-    assert np.abs(wrap_angle(model.poses[:, 2] - expected[:, 2])).max() < 1e-9
-
-
-@pytest.mark.parametrize("axle", [0.05, 0.3])
-def test_the_axle_is_that_of_the_last_placing(axle):
-    model = physics(BOX, (1.0, 1.0, 0.0))
-    model.place(np.array([[2.0, 2.0, 0.5]]), axle)
-    model.step([(0.01, 0.02)], PERIOD)
-    expected = compose(np.array([2.0, 2.0, 0.5]), arc(*wheels_to_arc(np.array([0.01, 0.02]), axle)))
-    np.testing.assert_allclose(model.poses[0], expected, atol=1e-12)
 
 
 def test_placing_wraps_headings_and_forgets_what_was_near():
@@ -278,51 +231,19 @@ def test_placing_wraps_headings_and_forgets_what_was_near():
 @pytest.mark.parametrize(
     ("edges", "starts"),
     [
-        (BOX, [(1.0, 1.0, 0.0)]),
-        (load_world("env3").edges, [(0.5, 0.5, 0.0), (6.4, 4.9, -2.3), (1.0, 2.2, 0.0)]),
-        (CELL, [(0.2, 0.2, 0.0), (0.5, 0.5, 2.0)]),
-    ],
-    ids=["box", "env3", "cell"],
-)
-def test_not_asking_pymunk_where_nothing_is_near_changes_nothing(edges, starts):
-    short, full = physics(edges, *starts), physics(edges, *starts)
-    contacts = 0
-    for travel in random_actions(5, len(starts), 2000, hold=30):
-        full.motion[CLEARANCE] = 0.0
-        contact = short.step(travel, PERIOD)
-        assert contact == full.step(travel, PERIOD)
-        np.testing.assert_allclose(short.poses, full.poses, atol=1e-9)
-        contacts += sum(contact)
-    assert contacts > 20
-
-
-@pytest.mark.parametrize("clone", [copy.deepcopy, pickled], ids=["copy", "pickle"])
-@pytest.mark.parametrize(
-    ("edges", "starts"),
-    [
         (CELL, [(0.2, 0.2, 0.0), (0.5, 0.5, 2.0), (0.5, 0.2, 1.0)]),
         (WEDGE, [(1.6, 0.2, math.pi)]),
         (load_world("env3").edges, [(0.5, 0.5, 0.0), (6.4, 4.9, -2.3)]),
     ],
     ids=["cell", "wedge", "env3"],
 )
-def test_a_copy_goes_on_bit_for_bit_and_on_its_own(clone, edges, starts):
+def test_a_copy_goes_on_bit_for_bit_and_on_its_own(edges, starts):
     model = physics(edges, *starts)
     actions = list(random_actions(3, len(starts), 900))
     for travel in actions[:300]:
         model.step(travel, PERIOD)
-    before, again = model.poses, clone(model)
+    before, again = model.poses, copy.deepcopy(pickled(model))
     contacts = [again.step(travel, PERIOD) for travel in actions[300:]]
     np.testing.assert_array_equal(model.poses, before)
     assert [model.step(travel, PERIOD) for travel in actions[300:]] == contacts
     np.testing.assert_array_equal(model.poses, again.poses)
-
-
-def test_what_was_driven_before_a_placing_leaves_no_trace():
-    fresh, used = (physics(CELL, (0.2, 0.2, 0.0), (0.5, 0.5, 2.0)) for _ in range(2))
-    for travel in random_actions(1, 2, 400):
-        used.step(travel, PERIOD)
-    used.place(fresh.poses, AXLE)
-    for travel in random_actions(7, 2, 400):
-        assert fresh.step(travel, PERIOD) == used.step(travel, PERIOD)
-        np.testing.assert_array_equal(fresh.poses, used.poses)

@@ -3,21 +3,20 @@
 import math
 
 import numpy as np
-import pymunk
 import pytest
 
-from limslam_env.config import DrawnNoise, NoiseConfig
+from limslam_env import NoiseConfig, RobotSpec, SensorSpec, World, load_world
+from limslam_env.config import DrawnNoise
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.segment import polygon_edges
-from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim
+from limslam_env.interface import beams_on_rim
 from limslam_env.kernels.observation import drive_and_observe
 from limslam_env.kernels.rays import NOTHING, cast_at_discs
 from limslam_env.kernels.readings import noisy_reading
 from limslam_env.simulation.odometry import wheel_noise
 from limslam_env.simulation.sensors import CELL, beam_table, build_wall_index, range_noise
 from limslam_env.simulation.simulation import Readings, Simulation, Truth
-from limslam_env.worlds.formats.loading import load_world, shipped_worlds
-from limslam_env.worlds.world import World
+from limslam_env.worlds.formats.loading import shipped_worlds
 
 REACH = 3.0
 BOX = np.array([[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 4.0], [4.0, 4.0, 0.0, 4.0], [0.0, 4.0, 0.0, 0.0]])
@@ -46,27 +45,6 @@ def random_rays(edges: FloatArray, count: int, seed: int) -> tuple[FloatArray, F
     corners, margin = edges.reshape(-1, 2), 0.9 * CELL
     origins = generator.uniform(corners.min(axis=0) - margin, corners.max(axis=0) + margin, (count, 2))
     return origins, unit(generator.uniform(-math.pi, math.pi, count)), generator.uniform(0.1, REACH, count)
-
-
-def rays_from_free_space(world: World, count: int, seed: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Rays from where a robot's centre can be."""
-    generator = np.random.default_rng(seed)
-    space = world.free_space(ROBOT.radius)
-    places = generator.choice(space.centres(space.largest_closed_region()), count)
-    origins = places + generator.uniform(-0.5, 0.5, (count, 2)) * space.cell
-    return origins, unit(generator.uniform(-math.pi, math.pi, count)), generator.uniform(0.1, REACH, count)
-
-
-def pymunk_answers(edges: FloatArray, origins: FloatArray, directions: FloatArray, lengths: FloatArray):
-    """Distance of the first wall on each ray, and whether there is one, by pymunk."""
-    space = pymunk.Space()
-    for x1, y1, x2, y2 in edges.tolist():
-        space.add(pymunk.Segment(space.static_body, (x1, y1), (x2, y2), 0.0))
-    ends = origins + lengths[:, None] * directions
-    pairs = zip(origins.tolist(), ends.tolist(), strict=True)
-    queries = [space.segment_query_first(origin, end, 0.0, pymunk.ShapeFilter()) for origin, end in pairs]
-    alphas = np.array([query.alpha if query else 1.0 for query in queries])
-    return alphas * lengths, np.array([query is not None for query in queries])
 
 
 def brute_force(edges: FloatArray, origins: FloatArray, directions: FloatArray, lengths: FloatArray):
@@ -105,17 +83,6 @@ def sight(
     return Simulation(world, robot, len(poses)).reset(np.random.SeedSequence(0), noise, np.array(poses))
 
 
-@pytest.mark.parametrize("name", shipped_worlds())
-def test_rays_agree_with_pymunk(name):
-    world = load_world(name)
-    rays = rays_from_free_space(world, 10_000, seed=1)
-    found, hits = build_wall_index(world.edges).cast(*rays)
-    distance, is_hit = pymunk_answers(world.edges, *rays)
-    np.testing.assert_allclose(found, distance, atol=1e-5)
-    np.testing.assert_array_equal(hits >= 0, is_hit)
-    assert 1000 < is_hit.sum() < 9000, "both hits and misses are tried"
-
-
 @pytest.mark.parametrize("name", [*shipped_worlds(), "random walls"])
 def test_rays_agree_with_every_ray_against_every_wall(name):
     edges = np.random.default_rng(5).uniform(-3.0, 3.0, (60, 4)) if name == "random walls" else load_world(name).edges
@@ -128,7 +95,7 @@ def test_rays_agree_with_every_ray_against_every_wall(name):
     assert (hits >= 0).any()
 
 
-@pytest.mark.parametrize("shift", [0.0, 0.25, 0.1, 1e-7])
+@pytest.mark.parametrize("shift", [0.0, 0.1, 1e-7])
 def test_rays_and_walls_along_the_borders_of_the_index_miss_nothing(shift):
     # Walls on round numbers lie on the borders of the cells that the index sorts them by, or next to them.
     edges = np.array(
@@ -146,29 +113,6 @@ def test_rays_and_walls_along_the_borders_of_the_index_miss_nothing(shift):
     np.testing.assert_allclose(found, distance, atol=1e-9)
 
 
-def test_no_ray_slips_through_a_joint_of_two_walls():
-    generator = np.random.default_rng(0)
-    index = build_wall_index(BOX)
-    for centre in generator.uniform(0.2, 3.8, (500, 2)):
-        corners = BOX[:, :2] - centre
-        directions = corners / np.linalg.norm(corners, axis=1)[:, None]
-        found, hits = index.cast(np.tile(centre, (4, 1)), directions, np.full(4, 9.0))
-        np.testing.assert_allclose(found, np.linalg.norm(corners, axis=1), atol=1e-6)
-        assert (hits >= 0).all()
-
-
-def test_no_ray_slips_through_a_corner_of_a_polygon_of_many_sides():
-    corners = unit(np.linspace(0.0, 2.0 * math.pi, 37)[:-1]) * 0.5 + 1.23
-    index = build_wall_index(np.vstack((ring(corners.tolist()), BOX - 1.5)))
-    for origin in np.random.default_rng(1).uniform(-1.0, -0.2, (100, 2)):
-        towards = corners - origin
-        length = np.linalg.norm(towards, axis=1)
-        found, hits = index.cast(np.tile(origin, (36, 1)), towards / length[:, None], length + 0.5)
-        assert (hits >= 0).all()
-        assert (hits < 36).all()
-        assert (found <= length + 1e-6).all()
-
-
 def test_a_ray_along_a_wall_ends_at_the_next_one():
     # A wall of no thickness is not seen edge on; the wall that it leads to is.
     for wall, origin in (((1.0, 2.0, 2.0, 2.0), (1.5, 2.0)), ((1.0, 2.0, 2.0, 2.0), (0.5, 2.0))):
@@ -176,23 +120,6 @@ def test_a_ray_along_a_wall_ends_at_the_next_one():
         found, hits = index.cast(np.array([origin]), np.array([[1.0, 0.0]]), np.array([9.0]))
         assert found[0] == pytest.approx(4.0 - origin[0])
         assert hits[0] == 1
-
-
-def test_a_ray_longer_than_its_wall_is_far_reads_the_wall_and_a_shorter_one_its_own_length():
-    index = build_wall_index(BOX)
-    origins, directions = np.full((3, 2), 2.0), np.tile([1.0, 0.0], (3, 1))
-    found, hits = index.cast(origins, directions, np.array([1.9, 2.1, 50.0]))
-    np.testing.assert_allclose(found, [1.9, 2.0, 2.0])
-    np.testing.assert_array_equal(hits, [-1, 1, 1])
-
-
-def test_the_nearest_of_many_walls_behind_each_other_is_seen():
-    walls = [(x, 0.1, x, 3.9) for x in np.arange(0.5, 3.9, 0.01)]
-    edges = np.vstack((BOX, walls))
-    origins = np.column_stack((np.arange(0.1, 3.9, 0.037), np.full(103, 2.0)))
-    found, _ = build_wall_index(edges).cast(origins, np.tile([1.0, 0.0], (103, 1)), np.full(103, 9.0))
-    expected = [min([x - origin for x, *_ in walls if x > origin] or [4.0 - origin]) for origin in origins[:, 0]]
-    np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
 def test_a_robot_is_seen_at_its_rim_and_not_by_its_own_beams():
@@ -231,17 +158,6 @@ def test_a_disc_is_hit_where_geometry_says():
     assert cast_at_discs(1.0, 1.0, 1.0, 0.0, 0.6, 0, discs, 0.1) == 0.6, "it is too far"
 
 
-def test_a_ray_sees_every_disc_but_that_of_its_owner():
-    discs = np.array([[1.5, 1.0, 0.0], [2.0, 1.0, 0.0]])
-    found = [cast_at_discs(1.0, 1.0, 1.0, 0.0, 1.5, owner, discs, 0.1) for owner in (0, 1)]
-    np.testing.assert_allclose(found, [0.9, 0.4], atol=1e-12)
-
-
-def test_a_wall_in_front_hides_a_robot():
-    _, truth = sight(box_with((2.0, 1.0, 2.0, 3.0)), FRONT, (1.5, 2.0, 0.0), (2.5, 2.0, 0.0))
-    assert truth.wall_seen[0, 0] == 4
-
-
 def test_a_robot_in_front_hides_a_wall_and_counts_for_no_wall():
     readings, truth = sight(box_with((2.5, 1.0, 2.5, 3.0)), FRONT, (1.5, 2.0, 0.0), (2.0, 2.0, 0.0))
     assert truth.wall_seen[0, 0] == -2
@@ -249,7 +165,7 @@ def test_a_robot_in_front_hides_a_wall_and_counts_for_no_wall():
     assert truth.wall_seen[1, 0] == 4
 
 
-@pytest.mark.parametrize("depth", [0.0, 1e-5, 5e-4, 1e-3])
+@pytest.mark.parametrize("depth", [0.0, 1e-3])
 def test_a_robot_pressed_to_a_wall_never_sees_through_it(depth):
     # The rim, where beams start, may lie a little behind the wall; the second wall is what would be seen then.
     edges = np.array([[-9.0, 0.0, 9.0, 0.0], [-9.0, -0.5, 9.0, -0.5]])
@@ -284,15 +200,6 @@ def readings_of(ideal: float, count: int, seed: int = 0, hit: int = 0, **noise: 
     return np.array([noisy_reading(ideal, hit, 0.05, 1.5, *table[:5], normal, uniform) for normal, uniform in drawn])
 
 
-@pytest.mark.parametrize("std", [0.02, 0.04])
-def test_range_noise_has_the_asked_spread_and_no_bias(std):
-    count = 20_000
-    found = readings_of(0.8, count, sensor_noise=std)
-    # Five standard errors of a mean and of a standard deviation.
-    assert abs(found.mean() - 0.8) < 5.0 * std / math.sqrt(count)
-    assert abs(found.std() / std - 1.0) < 5.0 / math.sqrt(2.0 * count)
-
-
 def test_the_simulation_makes_the_asked_noise_apart_for_each_beam():
     simulation, std, count = Simulation(BOX_WORLD, FRONT), 0.03, 4000
     simulation.reset(np.random.SeedSequence(1), NoiseConfig(sensor_noise=std), np.array([1.0, 1.0, 0.0]))
@@ -302,18 +209,6 @@ def test_the_simulation_makes_the_asked_noise_apart_for_each_beam():
     np.testing.assert_allclose(errors.std(axis=0), std, rtol=5.0 / math.sqrt(2.0 * count))
     assert abs(np.corrcoef(errors.T)[0, 1]) < 5.0 / math.sqrt(count), "beams err apart"
     assert abs(np.corrcoef(errors[:-1, 0], errors[1:, 0])[0, 1]) < 5.0 / math.sqrt(count), "and step by step"
-
-
-def test_robots_side_by_side_have_noise_of_their_own():
-    simulation = Simulation(BOX_WORLD, FRONT, 2)
-    poses = np.array([[1.0, 1.0, 0.0], [1.0, 3.0, 0.0]])
-    simulation.reset(np.random.SeedSequence(1), NoiseConfig(sensor_noise=0.03), poses)
-    ranges = np.array([simulation.step([(0.0, 0.0)] * 2)[0].ranges[:, 2] for _ in range(2000)], dtype=float)
-    assert abs(np.corrcoef(ranges.T)[0, 1]) < 5.0 / math.sqrt(2000)
-
-
-def test_without_noise_a_reading_is_the_distance():
-    np.testing.assert_array_equal(readings_of(0.8, 10), 0.8)
 
 
 def test_a_beam_that_hits_nothing_reads_its_maximum_exactly():
@@ -344,11 +239,6 @@ def test_dropout_does_not_change_the_other_draws():
     assert (without[~kept] < 1.5).any()
 
 
-def test_a_dropout_hides_nothing_from_the_truth():
-    _, truth = sight(BOX_WORLD, FRONT, (1.0, 3.4, 0.0), noise=NoiseConfig(dropout=1.0))
-    np.testing.assert_array_equal(truth.wall_seen, [[-1, 2, 3, -1]])
-
-
 def test_dropout_reads_the_maximum_at_the_asked_rate():
     count, chance = 20_000, 0.2
     share = (readings_of(0.8, count, dropout=chance) == 1.5).mean()
@@ -372,7 +262,7 @@ def test_readings_are_clipped_to_what_the_beam_can_report(ideal, bound):
     assert (found == bound).any()
 
 
-@pytest.mark.parametrize("ideal", [0.2, 0.5, 1.0, 1.3])
+@pytest.mark.parametrize("ideal", [0.2, 1.3])
 def test_a_sharp_sensor_s_noise_grows_with_the_squared_range(ideal):
     count, growth = 20_000, 0.02
     found = readings_of(ideal, count, range_noise_growth=growth)
@@ -382,7 +272,7 @@ def test_a_sharp_sensor_s_noise_grows_with_the_squared_range(ideal):
     assert both.std() == pytest.approx(math.hypot(0.01, growth * ideal**2), rel=5.0 / math.sqrt(2.0 * count))
 
 
-@pytest.mark.parametrize("resolution", [0.005, 0.01, 0.025])
+@pytest.mark.parametrize("resolution", [0.01, 0.025])
 def test_readings_come_in_steps_of_the_resolution(resolution):
     found = readings_of(0.8, 500, sensor_noise=0.05, range_resolution=resolution)
     np.testing.assert_allclose(found / resolution, np.round(found / resolution), atol=1e-9)
@@ -390,15 +280,6 @@ def test_readings_come_in_steps_of_the_resolution(resolution):
     exact = readings_of(0.8, 500, sensor_noise=0.05)
     assert np.abs(found - exact).max() <= 0.5 * resolution + 1e-12
     assert len(set(found)) > 3
-
-
-def test_the_nearer_a_wall_comes_below_the_shortest_reading_the_more_a_sharp_sensor_reads():
-    ideals = np.linspace(0.05, 0.0, 30)
-    found = np.array([readings_of(ideal, 1, fold_back=3.0)[0] for ideal in ideals])
-    np.testing.assert_allclose(found, 0.05 + 3.0 * (0.05 - ideals), atol=1e-12)
-    assert (np.diff(found) > 0.0).all()
-    assert readings_of(0.06, 1, fold_back=3.0)[0] == 0.06, "nothing folds from the shortest reading on"
-    np.testing.assert_array_equal([readings_of(ideal, 1)[0] for ideal in ideals], 0.05)
 
 
 def test_a_robot_that_drives_up_to_a_wall_reads_less_and_then_more():
@@ -420,7 +301,7 @@ def post(bearing: float, distance: float, width: float) -> list[tuple[float, flo
     return [tuple(edge) for edge in ring((corners @ np.array([[cos, sin], [-sin, cos]]) + (1.0, 2.0)).tolist())]
 
 
-@pytest.mark.parametrize("bearing", np.linspace(-0.12, 0.12, 13))
+@pytest.mark.parametrize("bearing", np.linspace(-0.12, 0.12, 5))
 def test_a_beam_with_a_cone_reads_a_post_beside_its_middle(bearing):
     cone, width = 0.1, 0.06
     world = box_with(*post(bearing, 0.8, width))
@@ -468,16 +349,6 @@ def test_a_cone_does_not_look_through_a_wall_that_the_robot_touches(depth):
         assert hits[0] == 0
 
 
-def test_a_sharp_sensor_stays_within_what_a_beam_can_report():
-    noise = NoiseConfig.sharp(sensor_noise=0.1, range_noise_growth=0.2, fold_back=100.0, cone=0.5, dropout=0.1)
-    simulation = Simulation(load_world("env1"), ROBOT)
-    simulation.reset(np.random.SeedSequence(0), noise)
-    for step in range(300):
-        ranges = simulation.step([(1.0, 0.9 if step % 2 else 1.0)])[0].ranges
-        assert (ranges >= np.float32(0.05)).all()
-        assert (ranges <= np.float32(1.5)).all()
-
-
 def test_a_beam_with_a_period_repeats_its_last_reading():
     beams = tuple(
         SensorSpec(0.10 * math.cos(angle), 0.10 * math.sin(angle), angle, period=period)
@@ -495,14 +366,3 @@ def test_a_beam_with_a_period_repeats_its_last_reading():
             assert (ranges[step, beam] == ranges[step - 1, beam]) == repeats
             assert not repeats or seen[step, beam] == seen[step - 1, beam]
         assert len(set(seen[:, beam].tolist())) > 1, "the walls seen change on the way"
-
-
-def test_every_beam_measures_at_a_reset_whatever_its_period():
-    robot = RobotSpec(beams=tuple(SensorSpec(0.1, 0.0, 0.0, period=period) for period in (1, 2, 7)))
-    simulation = Simulation(BOX_WORLD, robot)
-    for x in (3.0, 3.3):
-        for _ in range(3):
-            readings, truth = simulation.reset(np.random.SeedSequence(0), NO_WHEEL_NOISE, np.array([x, 2.0, 0.0]))
-            np.testing.assert_allclose(readings.ranges, 3.9 - x, atol=1e-6)
-            assert (truth.wall_seen == 1).all()
-            simulation.step([(0.0, 0.0)])

@@ -6,13 +6,12 @@ import re
 import numpy as np
 import pytest
 
+from limslam_env import World, load_world
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.segment import distances, inside_polygon, polygon_edges, sample
-from limslam_env.worlds import world as world_module
 from limslam_env.worlds.formats import loading
-from limslam_env.worlds.formats.loading import load_world, shipped_worlds
+from limslam_env.worlds.formats.loading import shipped_worlds
 from limslam_env.worlds.formats.toml import parse_world
-from limslam_env.worlds.world import World, WorldError
+from limslam_env.worlds.world import WorldError
 
 RADIUS = 0.10
 BOX = [[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 4.0], [4.0, 4.0, 0.0, 4.0], [0.0, 4.0, 0.0, 0.0]]
@@ -63,31 +62,12 @@ def test_shipped_worlds_load_and_hold_a_robot(name):
     np.testing.assert_allclose(corners.max(axis=0), world.size)
 
 
-def test_env1_is_among_the_shipped_worlds_and_measures_seven_metres():
-    assert {"env1", "square"} <= set(shipped_worlds())
-    assert load_world("env1").size == (7.0, 7.0)
-
-
 def test_env1_is_the_same_after_a_quarter_turn():
     edges = load_world("env1").edges
     centred = edges.reshape(-1, 2) - 3.5
     turned = np.column_stack((-centred[:, 1], centred[:, 0])) + 3.5
     assert segment_set(turned.reshape(-1, 4)) == segment_set(edges)
     assert len(segment_set(edges)) == len(edges), "no wall stands twice"
-
-
-@pytest.mark.parametrize("name", ["env1", "square"])
-def test_the_loop_is_a_free_tour_round_an_obstacle(name):
-    world = load_world(name)
-    assert any(inside_polygon(polygon, world.loop).all() for polygon in world.obstacles)
-    tour, _ = sample(polygon_edges(world.loop), 0.02)
-    assert distances(tour, world.edges).min() > 2.0 * RADIUS
-
-
-def test_square_has_a_block_of_three_metres_in_the_middle():
-    (block,) = load_world("square").obstacles
-    np.testing.assert_allclose(block.min(axis=0), [2.0, 2.0])
-    np.testing.assert_allclose(block.max(axis=0), [5.0, 5.0])
 
 
 def test_a_good_text_becomes_the_world_it_describes():
@@ -124,54 +104,28 @@ def test_worlds_are_equal_by_content_and_cannot_be_changed():
     ("text", "reason"),
     [
         (GOOD + "wall = [[0, 0, 1, 1]]\n", r"unknown key 'wall'"),
-        (GOOD.replace("walls", "Walls"), r"unknown key 'Walls'"),
         (GOOD.replace('name = "good"\n', ""), r"'name' is missing"),
-        (GOOD.replace("size = [4.0, 4.0]\n", ""), r"'size' is missing"),
-        ('name = "n"\nsize = [1, 1]\n', r"'walls' is missing"),
         (with_key("name", "3"), r"name must be a text"),
         (with_key("size", "[4.0]"), r"size must be two lengths"),
-        (with_key("size", "[4.0, 4.0, 4.0]"), r"size must be two lengths"),
         (with_key("size", "[4.0, -4.0]"), r"size must be two lengths"),
-        (with_key("size", "[4.0, 0.0]"), r"size must be two lengths"),
         (with_key("size", "[4.0, nan]"), r"size must be two lengths"),
-        (with_key("size", "[4.0, inf]"), r"size must be two lengths"),
         (with_key("size", "[4.0, 1e6]"), r"size must be two lengths up to 500 m, not \[4, 1e\+06\]: are they in m\?"),
         (with_key("starts", "[[1, 1, 90]]"), r"starts\[0\]: a heading is within 4 pi rad, not 90: is it in rad\?"),
         (with_key("size", "4.0"), r"size must be a list of numbers"),
-        (with_key("size", '["4", "4"]'), r"size must be a list of numbers"),
-        (with_key("size", "[true, true]"), r"size must be a list of numbers"),
         (with_key("walls", "[[0, 0, 4, nan]]"), r"walls\[0\] holds a number that is not finite"),
-        (with_key("walls", "[[0, 0, 4, 0], [0, inf, 4, 0]]"), r"walls\[1\] holds a number that is not finite"),
         (with_key("walls", "[[0, 0, 4]]"), r"walls must have 4 numbers a row"),
-        (with_key("walls", "[0, 0, 4, 0]"), r"walls must be a list of lists"),
-        (with_key("walls", "[[[0, 0, 4, 0]]]"), r"walls must be a list of lists"),
         (with_key("walls", "[[0, 0, 4, 0], [0, 0, 4]]"), r"walls\[1\] has 3 numbers, and walls\[0\] has 4"),
-        (with_key("walls", '[["0", "0", "4", "0"]]'), r"walls must be a list of lists"),
-        (with_key("walls", "[[false, 0, 4, 0]]"), r"walls must be a list of lists"),
         (with_key("walls", '"none"'), r"walls must be a list of lists"),
         (with_key("walls", "[[0, 0, 4, 0], [1, 1, 1, 1]]"), r"walls\[1\] has no length"),
-        (with_key("walls", "[[0, 0, 1e200, 0]]"), r"reach further than"),
         (with_key("walls", "[[0, 0, 2000, 0]]"), r"reach further than"),
         (with_key("walls", f"[[0, 0, 1{'0' * 400}, 0]]"), r"walls must be a list of lists"),
         (with_key("obstacles", "[[[1, 1], [2, 2]]]"), r"obstacles\[0\] has 2 corners"),
-        (with_key("obstacles", "[[]]"), r"obstacles\[0\] has 0 corners"),
         (with_key("obstacles", "[[[1, 1], [2, 1], [2, 1]]]"), r"obstacle edge 1 has no length"),
-        (with_key("obstacles", "[[[1, 1, 1], [2, 1, 1], [2, 2, 1]]]"), r"obstacles must have 2 numbers a row"),
-        (with_key("obstacles", "[[[1, 1], [2, nan], [2, 2]]]"), r"not finite"),
-        (with_key("obstacles", "[[1, 1], [2, 1], [2, 2]]"), r"obstacles\[\d\] must be a list of lists"),
         (with_key("obstacles", "false"), r"obstacles must be a list"),
-        (with_key("obstacles", "7"), r"obstacles must be a list"),
-        (with_key("doors", "[[1, 0, 2]]"), r"doors must have 4 numbers a row"),
         (with_key("starts", "[[1, 1]]"), r"starts must have 3 numbers a row"),
-        (with_key("starts", "[[1, 1, nan]]"), r"starts\[0\] holds a number that is not finite"),
-        (with_key("starts", "true"), r"starts must be a list of lists"),
-        (with_key("loop", "[[1, 1, 1]]"), r"loop must have 2 numbers a row"),
         ('name = "n"\nsize = [1, 1]\nwalls = []\n', r"0 walls and obstacle edges"),
         ("walls = [[0, 0", r"not TOML"),
-        ("\x00", r"not TOML"),
-        (GOOD + GOOD, r"not TOML"),
         ("a = " + "[" * 5000, r"not TOML"),
-        ("", r"is missing"),
     ],
     ids=lambda value: re.sub(r"\W+", "-", value)[-40:],
 )
@@ -181,44 +135,10 @@ def test_text_that_is_no_world_is_refused_with_the_reason(text, reason):
 
 
 @pytest.mark.parametrize("key", ["doors", "starts", "loop"])
-@pytest.mark.parametrize("value", ["false", "0", '""', "{}", "0.0"])
+@pytest.mark.parametrize("value", ["false", "{}"])
 def test_a_list_that_is_left_empty_must_still_be_a_list(key, value):
     with pytest.raises(WorldError, match=key):
         parse_world(with_key(key, value), "w.toml")
-
-
-@pytest.mark.parametrize(
-    "other",
-    ["1979-05-27", "{ a = 1 }", "9" * 400, '"1"', "true", "[1]"],
-    ids=["date", "table", "huge", "text", "boolean", "list"],
-)
-def test_a_nan_does_not_hide_what_stands_beside_it(other):
-    with pytest.raises(WorldError, match="walls"):
-        parse_world(with_key("walls", f"[[nan, 0, 4, 0], [{other}, 0, 4, 0]]"), "w.toml")
-
-
-def test_a_whole_number_of_thousands_of_digits_is_refused():
-    # Python itself refuses to read more than 4300 digits, with a plain ValueError.
-    with pytest.raises(WorldError, match=r"w\.toml"):
-        parse_world(with_key("starts", f"[[1{'0' * 5000}, 1, 0]]"), "w.toml")
-
-
-def test_arrays_of_the_wrong_shape_are_refused_by_the_world_itself():
-    for field, value in {"walls": [[0, 0, 1]], "starts": [1, 2, 3], "doors": [[1, 2]], "loop": [[1, 2, 3]]}.items():
-        with pytest.raises(WorldError, match=field):
-            box_world(**{field: np.array(value, dtype=float)})
-    with pytest.raises(WorldError, match="2 corners"):
-        box_world(obstacles=(np.array([[1.0, 1.0], [2.0, 2.0]]),))
-    with pytest.raises(WorldError, match="size"):
-        box_world(size=(4.0, math.nan))
-    with pytest.raises(WorldError, match="not finite"):
-        box_world(walls=np.array([[0.0, 0.0, math.inf, 0.0]]))
-
-
-def test_more_edges_than_can_be_used_are_refused(monkeypatch):
-    monkeypatch.setattr(world_module, "MAX_EDGES", 6)
-    with pytest.raises(WorldError, match="7 walls and obstacle edges; 1 to 6"):
-        parse_world(GOOD, "w.toml")
 
 
 @pytest.mark.parametrize(
@@ -229,7 +149,6 @@ def test_more_edges_than_can_be_used_are_refused(monkeypatch):
         ([1.45, 2.0, 0.0], "0.050 m from a wall"),
         ([4.5, 2.0, 0.0], "not closed|outside"),
         ([100.0, 100.0, 0.0], "not closed|outside"),
-        ([-7.0, 2.0, 0.0], "not closed|outside"),
     ],
 )
 def test_a_start_that_cannot_be_is_refused(start, reason):
@@ -250,8 +169,7 @@ def test_a_pose_that_just_fits_is_fine():
     box_world().check_poses(np.array([[RADIUS, RADIUS, 1.0]]), RADIUS)
 
 
-@pytest.mark.parametrize("middle", [2.0, 1.993, 2.0125])
-@pytest.mark.parametrize("width", [0.205, 0.21, 0.25, 0.5])
+@pytest.mark.parametrize(("width", "middle"), [(0.205, 1.993), (0.21, 2.0125), (0.5, 2.0)])
 @pytest.mark.parametrize("starts", [[[1.0, 1.0, 0.0]], []], ids=["start", "no start"])
 def test_a_gap_wider_than_the_robot_is_refused(width, middle, starts):
     world = box_world(walls=gap_walls(width, middle), starts=np.array(starts).reshape(-1, 3))
@@ -265,7 +183,7 @@ def test_a_pose_from_which_a_gap_leads_out_is_refused():
 
 
 @pytest.mark.parametrize("starts", [[[1.0, 1.0, 0.0]], []], ids=["start", "no start"])
-@pytest.mark.parametrize("width", [0.02, 0.10, 0.15])
+@pytest.mark.parametrize("width", [0.02, 0.15])
 def test_a_gap_narrower_than_the_robot_is_fine(width, starts):
     box_world(walls=gap_walls(width, 1.993), starts=np.array(starts).reshape(-1, 3)).check(RADIUS)
 

@@ -10,24 +10,25 @@ import pytest
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from support.drives import ROBOT, along, drive, laps_of_square, room, straight
 
+from limslam_agent import (
+    AgentConfig,
+    BatchSlam,
+    LimSlamAgent,
+    LineSlam,
+    SlamObservation,
+    SlamVectorObservation,
+    WallFollower,
+    preset,
+)
 from limslam_agent.config.consistent import ConsistentConfig, RangeErrorConfig
-from limslam_agent.config.presets import AgentConfig, preset, self_calibrating
-from limslam_agent.mapping.agent import LimSlamAgent
-from limslam_agent.policies.simple_policies import WallFollower
-from limslam_agent.slam.batch.batch_slam import BatchSlam
+from limslam_agent.config.presets import self_calibrating
 from limslam_agent.slam.batch.state import Capacity
-from limslam_agent.slam.slam import LineSlam
-from limslam_agent.wrappers.single import SlamObservation
-from limslam_agent.wrappers.vector import SlamVectorObservation
-from limslam_env.config import NoiseConfig
-from limslam_env.envs.env import LimSlamEnv
+from limslam_env import LimSlamEnv, NoiseConfig, NominalNoise, Observation, RobotSpec
 from limslam_env.envs.wrappers import NormalizedObservation
 from limslam_env.geometry import FloatArray
-from limslam_env.interface import NominalNoise, Observation, RobotSpec
 from limslam_env.robots import ring
 
 WORLDS = ["env1", "env2", "env3", "square", "random"]
-NOISES = [0.0, 0.02, 0.04]
 EQUAL = 1e-6
 START = np.zeros(3)
 CORRIDOR_LOOP = [(0.0, 0.0), (3.0, 0.0), (3.0, 2.0), (0.0, 2.0), (0.0, 0.0), (3.0, 0.0)]
@@ -82,7 +83,7 @@ def check_maps(batch: BatchSlam, slams: list[LineSlam]) -> None:
     assert not batch.overflows.any()
 
 
-@pytest.mark.parametrize("noise", NOISES)
+@pytest.mark.parametrize("noise", [0.0, 0.04])
 def test_it_is_the_single_filter_in_every_world(noise: float) -> None:
     worst, batch, agents = explored(noise, 350)
     assert worst < EQUAL
@@ -112,27 +113,25 @@ def test_contact_is_noticed_alike() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("noise", NOISES)
-@pytest.mark.parametrize("seed", [8, 9])
-def test_it_is_the_single_filter_over_long_drives(noise: float, seed: int) -> None:
-    worst, batch, agents = explored(noise, 3000, seed)
+@pytest.mark.parametrize("noise", [0.0, 0.02, 0.04])
+def test_it_is_the_single_filter_over_long_drives(noise: float) -> None:
+    worst, batch, agents = explored(noise, 3000, 8)
     assert worst < EQUAL
     check_maps(batch, [agent.slam for agent in agents])
 
 
 def followed(
     observations: list[Observation], config: AgentConfig, robot: RobotSpec = ROBOT, start: FloatArray = START
-) -> tuple[LineSlam, BatchSlam, int]:
-    """Both after a drive during which they were equal, and how many clones there were at most."""
-    slam, batch, most = LineSlam(robot, config, start), BatchSlam(robot, config, 1, num_threads=1, size=0), 0
+) -> tuple[LineSlam, BatchSlam]:
+    """Both after a drive during which they were equal."""
+    slam, batch = LineSlam(robot, config, start), BatchSlam(robot, config, 1, num_threads=1, size=0)
     batch.reset(start[None])
     for seen in observations:
         slam.step(seen)
         beliefs = batch.step(seen["ranges"][None], seen["wheels"][None])
         np.testing.assert_allclose(beliefs.pose[0], slam.pose, rtol=0.0, atol=EQUAL)
-        most = max(most, slam._estimator._filter.num_clones)  # type: ignore[attr-defined]
     check_maps(batch, [slam])
-    return slam, batch, most
+    return slam, batch
 
 
 def test_loops_are_closed_alike() -> None:
@@ -140,16 +139,15 @@ def test_loops_are_closed_alike() -> None:
     log = laps_of_square(0.0, 10, 2.0, ROBOT, wheel_variance=2e-4, start=(3.5, 1.0, 0.0))
     # The curvature of so large errors looks like a constant error, for which a single robot would be calibrated.
     config = self_calibrating(preset("consistent", NominalNoise(0.0, 2e-4)), "never")
-    slam, batch, _ = followed(log.observations, config, ROBOT, log.poses[0])
+    slam, batch = followed(log.observations, config, ROBOT, log.poses[0])
     assert len(slam.closures) == batch.num_closures[0] > 0
 
 
-@pytest.mark.parametrize("cone", [0.035, 0.26])
-def test_cones_are_modelled_alike(cone: float) -> None:
+def test_cones_are_modelled_alike() -> None:
     # The readings are those of rays. A single robot would find that out, or take it for an error of the odometry.
     stated = without_sensor_errors(self_calibrating(config_of(0.02), "never"))
     observations, _ = drive(ROOM, START, along(CORRIDOR_LOOP), noise=0.02)
-    slam, batch, _ = followed(observations, stated, replace(ROBOT, cone=cone))
+    slam, batch = followed(observations, stated, replace(ROBOT, cone=0.26))
     assert batch.num_landmarks[0] >= 3
     assert np.abs(slam.pose - followed(observations, stated)[0].pose).max() > 1e-3
 
@@ -159,7 +157,7 @@ def test_other_robots_and_unsteady_beams() -> None:
     observations, _ = drive(ROOM, START, along(CORRIDOR_LOOP[:3], robot=robot), robot, 0.02)
     for number, seen in enumerate(observations):
         seen["ranges"][number % 20] = np.nan
-    slam, batch, _ = followed(observations, config_of(0.02), robot)
+    slam, batch = followed(observations, config_of(0.02), robot)
     assert batch.refused_readings[0] == slam.refused_readings == len(observations)
 
 
@@ -228,9 +226,7 @@ def test_a_small_grid_goes_along() -> None:
         (lambda: BatchSlam(ROBOT, preset("paper"), 2), "a batch needs the preset consistent, not 'paper'"),
         (lambda: BatchSlam(ROBOT, CALIBRATING, 2), "does not calibrate odometry by itself"),
         (lambda: BatchSlam(ROBOT, num_threads=0), "num_threads must be 1 or more, not 0"),
-        (lambda: Capacity(landmarks=0), "landmarks must be 1 or more, not 0"),
         (lambda: batch_of(2).reset(np.zeros((3, 3))), r"start poses \(2, 3\), not \(3, 3\)"),
-        (lambda: batch_of(2).reset(np.full((2, 3), np.nan)), "start pose of robot 0 must be finite"),
         (lambda: batch_of(2).step(np.ones((2, 5)), np.zeros((2, 2))), r"must be \(2, 6\) and \(2, 2\)"),
         (lambda: batch_of(2).step(np.ones((2, 6)), np.array([[0.0, 0.0], [np.inf, 0.0]])), "wheel travel of robot 1"),
         (lambda: batch_of(2).step(np.ones((2, 6)), np.zeros((2, 2)), [True]), "a mask must be 2 booleans"),

@@ -7,9 +7,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.readings import Readings, expected_ranges, hit_points
 
+from limslam_env import RobotSpec
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import distance
-from limslam_env.interface import RobotSpec
 
 ROBOT = RobotSpec()  # beams on the rim, 0.1 m from the middle, at 90, 45, 15, -15, -45, -90 deg
 places = st.floats(-5.0, 5.0)

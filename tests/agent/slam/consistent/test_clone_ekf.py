@@ -12,16 +12,15 @@ from numpy.typing import NDArray
 from scipy.stats import chi2, kstest
 from support.readings import Readings, clone_poses, compared, hit_points, keep_clones, observe
 
-from limslam_agent.kernels.measurement import error_transport
 from limslam_agent.kernels.tables import LINES_FROM
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
-from limslam_agent.slam.consistent.clone_filter import begins_of, difference, merge
+from limslam_agent.slam.consistent.clone_filter import difference, merge
 from limslam_agent.slam.consistent.limits import EQUALITY_NOISE
 from limslam_agent.slam.consistent.pending_readings import places_of
+from limslam_env import RobotSpec
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import direction, nearest_form, normal, normalise
 from limslam_env.geometry.se2 import compose, compose_jacobians
-from limslam_env.interface import RobotSpec
 
 ROBOT = RobotSpec()  # beams on the rim at 90, 45, 15, -15, -45, -90 deg
 LEFT = [0, 1]  # the beams at 90 and 45 deg
@@ -192,7 +191,7 @@ def test_a_clone_equals_its_pose_with_full_correlation_and_leaves_the_rest_alone
 # Observations.
 
 
-@pytest.mark.parametrize("heading", [0.7, math.pi, -3.0])
+@pytest.mark.parametrize("heading", [0.7, -3.0])
 def test_one_iteration_without_huber_equals_the_dense_filter(heading: float) -> None:
     start = np.array([0.4, -0.2, heading])
     ekf, readings = driven(4, pose=start)
@@ -242,8 +241,7 @@ def known_of_the_world(ekf: CloneEKF) -> FloatArray:
     return np.asarray(directions.T @ np.linalg.solve(ekf.P, directions))
 
 
-@pytest.mark.parametrize("iterations", [1, 4])
-@pytest.mark.parametrize("heading", [0.0, -3.0])
+@pytest.mark.parametrize(("heading", "iterations"), [(0.0, 1), (-3.0, 4)])
 def test_readings_teach_nothing_of_how_the_whole_world_lies_and_is_turned(heading: float, iterations: int) -> None:
     # No range changes when all of it is shifted and turned, however far corrections have moved the Jacobians' places.
     start = np.array([0.4, -0.2, heading])
@@ -333,9 +331,7 @@ def apart(state: FloatArray, ekf: CloneEKF, older: int, younger: int, turned: bo
     return np.array([-moved - e, angle + math.pi]) if turned else np.array([moved - e, angle])
 
 
-@pytest.mark.parametrize("theta", [0.3, 3.1])
-@pytest.mark.parametrize("turned", [False, True])
-@pytest.mark.parametrize(("older", "younger"), [(0, 2), (2, 0)])
+@pytest.mark.parametrize(("theta", "turned", "older", "younger"), [(0.3, False, 0, 2), (3.1, True, 2, 0)])
 def test_the_difference_of_two_lines_and_its_covariance(theta: float, turned: bool, older: int, younger: int) -> None:
     ekf = seen_twice(theta, turned, 1)
     off, covariance = difference(ekf.arrays, older, younger)
@@ -345,9 +341,7 @@ def test_the_difference_of_two_lines_and_its_covariance(theta: float, turned: bo
     assert np.abs(off).max() < 0.15
 
 
-@pytest.mark.parametrize("theta", [0.3, 3.1])
-@pytest.mark.parametrize("turned", [False, True])
-@pytest.mark.parametrize(("older", "younger"), [(0, 2), (2, 0)])
+@pytest.mark.parametrize(("theta", "turned", "older", "younger"), [(0.3, False, 0, 2), (3.1, True, 2, 0)])
 def test_making_two_lines_one_equals_the_dense_update_by_their_being_equal(
     theta: float, turned: bool, older: int, younger: int
 ) -> None:
@@ -383,22 +377,6 @@ def test_an_iterated_merge_teaches_nothing_of_how_the_whole_world_lies_and_is_tu
         gained.append(np.abs(known_of_the_world(ekf) - known).max() / np.abs(known).max())
     assert gained[1] < 1e-4
     assert gained[1] < 0.1 * gained[0]
-
-
-@pytest.mark.parametrize("turned", [False, True])
-def test_a_robot_that_is_metres_unsure_learns_nothing_of_its_place_by_merging_two_lines(turned: bool) -> None:
-    ekf = seen_twice(0.3, turned, 2)
-    _, relative = difference(ekf.arrays, 0, 2)
-    by_world = error_transport(
-        ekf.arrays.x, len(ekf.x), begins_of(ekf.arrays.counts), ekf.arrays.anchors, ekf.num_lines
-    )
-    ekf.P[:] += by_world @ np.diag([2.0**2, 2.0**2, 0.1**2]) @ by_world.T
-    # The lines are 0.02 rad from parallel: 2 m along them would change their offset by 4 cm.
-    np.testing.assert_allclose(difference(ekf.arrays, 0, 2)[1], relative, rtol=0.01, atol=1e-6)
-    pose, covariance = ekf.pose, ekf.joint_pose_covariance
-    merge(ekf.arrays, 0, 2, 1)
-    assert np.abs(ekf.pose - pose).max() < 0.05
-    assert np.trace(ekf.joint_pose_covariance) > 0.99 * np.trace(covariance)
 
 
 # Several robots.

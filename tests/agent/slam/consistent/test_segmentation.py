@@ -18,9 +18,9 @@ from limslam_agent.slam.consistent.clone_filter import straight_segments
 from limslam_agent.slam.consistent.pending_readings import places_of
 from limslam_agent.slam.core.line_fit import fit_line
 from limslam_agent.slam.core.motion import motion_from_wheels
+from limslam_env import NominalNoise, RobotSpec
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.se2 import compose
-from limslam_env.interface import NominalNoise, RobotSpec
 
 ROBOT = RobotSpec()
 LEFT = [0, 1]  # the beams at 90 and 45 deg

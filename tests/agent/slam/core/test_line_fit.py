@@ -35,8 +35,7 @@ def test_exact_points_give_the_exact_line_and_its_ends(r: float, theta: float, f
 
 # Middle of the wall relative to the origin and its direction: beside, ahead, far off, and through the origin.
 PLACES = [
-    ((0.0, 0.5), 0.0), ((0.8, -0.4), 10.0), ((-1.0, 0.2), 95.0), ((-0.3, -0.3), -135.0),
-    ((6.0, 1.0), 5.0), ((-8.0, 9.0), 60.0), ((0.4, 0.0), 89.0), ((3.0, 0.3), 3.0),
+    ((0.0, 0.5), 0.0), ((-1.0, 0.2), 95.0), ((-8.0, 9.0), 60.0), ((-0.3, -0.3), -135.0),
 ]  # fmt: skip
 
 

@@ -15,8 +15,8 @@ from limslam_agent.slam.core.motion import (
     motion_from_wheels,
     motion_of,
 )
+from limslam_env import NominalNoise, RobotSpec
 from limslam_env.geometry import FloatArray
-from limslam_env.interface import NominalNoise, RobotSpec
 
 ROBOT = RobotSpec()
 NOISE = NominalNoise(0.0, 2e-5)

@@ -5,7 +5,6 @@ import pytest
 from support.drives import ROBOT
 from support.smoother_runs import noisy_run, state_from_motions, true_labels
 
-from limslam_agent.slam.line_graph import line_smoother
 from limslam_agent.slam.line_graph.factors import expected_readings, motion_jacobians, motions_between
 from limslam_agent.slam.line_graph.line_smoother import pose_columns, solve
 from limslam_agent.slam.line_graph.problem import (
@@ -53,14 +52,6 @@ def test_derivatives_of_readings_are_differences(width):
         assert derivatives[column] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=1e-6)
 
 
-@pytest.fixture(params=[1, 7, 100_000])
-def block(request, monkeypatch):
-    """Poses of a block of the elimination: every pose remains, some remain, only the last one remains."""
-    monkeypatch.setattr(line_smoother, "_BLOCK", request.param)
-    return request.param
-
-
-@pytest.mark.usefixtures("block")
 def test_covariances_are_those_of_a_dense_solution():
     problem, poses = noisy_run(4)
     first = solve_labels(problem, state_from_motions(problem), true_labels(problem, poses))

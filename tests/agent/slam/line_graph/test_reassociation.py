@@ -19,7 +19,7 @@ def agreeing(found, wanted):
     return pairs.max(axis=1).sum() / used.sum()
 
 
-@pytest.mark.parametrize("noise", [0.0, 0.02, 0.04])
+@pytest.mark.parametrize("noise", [0.0, 0.04])
 def test_a_wrong_match_is_taken_back(noise):
     problem, poses = noisy_run(1, noise)
     wanted = true_labels(problem, poses)

@@ -1,22 +1,17 @@
 """The map that is drawn from a solution, and the beams that contradict it."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
-import pytest
-from support.drives import ROBOT, room
+from support.drives import room
 from support.smoother_runs import (
     noisy_run,
     state_from_motions,
     true_labels,
 )
 
-from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.line_graph.reassociation import reassociate, solve_labels
 from limslam_agent.slam.line_graph.smoothed_map import smoothed_map, tally
-from limslam_agent.slam.line_graph.smoother import FilteredRun
-from limslam_env.interface import NominalNoise
 
 
 def truth(seed, noise=0.02, **changes):
@@ -67,18 +62,3 @@ TRUE_LINES = [(0.0, -0.5 * np.pi), (0.0, 0.5 * np.pi), (3.0, 0.0), (2.4, 0.5 * n
 
 def turn(first, second):
     return (first - second + np.pi) % (2.0 * np.pi) - np.pi
-
-
-@pytest.mark.parametrize("first", [0, 5])
-def test_the_beginning_of_a_run_has_what_was_found_out_until_then(first):
-    """Steps of readings and closures count from the start of the drive, of which a run may be the end."""
-    steps, later = np.zeros((9, 1, 2)), first + np.array([3, 4])
-    records = [AssociationRecord(0, is_new=True, readings=np.array([[first, 0], [last, 1]])) for last in later]
-    run = FilteredRun(
-        ROBOT, NominalNoise(0.02), steps, steps, steps > 0.0, steps, steps, records,
-        [SimpleNamespace(step=step) for step in later], breaks=((0, 3), (0, 4)), first_step=first,
-    )  # fmt: skip
-    begin = run.until(4)
-    assert (len(begin.wheels), begin.associations, begin.breaks) == (4, records[:1], ((0, 3),))
-    assert [each.step for each in begin.closures] == [first + 3]
-    assert run.until(None) is run

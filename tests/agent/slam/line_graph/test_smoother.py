@@ -14,7 +14,7 @@ from limslam_agent.slam.line_graph.problem import RELATIVE_PRIOR, expected, stat
 from limslam_agent.slam.line_graph.reassociation import solve_labels
 from limslam_agent.slam.line_graph.smoother import FilteredRun, settle, smooth_run
 from limslam_agent.two_logs.by_lines import joined_run
-from limslam_env.interface import NominalNoise
+from limslam_env import NominalNoise
 
 CONFIG = SmootherConfig()
 FOUND = RangeSensor(0.01, growth=0.02, cone=0.03, bias=0.04)

@@ -20,7 +20,7 @@ CONFIG = AssociationConfig(gate=100.0, max_end_gap=0.25, range_slack=0.25)
 MAX_RANGE = 1.6
 # Scenes are written down about a robot at the origin and then put anywhere: all round, behind the
 # start, turned by more than 90 degrees, and such that the walls of the scenes pass close by the origin.
-PLACES = [(0.0, 0.0, 0.0), (2.0, -1.0, 2.5), (-0.5, 0.2, 1.6), (0.0, 0.499, 3.1)]
+PLACES = [(2.0, -1.0, 2.5), (0.0, 0.499, 3.1)]
 
 
 def sure(_line: FloatArray, _covariance: FloatArray, _landmark: int) -> tuple[FloatArray, FloatArray]:

@@ -4,11 +4,9 @@ import numpy as np
 import pytest
 from support.drives import ranges_at
 
+from limslam_agent import AgentConfig, LineSlam, preset
 from limslam_agent.config.ablations import ablated
-from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.config.published import LoopClosingConfig, PublishedConfig
-from limslam_agent.slam.published.loop_closing import agree
-from limslam_agent.slam.slam import LineSlam
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, inverse, wrap_angle
 from limslam_env.geometry.segment import polygon_edges
@@ -19,25 +17,6 @@ CONFIG = LoopClosingConfig()
 
 def wall(y: float, x1: float, x2: float) -> np.ndarray:
     return np.array([x1, y, x2, y])
-
-
-def both(first: np.ndarray, second: np.ndarray, distance: float = 1.0, config: LoopClosingConfig = CONFIG) -> bool:
-    """Whether two walls along x agree."""
-    lines = np.array([[first[1], np.pi / 2], [second[1], np.pi / 2]])
-    return agree(0, 1, lines, np.array([first, second]), distance, config)
-
-
-def test_walls_on_one_line_with_a_door_between_them_are_two():
-    assert not both(wall(1.0, 0.0, 2.0), wall(1.0, 2.6, 4.0))
-    # Even where the door is hardly more than a point.
-    assert not both(wall(1.0, 0.0, 2.0), wall(1.0, 2.0, 4.0))
-
-
-def test_walls_far_apart_or_at_an_angle_are_two():
-    assert not both(wall(1.0, 0.0, 2.0), wall(1.0 + CONFIG.max_distance + 0.01, 0.0, 2.0))
-    slanted = np.array([0.0, 0.5, 2.0, 1.5])
-    lines = np.array([[1.0, np.pi / 2], [0.5 * np.cos(np.arctan(0.5)), np.pi / 2 + np.arctan(0.5)]])
-    assert not agree(0, 1, lines, np.array([wall(1.0, 0.0, 2.0), slanted]), 1.0, CONFIG)
 
 
 ROBOT = RobotSpec(beams=beams_on_rim((90.0, 60.0, -60.0, -90.0), 0.1))

@@ -8,9 +8,9 @@ from hypothesis import strategies as st
 
 from limslam_agent.config.published import BufferConfig
 from limslam_agent.slam.published.scan_buffer import Scan, ScanBuffer
+from limslam_env import RobotSpec
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import arc, compose, transform_points
-from limslam_env.interface import RobotSpec
 
 ROBOT = RobotSpec()  # beams at 90, 45, 15, -15, -45, -90 deg; left are 0 and 1, right are 4 and 5
 ALL = np.ones(6, dtype=bool)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from limslam_env.worlds.formats.loading import load_world
+from limslam_env import load_world
 from limslam_env.worlds.formats.pictures import read_levels
 from limslam_env.worlds.world import WorldError
 
@@ -74,7 +74,7 @@ def huge_png(side):
     )
 
 
-@pytest.mark.parametrize("side", [6001, 30_000, 2_000_000])
+@pytest.mark.parametrize("side", [6001, 2_000_000])
 def test_a_picture_with_too_many_pixels_is_refused_before_it_is_unpacked(tmp_path, side):
     message = refusal(tmp_path, huge_png(side))
     assert "pixels" in message

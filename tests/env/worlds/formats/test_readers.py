@@ -12,14 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.data import data_folder
 
+from limslam_env import World, load_world
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.segment import distances, inside_polygon, lengths
-from limslam_env.worlds.formats import json_files, outlines
+from limslam_env.worlds.formats import json_files
 from limslam_env.worlds.formats.json_files import read_json
-from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.formats.map_server import read_map_server
 from limslam_env.worlds.free_space import cell_for, free_space
-from limslam_env.worlds.world import World, WorldError
+from limslam_env.worlds.world import WorldError
 
 RADIUS = 0.10
 PLAN = {"id": "plan", "wall_thickness": 0.1, "walls": [[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0]]}
@@ -111,18 +111,6 @@ class TestMapServer:
         assert segment_set(world.walls) == box(0.875, 2.125, -1.875, 6.875) | box(0.625, 2.375, -1.625, 6.625)
         assert segment_set(obstacle_edges(world)) == box(-0.125, 3.625, -0.875, 4.875)
 
-    def test_a_yaw_of_any_angle_keeps_every_length(self, tmp_path):
-        straight = read_map_server(write_map(tmp_path, ROOM))
-        turned = read_map_server(write_map(tmp_path, ROOM, origin=[1.0, 2.0, 0.3]))
-        np.testing.assert_allclose(lengths(turned.edges), lengths(straight.edges))
-        along = turned.walls[:, 2:] - turned.walls[:, :2]
-        angles = np.arctan2(along[:, 1], along[:, 0]) % (math.pi / 2)
-        np.testing.assert_allclose(angles, 0.3)
-
-    def test_a_building_left_of_and_below_zero_stays_there(self, tmp_path):
-        world = read_map_server(write_map(tmp_path, ROOM, origin=[-100.0, -50.0, 0.0]))
-        np.testing.assert_allclose(world.walls.reshape(-1, 2).min(axis=0), [-99.875, -49.875])
-
     @pytest.mark.parametrize(
         "pgm",
         [
@@ -180,13 +168,6 @@ class TestMapServer:
         path.write_bytes(codecs.BOM_UTF8 + path.read_bytes().replace(b"\n", b"\r\n"))
         assert read_map_server(path) == expected
 
-    def test_a_long_thin_wall_is_one_wall(self, tmp_path):
-        world = read_map_server(write_map(tmp_path, "\n".join(["." * 42, "." + "#" * 40 + ".", "." * 42])))
-        # Its cells' middles: from (1.75, 2.75) to (21.25, 2.75).
-        assert len(world.edges) == 1
-        assert distances(world.edges.reshape(-1, 2), np.array([[1.75, 2.75, 21.25, 2.75]])).max() < 0.5
-        assert lengths(world.edges) > 19.0
-
     def test_a_slanting_staircase_becomes_straight(self, tmp_path):
         cells = np.full((60, 120), 254)
         column = np.arange(5, 115)
@@ -195,58 +176,6 @@ class TestMapServer:
         world = read_map_server(write_map(tmp_path, binary_pgm(cells)))
         assert len(world.edges) == 4
         assert np.sort(lengths(world.edges))[2:] == pytest.approx(0.5 * math.hypot(109, 36), abs=0.75)
-
-    def test_a_single_cell_is_still_in_the_way(self, tmp_path):
-        world = read_map_server(write_map(tmp_path, "...\n.#.\n..."))
-        assert segment_set(obstacle_edges(world)) == box(1.625, 2.625, 1.875, 2.875)
-
-    def test_patches_that_meet_at_a_corner_are_one_obstacle(self, tmp_path):
-        world = read_map_server(write_map(tmp_path, "####....\n" * 4 + "....####\n" * 4))
-        (polygon,) = world.obstacles
-        # Of 2 x 2 m each: their middles are inside, and those of the empty quarters are not.
-        middles = np.array([[2.0, 5.0], [4.0, 3.0], [2.0, 3.0], [4.0, 5.0]])
-        assert inside_polygon(middles, polygon).tolist() == [True, True, False, False]
-        assert distances(middles, world.edges).min(axis=1) == pytest.approx(0.875, abs=0.26)
-
-    @pytest.mark.parametrize(
-        ("corners", "expected"),
-        [
-            ([[0, 0], [4, 0], [4, 4], [0, 4]], True),
-            ([[0, 4], [4, 4], [4, 0], [0, 0]], True),
-            ([[0, 0], [4, 0], [4, 4], [2, 1], [0, 4]], True),
-            ([[0, 0], [2, 0], [4, 0], [4, 4]], True),
-            ([[0, 0], [4, 4], [4, 0], [0, 4]], False),
-            ([[0, 0], [4, 0], [4, 4], [2, 0], [0, 4]], False),
-            ([[0, 0], [4, 0], [6, 0], [4, 0], [4, 4]], False),
-            ([[0, 0], [4, 0], [8, 0]], False),
-            ([[0, 0], [2, 2], [4, 0], [4, 4], [2, 2], [0, 4]], False),
-            ([[0, 0], [4, 0]], False),
-        ],
-        ids=["square", "other way", "notch", "straight on", "bow", "touching", "spike", "flat", "pinch", "line"],
-    )
-    def test_only_simple_polygons_are_obstacles(self, corners, expected):
-        assert outlines._is_simple(np.array(corners)) == expected
-
-    def test_the_shape_of_a_corridor_with_a_narrow_part_is_kept(self, tmp_path):
-        picture = """
-            ################
-            #......##......#
-            #..............#
-            #......##......#
-            ################
-        """
-        world = read_map_server(write_map(tmp_path, picture, resolution=0.25))
-        world.check(RADIUS)
-        space = world.free_space(RADIUS)
-        # The gap is one cell, 0.25 m, wide: the robot passes from the left part (1.5, 2.6) to the right one.
-        left, right = (space.label_of(np.array([x, 2.625])) for x in (1.5, 4.5))
-        assert left == right > 0
-
-    def test_a_polygon_of_many_corners_is_walls(self, tmp_path, monkeypatch):
-        monkeypatch.setattr(outlines, "_PILLAR_CORNERS", 3)
-        world = read_map_server(write_map(tmp_path, ROOM))
-        assert not world.obstacles
-        assert len(world.walls) == 12
 
 
 def yaml_with(line: str) -> str:
@@ -268,26 +197,13 @@ class TestMapsRefused:
             (yaml_with("image: 3"), "image must be a file's name"),
             (yaml_with("image: map.bmp"), r"image 'map\.bmp': not a \.pgm or \.png file"),
             (yaml_with("image: other.pgm"), r"image 'other\.pgm': no such file"),
-            (yaml_with("image: folder.pgm"), r"image 'folder\.pgm': no such file"),
             (yaml_with('image: "nul\\0.pgm"'), r"image 'nul\\x00\.pgm': no such file"),
-            (yaml_with('image: "\\ud800.pgm"'), r"image '\\ud800\.pgm': "),
-            (yaml_with(f"image: {'x' * 5000}.pgm"), "cannot be read|no such file"),
             (yaml_with("resolution: 0"), r"resolution must be a number from 0\.001 to 10"),
-            (yaml_with("resolution: -0.05"), "resolution must be a number"),
             (yaml_with("resolution: .nan"), "resolution must be a number"),
-            (yaml_with("resolution: .inf"), "resolution must be a number"),
-            (yaml_with("resolution: 1e999"), "resolution must be a number"),
-            (yaml_with("resolution: true"), "resolution must be a number"),
             (yaml_with("resolution: fine"), "resolution must be a number"),
-            (yaml_with("resolution: [0.05]"), "resolution must be a number"),
-            (yaml_with("resolution: 2001-01-01"), "resolution must be a number"),
-            (yaml_with("resolution: 2001-99-99"), "not a map's YAML"),
             (yaml_with(f"resolution: {'9' * 5000}"), "not a map's YAML"),
-            (yaml_with(f"resolution: {'9' * 500}"), "resolution must be a number"),
             (yaml_with("origin: [0, 0]"), "origin must be three numbers"),
-            (yaml_with("origin: 0"), "origin must be three numbers"),
             (yaml_with("origin: [0, 0, up]"), "origin must be a number"),
-            (yaml_with("origin: [0, .nan, 0]"), "origin must be a number"),
             (yaml_with("origin: [1e5, 0, 0]"), "walls reach further than 500 m"),
             (yaml_with("origin: [[0], 0, 0]"), "nested deeper"),
             (yaml_with("negate: 2"), "negate must be a number from 0 to 1"),
@@ -295,27 +211,16 @@ class TestMapsRefused:
             (yaml_with("occupied_thresh: 1.5"), "occupied_thresh must be a number from 0 to 1"),
             (yaml_with("free_thresh: 0.7"), r"free_thresh must be a number from 0 to 0\.65"),
             (yaml_with("negate: 0") + "\nmode: raw", "mode must be trinary or scale"),
-            (yaml_with("negate: 0") + "\nmode: [scale]", "mode must be trinary or scale"),
             (yaml_with("origin: &a [*a, 0, 0]"), "neither aliases nor tags"),
-            (yaml_with("negate: !!int ''"), "neither aliases nor tags"),
             (yaml_with("image: !!python/object/apply:os.getcwd []"), "neither aliases nor tags"),
-            (yaml_with("negate: 0b_"), "not a map's YAML"),
-            (yaml_with("negate: 0") + "\n? [a, b]\n: c", "not a map's YAML"),
             ("[" * 90_000, "nested deeper than a map is"),
-            ("a: " * 1000, "not a map's YAML"),
-            ("{" * 3, "not a map's YAML"),
-            ("[image, resolution]", "no table of keys and values"),
             ("just a text", "no table of keys and values"),
-            ("", "no table of keys and values"),
-            ("\x07", "not a map's YAML"),
-            ("a: 1\n---\na: 2", "not a map's YAML"),
             ("#" * 100_001, r"larger than 0\.1 MB"),
         ],
         ids=lambda value: re.sub(r"\W+", "-", value)[-30:],
     )
     def test_yaml_that_describes_no_map_is_refused(self, tmp_path, text, reason):
         path = write_map(tmp_path, ROOM)
-        (tmp_path / "folder.pgm").mkdir()
         path.write_text(text, encoding="utf-8")
         with pytest.raises(WorldError, match=rf"^[^\n]*map\.yaml: [^\n]*(?:{reason})[^\n]*$"):
             read_map_server(path)
@@ -324,22 +229,15 @@ class TestMapsRefused:
         ("pgm", "reason"),
         [
             (b"", "no PGM file"),
-            (b"\x89PNG\r\n\x1a\n" + bytes(40), "no PGM file"),
             (b"P5\n4 4", "cannot be read"),
             (b"P5\n-4 4\n255\n" + bytes(16), "cannot be read"),
-            (b"P5\n4.0 4\n255\n" + bytes(16), "cannot be read"),
-            (b"P5\n0 4\n255\n", "cannot be read"),
             (b"P5\n100000 100000\n255\n", "pixels"),
-            (b"P2\n999999999 999999999\n255\n", "pixels"),
-            (b"P5\n4 4\n0\n" + bytes(16), "cannot be read"),
             (b"P5\n4 4\n65536\n" + bytes(64), "cannot be read"),
             (b"P5\n4 4\n255\n" + bytes(15), "truncated"),
             (b"P2\n4 4\n255\n" + b"0 " * 15, "cannot be read|truncated"),
-            (b"P2\n4 4\n255\n" + b"0 " * 15 + b"x", "cannot be read"),
             (b"P2\n4 4\n255\n" + b"0 " * 15 + b"256", "cannot be read"),
             (b"P5\n4 4\n255\n" + b"\xff" * 16, "no cell is occupied"),
         ],
-        ids=range(15),
     )
     def test_a_picture_that_is_no_map_is_refused(self, tmp_path, pgm, reason):
         with pytest.raises(WorldError, match=rf"^[^\n]*map\.yaml: [^\n]*(?:{reason})[^\n]*$"):
@@ -359,13 +257,6 @@ class TestMapsRefused:
         dots[::3, ::3] = 0
         with pytest.raises(WorldError, match="26800 separate outlines"):
             read_map_server(write_map(tmp_path, binary_pgm(dots), resolution=0.05))
-
-    def test_a_checkerboard_has_as_many_corners_as_it_looks(self):
-        board = np.indices((5, 7)).sum(axis=0) % 2 == 1
-        assert outlines._corner_count(board) == 2 * 4 * 6
-        square = np.zeros((6, 6), dtype=bool)
-        square[2:4, 1:5] = True
-        assert outlines._corner_count(square) == 4
 
 
 class TestPlans:
@@ -399,81 +290,34 @@ class TestPlans:
         world.check(RADIUS)
         assert load_world(tmp_path / "plan.json") == read_json(tmp_path / "plan.json") == world
 
-    @pytest.mark.parametrize(
-        "verts",
-        [
-            [[0, 0], [4, 0], [4, 3], [0, 3], [0, 0]],
-            [[0, 0], [0, 0], [4, 0], [4, 3], [4, 3], [4, 3], [0, 3]],
-        ],
-        ids=["closed", "doubled"],
-    )
-    def test_a_corner_given_twice_adds_no_wall(self, tmp_path, verts):
-        world = read_json(write_json(tmp_path, {**HOUSE, "verts": verts}))
-        assert segment_set(world.walls) == box(0.0, 0.0, 4.0, 3.0)
-        assert len(world.walls) == 4
-
-    def test_a_shifted_building_keeps_its_coordinates(self, tmp_path):
-        shift = np.array([-120.5, 33.25])
-        plan = {**PLAN, "walls": (np.array(PLAN["walls"]) + np.tile(shift, 2)).tolist()}
-        house = {**HOUSE, "verts": (np.array(HOUSE["verts"]) + shift).tolist()}
-        for world in (read_json(write_json(tmp_path, plan)), read_json(write_json(tmp_path, house))):
-            assert world.size == (4.0, 3.0)
-            np.testing.assert_array_equal(world.walls.reshape(-1, 2).min(axis=0), shift)
-            world.check(RADIUS)
-
     def test_what_is_not_used_may_be_missing_or_anything(self, tmp_path):
         expected = read_json(write_json(tmp_path, PLAN))
         assert read_json(write_json(tmp_path, {**PLAN, "wall_thickness": [None]})) == expected
         assert read_json(write_json(tmp_path, {"id": "plan", "walls": PLAN["walls"]})) == expected
 
-    def test_a_byte_order_mark_is_no_part_of_the_text(self, tmp_path):
-        path = write_json(tmp_path, PLAN)
-        path.write_bytes(codecs.BOM_UTF8 + path.read_bytes())
-        assert read_json(path).name == "plan"
-
     @pytest.mark.parametrize(
         ("content", "reason"),
         [
             (b"", "not JSON"),
-            (b"{", "not JSON"),
             (b"\xff\xfe", "cannot be read: 'utf-8'"),
-            (json.dumps(PLAN).encode("utf-16"), "cannot be read: 'utf-8'"),
             (b"[" * 100_000, "not JSON"),
-            (b'{"walls":' * 100_000, "not JSON"),
             (b"[1, 2]", "no table of keys and values"),
-            (b'"walls"', "no table of keys and values"),
             (b"{}", "neither 'walls'.* nor 'verts'"),
             (b'{"id": "n", "walls": [[NaN, 0, 1, 1]]}', "not JSON: NaN is no number"),
-            (b'{"id": "n", "walls": [[0, 0, -Infinity, 1]]}', "not JSON: -Infinity is no number"),
             (b'{"id": "n", "walls": [[0, 0, 1e999, 1]]}', "walls reaches further than 500 m"),
-            (b'{"id": "n", "walls": [[0, 0, -1e308, 1e308]]}', "walls reaches further than 500 m"),
-            (b'{"id": "n", "walls": [[0, 0, 501, 1]]}', "walls reaches further than 500 m"),
             (b'{"id": "n", "walls": [[0, 0, %s, 1]]}' % (b"9" * 400), "walls must be a list of lists of numbers"),
-            (b'{"id": "n", "walls": [[0, 0, %s, 1]]}' % (b"9" * 5000), "not JSON"),
             (b'{"id": "n", "walls": [[0, 0, true, 1]]}', "walls must be a list of lists of numbers"),
-            (b'{"id": "n", "walls": [[0, 0, "1", 1]]}', "walls must be a list of lists of numbers"),
-            (b'{"id": "n", "walls": [[0, 0, null, 1]]}', "walls must be a list of lists of numbers"),
-            (b'{"id": "n", "walls": [0, 0, 1, 1]}', "walls must be a list of lists of numbers"),
-            (b'{"id": "n", "walls": {"0": [0, 0, 1, 1]}}', "walls must be a list of lists of numbers"),
-            (b'{"id": "n", "walls": null}', "walls must be a list of lists of numbers"),
             (b'{"id": "n", "walls": [[0, 0, 1, 1], [0, 0, 1]]}', r"walls\[1\] has 3 numbers, and walls\[0\] has 4"),
             (b'{"id": "n", "walls": [[0, 0, 1]]}', "walls must have 4 numbers a row, not 3"),
             (b'{"id": "n", "walls": []}', "walls is empty"),
-            (b'{"id": "n", "walls": [[]]}', "walls is empty"),
-            (b'{"id": "n", "walls": [[1, 1, 1, 1]]}', "stand on one line and enclose nothing"),
             (b'{"id": "n", "walls": [[0, 1, 2, 1]]}', "stand on one line and enclose nothing"),
-            (b'{"walls": [[0, 0, 1, 1]]}', "the key 'name' is missing"),
             (b'{"name": "n", "size": [1, 1], "walls": [[0, 0, 1, 1]], "start": [[0, 0, 0]]}', "unknown key 'start'"),
             (b'{"id": 7, "walls": [[0, 0, 1, 1]]}', "id must be a text"),
             (b'{"id": "\\ud800", "walls": [[0, 0, 1, 1]]}', "holds an invalid character"),
-            (b'{"id": "n", "verts": []}', "verts is empty"),
             (b'{"id": "n", "verts": [[0, 0, 0]]}', "verts must have 2 numbers a row, not 3"),
             (b'{"id": "n", "verts": [[0, 0], [1, 1]]}', "fewer than three corners"),
-            (b'{"id": "n", "verts": [[0, 0], [1, 1], [1, 1], [0, 0]]}', "fewer than three corners"),
-            (b'{"id": "n", "verts": [[0, 0], [1, 0], [2, 0]]}', "stand on one line and enclose nothing"),
             (b'{"verts": [[0, 0], [1, 1], [1, 0]]}', "the key 'id' is missing"),
         ],
-        ids=range(38),
     )
     def test_json_that_is_no_plan_is_refused(self, tmp_path, content, reason):
         path = tmp_path / "plan.json"
@@ -495,7 +339,7 @@ class TestPlans:
         with pytest.raises(WorldError, match=r"plan\.json: larger than 0\.0001 MB"):
             load_world(path)
 
-    @pytest.mark.parametrize("name", ["map.png", "plan.jsonl", "plan"])
+    @pytest.mark.parametrize("name", ["map.png", "plan"])
     def test_other_files_are_refused_with_those_that_can_be_read(self, tmp_path, name):
         with pytest.raises(WorldError, match=rf"{name}: not a world file that can be read \(\.toml, \.yaml, \.json\)"):
             load_world(write_json(tmp_path, PLAN, name))
@@ -515,8 +359,7 @@ class TestRealPlans:
             dropped += len(table["walls"]) - len(world.walls)
         assert dropped == 1
 
-    @pytest.mark.parametrize("turn", [0.0, 0.4])
-    @pytest.mark.parametrize("radius", [0.07, 0.25])
+    @pytest.mark.parametrize(("radius", "turn"), [(0.07, 0.0), (0.25, 0.4)])
     def test_a_disc_fits_where_no_edge_is_near_and_no_polygon_around(self, radius, turn):
         generator = np.random.default_rng(3)
         polygons = [generator.uniform(0.0, 4.0, 2) + generator.uniform(-1.0, 1.0, (n, 2)) for n in (3, 4, 7)]
@@ -539,46 +382,23 @@ class TestRealPlans:
 
 
 NASTY = [
+    *("!!int ''", "0b_", "2001-99-99", "2001-01-01 0:0:0 +99:99", "&a [*a]", "[" * 2000, "1e999", "? [a]\n: b"),
+    *('"\\ud800"', '"\\0.pgm"', "9" * 5000, "190:20:30", "<<: {a: 1}", "%YAML 9.9\n---", "!<tag:x> y", "*a", "|\n a"),
     *(
-        "!!int ''",
-        "!!timestamp x",
-        "0b_",
-        "0x_",
-        "2001-99-99",
-        "2001-01-01 0:0:0 +99:99",
-        "&a [*a]",
-        "[" * 2000,
-        "[" * 3,
-    ),
-    *(
-        "1e999",
-        "? [a]\n: b",
-        '"\\ud800"',
-        '"\\0.pgm"',
-        "9" * 5000,
-        "9" * 400,
-        "190:20:30",
-        ".nan",
-        "-.inf",
-        "<<: {a: 1}",
-    ),
-    *(
-        "%YAML 9.9\n---",
-        "\t",
-        "!<tag:x> y",
-        "*a",
-        "|\n a",
-        "true",
-        "NaN",
         "null",
         "{}",
-        "[]",
         "'",
-        '"',
         "---\n",
         "\x85",
+        "../map.yaml",
+        "/dev/zero",
+        "map.pgm",
+        "1_0.5",
+        "\ufeff",
+        "=",
+        "#",
+        "a: " * 1000,
     ),
-    *("../map.yaml", "/dev/zero", "map.pgm", "-0", "1_0.5", "\ufeff", "P5", "=", "#"),
 ]
 
 

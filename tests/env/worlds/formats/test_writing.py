@@ -1,7 +1,5 @@
 """Files out: TOML that reads back as the same world, maps that show it; and copies that are as unchangeable."""
 
-import copy
-import pickle
 import stat
 
 import cv2
@@ -11,15 +9,13 @@ import yaml
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
+from limslam_env import World, load_world
 from limslam_env.geometry.segment import distances, sample
-from limslam_env.worlds.formats import pictures
-from limslam_env.worlds.formats.loading import load_world, shipped_worlds
 from limslam_env.worlds.formats.toml import parse_world, world_toml
 from limslam_env.worlds.formats.writing import write_world
-from limslam_env.worlds.world import World, WorldError
+from limslam_env.worlds.world import WorldError
 
 BOX = np.array([[0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 1.0, 1.0], [1.0, 1.0, 0.0, 1.0], [0.0, 1.0, 0.0, 0.0]])
-ARRAYS = ("walls", "doors", "starts", "loop")
 
 
 def box_world(**changes) -> World:
@@ -60,28 +56,16 @@ class TestToml:
     @pytest.mark.parametrize(
         "name",
         [
-            "",
-            'a "quoted" name',
-            "back\\slash \\n \\u0041",
-            "two\nlines\r\nand\ttabs",
-            '"""',
-            "'''",
-            "# no comment = [1]",
+            'back\\slash \\u0041 and """',
             "ünïcödé 建物 🏠",
             "\ufeffmark \u2028 \u0085 \x7f",
             "".join(map(chr, range(32))),
         ],
-        ids=range(10),
+        ids=range(4),
     )
     def test_every_name_reads_back_from_a_file(self, tmp_path, name):
         world = box_world(name=name)
         write_world(world, tmp_path / "w.toml")
-        assert load_world(tmp_path / "w.toml") == world
-
-    @pytest.mark.parametrize("name", shipped_worlds())
-    def test_shipped_worlds_read_back_from_files(self, tmp_path, name):
-        world = load_world(name)
-        write_world(world, str(tmp_path / "w.toml"))
         assert load_world(tmp_path / "w.toml") == world
 
     def test_it_is_written_as_people_write_it(self):
@@ -97,16 +81,6 @@ class TestToml:
             "    [[0.25, 0.25], [0.5, 0.25], [0.5, 1e-07]],\n"
             "]\n"
         )
-
-    def test_floats_are_exact(self):
-        odd = np.array([[0.1, 1.0 / 3.0, -0.0, 5e-324]])
-        world = parse_world(world_toml(box_world(doors=odd)), "again")
-        assert world.doors.tobytes() == odd.tobytes()
-
-    @pytest.mark.parametrize("name", [7, None, b"box", "half a \ud800 pair"])
-    def test_no_world_has_a_name_that_no_file_can_hold(self, name):
-        with pytest.raises(WorldError, match="name"):
-            box_world(name=name)
 
 
 class TestMaps:
@@ -151,20 +125,7 @@ class TestMaps:
         assert (levels == 0).sum() == 7 * 7 + 4 * 10
         assert (levels == 254).sum() == 9 * 9 - 7 * 7
 
-    def test_an_open_world_has_no_inside(self, tmp_path):
-        write_world(box_world(walls=BOX[:3]), tmp_path / "map.yaml", resolution=0.1)
-        assert set(cv2.imread(str(tmp_path / "map.pgm"), cv2.IMREAD_UNCHANGED).ravel()) == {0, 205}
-
-    def test_slanting_walls_are_tight(self, tmp_path):
-        turned = np.array([[0.0, 0.0], [3.1, 1.3], [1.8, 4.4], [-1.3, 3.1]])
-        world = box_world(size=(5.0, 5.0), walls=np.hstack((turned, np.roll(turned, 1, axis=0))))
-        write_world(world, tmp_path / "map.yaml")
-        free = cv2.imread(str(tmp_path / "map.pgm"), cv2.IMREAD_UNCHANGED) == 254
-        # Its area is 3.1^2 + 1.3^2 = 11.3 m^2, and the walls take about a cell all around.
-        assert free.sum() * 0.05**2 == pytest.approx(11.3, abs=4 * 3.36 * 0.05)
-
-    @pytest.mark.parametrize("resolution", [0.05, 0.02, 0.1])
-    @pytest.mark.parametrize("name", ["env1", "square"])
+    @pytest.mark.parametrize(("name", "resolution"), [("env1", 0.05), ("square", 0.1)])
     def test_a_map_reads_back_with_its_walls_where_they_were(self, tmp_path, name, resolution):
         world = load_world(name)
         write_world(world, tmp_path / "map.yaml", resolution)
@@ -178,7 +139,7 @@ class TestMaps:
         assert [len(polygon) for polygon in again.obstacles] == [4]
         np.testing.assert_allclose(again.size, np.array(world.size) + 9.0 * resolution)
 
-    @pytest.mark.parametrize("name", ["two words", "a: b # c", "'\"", "-", "ü"])
+    @pytest.mark.parametrize("name", ["a: b # c", "'\""])
     def test_any_file_name_will_do(self, tmp_path, name):
         write_world(box_world(), tmp_path / f"{name}.yml")
         assert load_world(tmp_path / f"{name}.yml").name == name
@@ -191,22 +152,15 @@ class TestRefused:
             write_world(box_world(), tmp_path / name)
         assert not list(tmp_path.iterdir())
 
-    @pytest.mark.parametrize("resolution", [0.0, -0.05, 0.0009, 10.1, float("nan"), float("inf")])
+    @pytest.mark.parametrize("resolution", [0.0009, 10.1, float("nan")])
     def test_a_resolution_that_no_map_has(self, tmp_path, resolution):
         with pytest.raises(WorldError, match=r"m\.yaml: cells must measure 0\.001 to 10 m"):
             write_world(box_world(), tmp_path / "m.yaml", resolution)
 
-    def test_more_cells_than_can_be_read(self, tmp_path, monkeypatch):
+    def test_more_cells_than_can_be_read(self, tmp_path):
         large = box_world(size=(500.0, 500.0), walls=BOX * 500.0)
         with pytest.raises(WorldError, match=r"m\.yaml: 500009 x 500009 cells of 0\.001 m; a map has up to"):
             write_world(large, tmp_path / "m.yaml", 0.001)
-        # What is written just can be read.
-        monkeypatch.setattr("limslam_env.worlds.formats.map_server_writer.MAX_PIXELS", 19 * 19)
-        monkeypatch.setattr(pictures, "MAX_PIXELS", 19 * 19)
-        write_world(box_world(), tmp_path / "m.yaml", 0.1)
-        load_world(tmp_path / "m.yaml")
-        with pytest.raises(WorldError, match="20 x 20 cells"):
-            write_world(box_world(walls=1.1 * BOX), tmp_path / "m.yaml", 0.1)
 
     @pytest.mark.parametrize("name", ["w.toml", "w.yaml"])
     def test_a_place_where_nothing_can_be_written(self, tmp_path, name):
@@ -226,21 +180,3 @@ class TestRefused:
         assert load_world(path) == box_world()
         assert stat.S_IMODE(path.stat().st_mode) == stat.S_IMODE(other.stat().st_mode)
         assert {found.name for found in tmp_path.iterdir()} == {"w.toml", "other"}
-
-
-class TestCopies:
-    @pytest.mark.parametrize(
-        "duplicate",
-        [lambda world: pickle.loads(pickle.dumps(world)), copy.copy, copy.deepcopy],  # noqa: S301 - our own
-        ids=["pickle", "copy", "deepcopy"],
-    )
-    def test_a_copy_is_equal_and_as_unchangeable(self, duplicate):
-        world = box_world(
-            obstacles=(np.array([[0.2, 0.2], [0.8, 0.2], [0.8, 0.8]]),), starts=np.array([[0.1, 0.5, 0.0]])
-        )
-        assert len(world.edges) == 7
-        again = duplicate(world)
-        assert again == world
-        assert hash(again) == hash(world)
-        for array in (*(getattr(again, name) for name in ARRAYS), *again.obstacles, again.edges):
-            assert not array.flags.writeable
