@@ -95,13 +95,16 @@ class Placed(NamedTuple):
     place
         The map in which the readings have to fit; None if it is the map in which the robot goes on.
     has_drifted
-        Whether the robot was not carried away, but has drifted: its odometry holds for all its motions.
+        Whether the robot was not carried away, but has drifted, and is near.
+    is_break
+        Whether its odometry says nothing of how it came there.
     """
 
     at: float
     rays: FloatArray
     place: KnownPlaces | None
     has_drifted: bool = False
+    is_break: bool = False
 
 
 @dataclass(eq=False)

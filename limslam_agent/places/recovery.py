@@ -18,7 +18,6 @@ from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.places.absence import LEAST_KNOWN, Absence, KnownFrame, Placed, Placement, known_before
 from limslam_agent.places.history import LoggedStep, StepLog, carried_at
 from limslam_agent.places.localisation import (
-    FAR,
     FAR_SHARE,
     LEAD,
     KnownPlaces,
@@ -30,7 +29,7 @@ from limslam_agent.places.revisions import BEGUN_ANEW, NOT_CONFIRMED
 from limslam_agent.places.search import CONFIRMED, FAR_CONFIRMED, PlaceSearch, other_place
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.known_map import DECIDED, DRIFT, NearFit, near_fit
+from limslam_agent.status.known_map import DECIDED, KnownMap, NearFit, near_fit
 from limslam_agent.status.monitor import Loss, StatusMonitor
 from limslam_agent.status.rays import moved, rays_of
 from limslam_agent.status.status import Status
@@ -121,17 +120,21 @@ class Recovery:
     def note(self, step: LoggedStep, slam: LineSlam, grid: OccupancyGrid, *, is_suspicious: bool = False) -> None:
         """Keep a step of the robot, and now and then a copy of its estimate after it.
 
-        While the robot may have been carried away, the copies from before are kept.
+        While the robot may have been carried away, some copies from before are kept.
         """
         self.log.steps.append(step)
         if self.absence is not None:
             self.absence.driven += math.hypot(*step.motion[:2].tolist())
             if self.absence.search is not None:
                 self.absence.search.drive(step.motion)
+            if self.is_lost:
                 return
-        if not self._copies or (self.log.end % _CHECKPOINT == 0 and not is_suspicious):
-            self._copies = [*self._copies, self._copy(slam, grid)][-_CHECKPOINTS:]
-            self.log.forget_before(self._copies[0].step)
+        if not self._copies or self.log.end % _CHECKPOINT == 0:
+            kept = self._copies[: _CHECKPOINTS // 2] if is_suspicious else []
+            later = [*self._copies[len(kept) :], self._copy(slam, grid)]
+            self._copies = [*kept, *later[len(kept) - _CHECKPOINTS :]]
+            if self.absence is None:
+                self.log.forget_before(self._copies[0].step)
 
     def move(self, poses: Sequence[FloatArray]) -> None:
         """A renewal has moved the latest steps to poses (3,): copies from before and searches mean nothing any more."""
@@ -148,10 +151,10 @@ class Recovery:
         knew when it was lost from there: what it has read at a wrong place says nothing of the earlier map.
         """
         before, first = self.absence, max(self.log.end - 1 - loss.ago, self.log.begin + 1)
-        if before is None or before.known is None:
+        if before is None or before.known is None or loss.known is not None:
             before = self.absence = self._lost_from(first, loss, jump, slam, grid)
         elif before.placed is not None:
-            if not before.placed.has_drifted:
+            if before.placed.is_break:
                 self.breaks.pop()
             first, before.placed = before.since, None
             self.log.steps[: len(before.steps)] = before.steps
@@ -230,18 +233,19 @@ class Recovery:
         found = absence.search.seek(rays, far, [near.fit], may_be_bent=not is_far_likely)
         return None if found is None else self._placement(absence, rays, found, sensor)
 
-    def seek_near(self, sensor: RangeSensor) -> Placement | None:
+    def seek_near(self, known: KnownMap | None, sensor: RangeSensor) -> Placement | None:
         """The placement of a robot that may have drifted, if its readings since then fit near the believed pose.
 
-        Such a robot need not go on in a local frame.
+        Such a robot need not go on in a local frame. They are compared with the map ``known`` of the time before, which
+        is by default that of the frame.
         """
         absence = self.absence
         assert absence is not None and absence.known is not None and absence.search is not None  # noqa: PT018, S101
-        if absence.first <= absence.known.step + 1:
+        if known is None and absence.first <= absence.known.step + 1:
             return None  # the doubtful readings may be in that map already, and would fit there in any case
         rays = rays_of(self.log.since(absence.first), self._robot, sensor)
         # Ground that the map does not have is unlikely beforehand, since nothing says that the robot was carried away.
-        near = near_fit(absence.search.place, rays, absence.covariance)
+        near = near_fit(known or absence.search.place, rays, absence.covariance)
         if not self._fits_near(near, rays):
             return None
         return self._placement(absence, rays, absence.search.accept(near.fit, rays[:, :2].mean(axis=0)), sensor)
@@ -272,16 +276,18 @@ class Recovery:
 
     def has_joined(self, placement: Placement, closed: KnownPlaces | None = None) -> None:
         """The robot goes on in the known frame. If this has closed a loop, the map of this frame is ``closed`` now."""
-        if not placement.has_drifted:
+        if closed is None:
             self.breaks.append(placement.step)
         self.note_event("found", step=self.log.end - 1, carried_at=placement.step)
-        self._has_returned(placement.rays, closed, has_drifted=placement.has_drifted)
+        self._has_returned(placement.rays, closed, has_drifted=placement.has_drifted, is_break=closed is None)
 
-    def _has_returned(self, rays: FloatArray, place: KnownPlaces | None, *, has_drifted: bool) -> None:
+    def _has_returned(
+        self, rays: FloatArray, place: KnownPlaces | None, *, has_drifted: bool, is_break: bool = False
+    ) -> None:
         absence = self.absence
         assert absence is not None and absence.search is not None  # noqa: PT018, S101 (the robot was lost from a frame)
         absence.search.wait()
-        absence.placed = Placed(absence.driven, rays, place or absence.search.place, has_drifted)
+        absence.placed = Placed(absence.driven, rays, place or absence.search.place, has_drifted, is_break)
         absence.has_returned = True
 
     def still_fits(self, own: StatusMonitor, sensor: RangeSensor) -> bool:
@@ -334,7 +340,7 @@ class Recovery:
         pose = placed[step - 1 - log.begin]
         covariance = match_covariance(transform_points(frame, found.middle[None])[0], pose)
         placed_rays = moved(rays, frame)
-        has_drifted = not is_far(frame, found.middle, *(DRIFT if absence.was_moved else FAR))
+        has_drifted = not is_far(frame, found.middle)
         if not has_drifted and not absence.was_moved and known is not None:
             has_drifted = known.explains(frame, covariance, placed_rays)
         return Placement(step, pose, covariance, placed_rays, has_drifted)

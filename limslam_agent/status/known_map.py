@@ -27,9 +27,8 @@ _MAP_STD = 0.045  # m: standard deviation of a wall's place in the map as seen f
 _RIGHT, _WRONG = 0.005, 0.12  # shares of rays that contradict a map at the right place, and at a wrong one
 _RIGHT_IF_BENT = 0.02  # the first share in a map that may be bent, or whose furniture may have been moved
 _WALL_COLUMNS = 5
-_STARTS = (-0.3, 0.0, 0.3), (-math.radians(8.0), 0.0, math.radians(8.0))  # m, rad: where poses near by are looked for
+_SLIPS = np.radians(np.arange(-28.0, 29.0, 4.0))  # turns that the wheels may miss, rad
 _DEVIATIONS = -2.0, -1.0, 0.0, 1.0, 2.0  # and along each axis of the covariance, in standard deviations
-_LIKELY = 4.5  # a pose with at most this cost is near, however far it is: 3 standard deviations
 _LEAST_STD, _LEAST_TURN = 0.05, math.radians(1.0)  # m, rad: least deviation of the pose with respect to the map
 _OWN = 0.5  # part of the pose's standard deviation that the walls near by do not share
 
@@ -44,6 +43,10 @@ DOUBTED, DECIDED = math.log(100.0), math.log(1000.0)
 
 By Wald's bound, a test that stops there is wrong in at most one of 100, or of 1000 cases.
 """
+
+
+SLIPPED = 10.0
+"""Cost of a slip: a logarithm of how unlikely it is beforehand in any step."""
 
 
 def contradiction_test(contradicting: int, tested: int, *, may_be_bent: bool = False) -> float:
@@ -213,25 +216,39 @@ class NearFit(NamedTuple):
 
 
 def near_fit(known: KnownMap, rays: FloatArray, covariance: FloatArray) -> NearFit:
-    """The likeliest pose of rays (n, 7) near the believed pose, the origin, whose covariance (3, 3) is given.
+    """The likeliest pose of rays (n, 7) if they have drifted, or slipped where the first of them begins.
 
-    A pose is near within ``DRIFT``, or within 3 standard deviations of the part of the pose's error that the walls near
-    by do not share. Without rays, the believed pose is as likely as any.
+    ``covariance`` (3, 3) is that of the believed pose, the origin. Without rays, this pose is as likely as any.
     """
     if not len(rays):
         return NearFit(known.fit_here(rays), 0.0)
+    return max(drift_fit(known, rays, covariance), slip_fit(known, rays), key=lambda each: each.evidence)
+
+
+def drift_fit(known: KnownMap, rays: FloatArray, covariance: FloatArray) -> NearFit:
+    """The likeliest pose of rays (n, 7) by the covariance (3, 3) of the believed pose, the origin.
+
+    Of this covariance, only the part counts that the walls near by do not share.
+    """
     middle = rays[:, :2].mean(axis=0)
     about, back = np.array([*middle, 0.0]), np.array([*-middle, 0.0])
     spread = _OWN**2 * covariance + np.diag([_LEAST_STD**2, _LEAST_STD**2, _LEAST_TURN**2])
     variances, axes = np.linalg.eigh(spread)
     likely = np.array(list(product(_DEVIATIONS, repeat=3))) * np.sqrt(variances) @ axes.T
-    grid = np.array(list(product(_STARTS[0], _STARTS[0], _STARTS[1])))
-    starts = compose(compose(about, np.concatenate((likely, grid))), back)
+    starts = compose(compose(about, likely), back)
     # With few rays, a refinement may lead away from the right pose.
-    poses = np.concatenate((starts[: len(likely)], known.refined(starts, rays)))
+    poses = np.concatenate((starts, known.refined(starts, rays)))
     off = compose(compose(back, poses), about)
     costs = 0.5 * np.einsum("ni,ij,nj->n", off, np.linalg.inv(spread), off)
-    is_near = (np.hypot(off[:, 0], off[:, 1]) < DRIFT[0]) & (np.abs(off[:, 2]) < DRIFT[1])
-    is_near |= costs < _LIKELY
-    found = map(NearFit, known.weigh(poses[is_near], rays), costs[is_near].tolist())
+    found = map(NearFit, known.weigh(poses, rays), costs.tolist())
     return max(found, key=lambda each: each.evidence)
+
+
+def slip_fit(known: KnownMap, rays: FloatArray) -> NearFit:
+    """The likeliest pose of rays (n, 7) if the robot has turned, without its wheels, where the first of them begins."""
+    about = np.array([*rays[0, :2], 0.0])
+    turned = np.column_stack((np.zeros((len(_SLIPS), 2)), _SLIPS))
+    fits = known.weigh(compose(compose(about, turned), -about), rays)
+    best = max(fits, key=lambda fit: fit.evidence)
+    (refined,) = known.weigh(known.refined(best.pose[None], rays), rays)
+    return NearFit(max(best, refined, key=lambda fit: fit.evidence), SLIPPED)

@@ -16,7 +16,7 @@ import numpy as np
 
 from limslam_agent.kernels.tables import RAY_BEAM, RAY_LENGTH, RAY_TO_X
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.known_map import DECIDED, DOUBTED, Explained, KnownMap, contradiction_test, near_fit
+from limslam_agent.status.known_map import DECIDED, DOUBTED, Explained, KnownMap, contradiction_test, drift_fit, slip_fit
 from limslam_agent.status.rays import LASTING, STEPS, dropouts, moved, numbered_rays_of, step_rays
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
@@ -75,6 +75,25 @@ class Change:
         return float(self.by_beam.sum())
 
 
+class Suspicion(NamedTuple):
+    """That the robot is not where it is believed to be, since a change.
+
+    Attributes
+    ----------
+    change, evidence
+        The change, and the logarithm of the likelihood ratio.
+    is_certain
+        Whether that is so even if the beam that says most is broken.
+    is_slip
+        Whether it has slipped, and is near.
+    """
+
+    change: Change
+    evidence: float
+    is_certain: bool = False
+    is_slip: bool = False
+
+
 @dataclass(eq=False)
 class _Candidate:
     """A change that may be the one before which the robot was carried away.
@@ -100,10 +119,8 @@ class SuddenChanges:
 
     Attributes
     ----------
-    suspect
-        The likeliest change that makes the robot doubtful; None without it.
-    is_certain
-        Whether the robot was carried away before it, even if the beam that says most is broken.
+    suspicion
+        The likeliest one that makes the robot doubtful; None without it.
     weighed
         Number of the latest step in which a change would have been noticed; -1 before the first one. What follows a
         reading says whether it was a dropout, so that the last steps wait.
@@ -138,8 +155,8 @@ class SuddenChanges:
 
     def forget(self) -> None:
         """Forget all changes: the estimator has closed a loop, and moved the map."""
-        self._candidates, self.is_certain = list[_Candidate](), False
-        self.suspect: Change | None = None
+        self._candidates = list[_Candidate]()
+        self.suspicion: Suspicion | None = None
 
     @property
     def oldest(self) -> int:
@@ -151,13 +168,13 @@ class SuddenChanges:
     ) -> None:
         """Weigh the changes by the readings since then, and find the likeliest one that makes the robot doubtful.
 
-        Both the evidence of the readings and the test of their contradictions can speak for a change. A doubt remains
-        until the readings since the last contradiction clearly fit. No robot is lost whose change is outweighed by all
-        readings since then.
+        The robot is still here, it has slipped, or it is elsewhere. Both the evidence of the readings and the test of
+        their contradictions can speak for the last one. A doubt remains until the readings since the last contradiction
+        clearly fit. No robot is lost whose change is outweighed by all readings since then.
         """
         oldest, latest = self._candidates[0].change.step, first + len(sights) - 1
         rays, steps = numbered_rays_of(sights[oldest - first :], self._robot, known.sensor)
-        self.suspect, self.is_certain, most, since = None, False, DOUBTED, steps + oldest
+        self.suspicion, most, since = None, DOUBTED, steps + oldest
         for candidate in self._candidates:
             change = candidate.change
             change.known.sensor = known.sensor
@@ -168,24 +185,45 @@ class SuddenChanges:
             if since_then.sum() > _SUPPORTED:
                 candidate.is_doubted = False
                 continue
-            by_ray = max(-here.evidence, _test_of_places(later, here), key=np.sum)
-            evidence = change.evidence + float(by_ray.sum())
-            if evidence >= DOUBTED:  # or it has drifted
-                near = near_fit(change.known, later, covariance)
-                there = max(-near.evidence, contradiction_test(near.fit.contradictions, near.fit.tested))
-                evidence = min(evidence, change.evidence + there)
-            if evidence >= most:
-                others = without_the_worst(change.by_beam + by_beam(later, by_ray, self._robot))
-                most, self.suspect = evidence, change
-                # The readings since a change must not speak for the place: bodies pass, and beams meet edges at once.
-                least = min(evidence, change.evidence - float(here.evidence.sum()))
-                self.is_certain = least >= _CARRIED and others >= DECIDED
+            found = max(
+                self._carried(change, later, here, covariance), self._slipped(change, later, here, covariance),
+                key=lambda each: each.evidence,
+            )  # fmt: skip
+            if found.evidence >= most:
+                most, self.suspicion = found.evidence, found
             is_held = candidate.is_doubted and latest - change.step <= STEPS
-            candidate.is_doubted = evidence >= DOUBTED or is_held
+            candidate.is_doubted = found.evidence >= DOUBTED or is_held
         self._candidates = [each for each in self._candidates if each.is_doubted or place - each.place <= WINDOW]
         doubted = [each.change for each in self._candidates if each.is_doubted]
-        if self.suspect is None and doubted:
-            self.suspect = doubted[0]
+        if self.suspicion is None and doubted:
+            self.suspicion = Suspicion(doubted[0], 0.0)
+
+    def _carried(self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray) -> "Suspicion":
+        """That the robot is elsewhere since a change, by the rays (n, 7) since then."""
+        by_ray = max(-here.evidence, _test_of_places(later, here), key=np.sum)
+        evidence = change.evidence + float(by_ray.sum())
+        if evidence >= DOUBTED:  # or it has drifted
+            near = drift_fit(change.known, later, covariance)
+            there = max(-near.evidence, contradiction_test(near.fit.contradictions, near.fit.tested))
+            evidence = min(evidence, change.evidence + there)
+        # The readings since a change must not speak for the place: bodies pass, and beams meet edges at once.
+        least = min(evidence, change.evidence - float(here.evidence.sum()))
+        others = without_the_worst(change.by_beam + by_beam(later, by_ray, self._robot))
+        return Suspicion(change, evidence, is_certain=least >= _CARRIED and others >= DECIDED)
+
+    def _slipped(self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray) -> "Suspicion":
+        """That the robot has slipped at a change, by the rays (n, 7) since then."""
+        if not len(later):
+            return Suspicion(change, 0.0)
+        slip = slip_fit(change.known, later)
+        evidence = slip.evidence - float(here.evidence.sum())
+        if evidence >= DOUBTED:  # or it has drifted
+            evidence = min(evidence, slip.evidence - drift_fit(change.known, later, covariance).evidence)
+        if evidence < DECIDED:
+            return Suspicion(change, evidence)
+        there = change.known.explained(moved(later, slip.fit.pose))
+        others = without_the_worst(by_beam(later, there.evidence - here.evidence, self._robot))
+        return Suspicion(change, evidence, is_certain=others >= DECIDED, is_slip=True)
 
     def _likeliest(self, sights: Sequence[Sight], first: int, known: KnownMap, covariance: FloatArray) -> Change | None:
         """The step since the last call with the most sudden change, if there is a step."""
