@@ -12,13 +12,20 @@ from numpy.typing import NDArray
 from limslam_agent.kernels.algebra import wrapped
 from limslam_agent.kernels.compilation import compiled, lean_entry
 from limslam_agent.kernels.measurement import read_share
-from limslam_agent.kernels.tables import GRAZING, RAY_LENGTH, RAY_REACH, RAY_TO_X, RAY_TO_Y, RAY_X, RAY_Y
+from limslam_agent.kernels.readings import normal_density
+from limslam_agent.kernels.tables import (
+    GRAZING,
+    NOTHING,
+    RAY_LENGTH,
+    RAY_REACH,
+    RAY_TO_X,
+    RAY_TO_Y,
+    RAY_X,
+    RAY_Y,
+    UNRELATED,
+)
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
-NOTHING = 0.45
-"""Likelihood that a beam sees nothing at a random place."""
-
-_WRONG = 0.02  # likelihood that a reading has nothing to do with the map, although it is known there
 _OVER, _INSET = 0.05, 0.08  # m: walls may be so much longer, or shorter, than they were drawn
 _STEEPEST = 0.25  # least cosine by which the spread of a distance to a wall is divided
 _BESIDE = 0.15  # m: a reading that differs by less than this and three standard deviations contradicts nothing
@@ -62,9 +69,9 @@ def wall_evidence(length: float, reach: float, wall: float, std: float) -> float
     """The evidence of a reading for a wall at a distance (m), against a random place."""
     if length >= reach:
         beyond = 0.5 * math.erfc((reach - wall) / (std * math.sqrt(2.0)))
-        return math.log(((1.0 - _WRONG) * beyond + _WRONG * NOTHING) / NOTHING)
-    density = math.exp(-0.5 * ((length - wall) / std) ** 2) / (std * math.sqrt(2.0 * math.pi))
-    return math.log((1.0 - _WRONG) * density * reach / (1.0 - NOTHING) + _WRONG)
+        return math.log(((1.0 - UNRELATED) * beyond + UNRELATED * NOTHING) / NOTHING)
+    density = normal_density(length - wall, std)
+    return math.log((1.0 - UNRELATED) * density * reach / (1.0 - NOTHING) + UNRELATED)
 
 
 @compiled
@@ -127,11 +134,12 @@ def explain(
         return wall_evidence(length, reach, wall, std), against, True
     if free >= reach - 0.05:
         is_empty = length > reach - 0.1
-        return (math.log((1.0 - _WRONG) / NOTHING) if is_empty else math.log(_WRONG)), 0.0 if is_empty else length, True
+        likelihood = (1.0 - UNRELATED) / NOTHING if is_empty else UNRELATED
+        return math.log(likelihood), 0.0 if is_empty else length, True
     if free <= 0.0:
         return 0.0, 0.0, False
     if length < free - _BESIDE - 3.0 * math.sqrt(spread[0] + spread[1] * free**2):
-        return math.log(_WRONG), length, True
+        return math.log(UNRELATED), length, True
     beyond = -math.log(NOTHING + (1.0 - NOTHING) * (1.0 - free / reach))
     if ends_at < 0:
         # Beams ended in this cell, but no wall was drawn.

@@ -28,7 +28,6 @@ _ON_LINE = 0.6
 _EDGES, _EDGES_PER_TURN, _FASTEST = 0.01, 0.4, 0.2
 _APPEARS = 0.04  # likelihood that a wall comes into reach in a step
 _LIMITS = -1.5, 4.5  # of a single reading
-_ROOT = math.sqrt(2.0 * math.pi)
 
 
 @lean_entry
@@ -64,7 +63,7 @@ def sort_readings(
 @compiled
 def normal_density(off: float, std: float) -> float:
     """Density of a normal distribution."""
-    return math.exp(-0.5 * (off / std) ** 2) / (std * _ROOT)
+    return math.exp(-0.5 * (off / std) ** 2) / (std * math.sqrt(2.0 * math.pi))
 
 
 @compiled

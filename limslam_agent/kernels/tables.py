@@ -76,8 +76,11 @@ LEAST_SPREAD = 1e-6
 LEAST_GAIN = 1e-9
 """Least squared norm of a shape that is divided by."""
 
-NOTHING = 0.5
+NOTHING = 0.45
 """Likelihood that a beam sees nothing at a random place."""
+
+UNRELATED = 0.02
+"""Likelihood that a reading has nothing to do with the map of the place where it was taken."""
 
 THROUGH_SIGMAS, THROUGH_SLACK = 3.0, 0.05
 """A beam has passed through a wall if it is longer than the distance to the wall's line by this many standard

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from limslam_agent.status.known_map import DECIDED, DRIFT, KnownMap, PlaceFit
+from limslam_agent.status.known_map import DECIDED, DRIFT, MATCH_COVARIANCE, KnownMap, PlaceFit
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose, transform_points, wrap_angle
 from limslam_env.geometry.segment import sample
@@ -33,11 +33,12 @@ _SPREAD = 0.25, math.radians(12.0)  # how far these poses are apart
 _KEPT = 20  # number of places that are tried again in the next search
 _WALL, _HIT, _MISS = 0.20, (2.5, 1.3), -8.0  # m, and evidence of a ray's end at a wall, and in free ground
 _CROSSED, _FREE = -6.0, 0.2  # evidence of a ray's way through a wall, and through free ground
-_LIKENESS = 0.85  # largest share that the evidence of another place has of that of the best one
 _ALIKE = 2.0  # a place is a rival if its test of contradictions speaks less for it by less than this
 
-LEAD = 25.0
-"""Least difference between the evidence of a place and that of every other place."""
+LEAD, LIKENESS = 25.0, 0.70
+"""Least difference between the evidence of a place and that of every other place, and largest share that the latter has
+of it.
+"""
 
 FAR_SHARE = 0.3
 """For what share of its evidence a place counts that is far from the believed one, if nothing says that the robot was
@@ -46,9 +47,6 @@ carried away.
 
 FAR = 1.5, math.radians(30.0)
 """A robot that is off by more than this, m and rad, has not drifted, but was carried."""
-
-MATCH_STD = 0.05, math.radians(2.0)
-"""Standard deviations of position and heading of a place that was found, m and rad."""
 
 
 class KnownPlaces(KnownMap):
@@ -150,11 +148,6 @@ class Localisation:
         return not self.refusal
 
     @property
-    def likeness(self) -> float:
-        """The evidence of the best other place, as a share of the largest evidence."""
-        return 1.0 if self.fit is None or self.fit.evidence <= 0.0 else self.runner_up / self.fit.evidence
-
-    @property
     def record(self) -> dict[str, Any]:
         """The place as it stands in ``result.json``."""
         fit = self.fit
@@ -243,7 +236,7 @@ def match_covariance(middle: FloatArray, pose: FloatArray) -> FloatArray:
     """
     lever = np.eye(3)
     lever[:2, 2] = middle[1] - pose[1], pose[0] - middle[0]
-    return lever @ np.diag([MATCH_STD[0] ** 2, MATCH_STD[0] ** 2, MATCH_STD[1] ** 2]) @ lever.T
+    return np.asarray(lever @ MATCH_COVARIANCE @ lever.T)
 
 
 def is_far(pose: FloatArray, middle: FloatArray, most: float = FAR[0], turn: float = FAR[1]) -> bool:
@@ -274,6 +267,6 @@ def _refusal(best: PlaceFit, runner_up: float, on_map: float) -> str:
     """Why a place does not count, in words; empty if it counts. The test of contradictions must give ``on_map``."""
     if best.is_on_map < on_map:
         return f"{best.contradictions} of {best.tested} readings contradict the map there"
-    if runner_up > min(best.evidence - LEAD, _LIKENESS * best.evidence):
+    if runner_up > min(best.evidence - LEAD, LIKENESS * best.evidence):
         return f"ambiguous: another place has an evidence of {runner_up:.0f}, and the best one {best.evidence:.0f}"
     return ""

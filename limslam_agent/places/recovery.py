@@ -29,7 +29,7 @@ from limslam_agent.places.revisions import BEGUN_ANEW, NOT_CONFIRMED
 from limslam_agent.places.search import CONFIRMED, FAR_CONFIRMED, PlaceSearch, other_place
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.known_map import DECIDED, KnownMap, NearFit, near_fit
+from limslam_agent.status.known_map import DECIDED, UNLIKELY, KnownMap, NearFit, near_fit
 from limslam_agent.status.monitor import Loss, StatusMonitor
 from limslam_agent.status.rays import moved, rays_of
 from limslam_agent.status.status import Status
@@ -40,7 +40,6 @@ from limslam_env.interface import RobotSpec
 # Number of steps between two copies of the estimate, number of copies that are kept, and least number of steps by which
 # a copy must be older than the first doubt about the estimate.
 _CHECKPOINT, _CHECKPOINTS, _MARGIN = 50, 6, 100
-_PLACES = 12.0  # logarithm of the number of places that a map has, each of which is as unlikely beforehand
 
 
 class Recovery:
@@ -94,7 +93,8 @@ class Recovery:
         if search is None or search.latest is None:
             return []
         return [
-            Guess(fit.pose, min(fit.evidence - _PLACES, fit.is_on_map), search.place.grid) for fit in search.latest.open
+            Guess(fit.pose, min(fit.evidence - UNLIKELY, fit.is_on_map), search.place.grid)
+            for fit in search.latest.open
         ]
 
     def status(self, own: Status) -> Status:

@@ -16,13 +16,9 @@ from limslam_agent.status.sudden_changes import WINDOW
 from limslam_env.geometry import FloatArray
 
 _FIRST, _SPACING = 0.8, 0.35  # m: way to the first search, and between two of them
-_TURN_LENGTH = 0.1  # m of this way: a turn by one radian
 
 LONGEST = 6000
 """Largest number of steps of a search from the start of a drive on."""
-
-LARGEST_RUNNER_UP = 0.70
-"""Largest evidence of another place, as a share of the best one, at which a place is confirmed."""
 
 CONFIRMED, FAR_CONFIRMED = WINDOW, 30.0
 """A place is confirmed after so much driving without contradictions, m: in a map without a frontier, and in any map."""
@@ -51,8 +47,7 @@ class PlaceSearch:
 
     def drive(self, motion: FloatArray) -> None:
         """Note the motion (3,) of a step."""
-        x, y, turn = motion.tolist()
-        self._way += math.hypot(x, y) + _TURN_LENGTH * abs(turn)
+        self._way += math.hypot(*motion[:2].tolist())
 
     @property
     def is_due(self) -> bool:
@@ -91,7 +86,4 @@ class PlaceSearch:
 
 def other_place(place: KnownPlaces, rays: FloatArray) -> str:
     """Why rays (n, 7) in the frame of a map may also be elsewhere in it, in words; empty if they fit in one place."""
-    found = localise(place, rays, [np.zeros(3)])
-    if found.is_accepted and found.likeness > LARGEST_RUNNER_UP:
-        return f"ambiguous: another place has {found.likeness:.0%} of the evidence"
-    return found.refusal
+    return localise(place, rays, [np.zeros(3)]).refusal

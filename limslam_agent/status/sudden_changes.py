@@ -16,7 +16,16 @@ import numpy as np
 
 from limslam_agent.kernels.tables import RAY_BEAM, RAY_LENGTH, RAY_TO_X
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.known_map import DECIDED, DOUBTED, Explained, KnownMap, contradiction_test, drift_fit, slip_fit
+from limslam_agent.status.known_map import (
+    DECIDED,
+    DOUBTED,
+    UNLIKELY,
+    Explained,
+    KnownMap,
+    contradiction_test,
+    drift_fit,
+    slip_fit,
+)
 from limslam_agent.status.rays import LASTING, STEPS, dropouts, moved, numbered_rays_of, step_rays
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
@@ -27,7 +36,6 @@ WINDOW, LONGEST_SPACING = 3.0, 0.30
 PLACE = 0.3
 """Contradictions less far apart, m, may have one cause, as a short wall that is missing."""
 
-_CARRIED = 10.0  # evidence of a change after which the robot is lost: it outweighs that few robots are carried away
 _SUPPORTED = 15.0  # evidence of readings that clearly fit
 _EXPLAINED = 1.0  # evidence of a reading for the map: more than that of seeing nothing on free ground
 _MAPS = 4
@@ -209,7 +217,7 @@ class SuddenChanges:
         # The readings since a change must not speak for the place: bodies pass, and beams meet edges at once.
         least = min(evidence, change.evidence - float(here.evidence.sum()))
         others = without_the_worst(change.by_beam + by_beam(later, by_ray, self._robot))
-        return Suspicion(change, evidence, is_certain=least >= _CARRIED and others >= DECIDED)
+        return Suspicion(change, evidence, is_certain=least >= UNLIKELY and others >= DECIDED)
 
     def _slipped(self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray) -> "Suspicion":
         """That the robot has slipped at a change, by the rays (n, 7) since then."""
@@ -232,11 +240,8 @@ class SuddenChanges:
         steps = sights[begin:]
         if len(steps) <= LASTING + 1:
             return None
-        ranges = np.array([each.ranges for each in steps])
-        usable = np.isfinite(ranges) & ~dropouts(ranges >= self._robot.too_far)
-        motions = np.array([(np.hypot(*each.increment[:2]), abs(each.increment[2])) for each in steps])
-        last = 1 - LASTING
-        evidence = change_evidence(ranges[:last], usable[:last], motions[:last], self._robot, known.sensor)
+        ranges, motions = np.array([each.ranges for each in steps]), np.array([each.increment for each in steps])
+        evidence = change_evidence(ranges, motions, self._robot, known.sensor)[: 1 - LASTING]
         new = max(self.weighed - first - begin - 1, 0)
         self.weighed = first + begin + len(steps) - LASTING
         if new >= len(evidence):
@@ -244,21 +249,19 @@ class SuddenChanges:
         row = new + int(evidence[new:].sum(axis=1).argmax())
         number = first + begin + row + 2
         map_then = next((each for at, each in reversed(self._known) if at <= number), self._known[0][1])
-        is_explained = self._are_explained(steps[row + 2], usable[row + 2], map_then, covariance)
+        is_explained = self._are_explained(steps[row + 2], map_then, covariance)
         return Change(number, map_then, np.where(is_explained, np.minimum(evidence[row], 0.0), evidence[row]))
 
-    def _are_explained(self, sight: Sight, usable: BoolArray, known: KnownMap, covariance: FloatArray) -> BoolArray:
+    def _are_explained(self, sight: Sight, known: KnownMap, covariance: FloatArray) -> BoolArray:
         """Which readings (n_beams,) ended where the map has a wall, so that their change says nothing."""
-        ranges, sensor = np.where(usable, sight.ranges, np.nan), known.sensor
-        rays = moved(step_rays(ranges, sensor.mounted(self._robot), sensor.bias), sight.pose)
-        found: BoolArray = np.zeros(len(ranges), dtype=bool)
+        sensor = known.sensor
+        rays = moved(step_rays(sight.ranges, sensor.mounted(self._robot), sensor.bias), sight.pose)
+        found: BoolArray = np.zeros(len(sight.ranges), dtype=bool)
         found[rays[:, RAY_BEAM].astype(int)] = known.explained(rays, covariance).evidence > _EXPLAINED
         return found
 
 
-def change_evidence(
-    ranges: FloatArray, usable: BoolArray, motions: FloatArray, robot: RobotSpec, sensor: RangeSensor
-) -> FloatArray:
+def change_evidence(ranges: FloatArray, motions: FloatArray, robot: RobotSpec, sensor: RangeSensor) -> FloatArray:
     """The evidence (m, n_beams) of each reading that the robot was carried away before its step.
 
     It is the logarithm of the likelihood of the reading at a random place, less that of the reading after the one
@@ -268,17 +271,18 @@ def change_evidence(
 
     Parameters
     ----------
-    ranges, usable
-        Readings of m + 2 steps (m + 2, n_beams), m, and a mask of those that count.
-    motions
-        Length and angle of the motion before each of the steps (m + 2, 2), m and rad, without signs.
+    ranges, motions
+        Readings of m + 2 steps (m + 2, n_beams), m, and the motions (m + 2, 3) before them, m and rad. Readings that
+        are not new are NaN. Those that saw nothing count if the beam does so in ``LASTING`` steps in succession.
     robot, sensor
         The beams, and how they measure.
     """
     from limslam_agent.kernels.readings import weigh_changes
 
-    evidence = np.empty((len(ranges) - 2, ranges.shape[1]))
-    weigh_changes(ranges, usable, motions, robot.beam_table, float(sensor.std), float(sensor.growth), evidence)
+    usable = np.isfinite(ranges) & ~dropouts(ranges >= robot.too_far)
+    lengths = np.column_stack((np.hypot(*motions[:, :2].T), np.abs(motions[:, 2])))
+    evidence = np.empty((max(len(ranges) - 2, 0), ranges.shape[1]))
+    weigh_changes(ranges, usable, lengths, robot.beam_table, float(sensor.std), float(sensor.growth), evidence)
     return evidence
 
 

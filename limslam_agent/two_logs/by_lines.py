@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from limslam_agent.places.localisation import MATCH_STD, KnownPlaces
+from limslam_agent.places.localisation import KnownPlaces
 from limslam_agent.replay.replay import Replay
 from limslam_agent.slam.graph.smooth import Report
 from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_run
+from limslam_agent.status.known_map import MATCH_COVARIANCE
 from limslam_agent.status.smoothed_status import smoothed_status
 from limslam_agent.status.status import LEVELS
 from limslam_agent.two_logs.joint import JointReplay, Replays, frame_of, grid_of
@@ -17,8 +18,6 @@ from limslam_env.geometry import BoolArray, FloatArray, se2
 
 _FURTHEST = 0.4, np.radians(10.0)
 """The smoothed start of the second log, and the path of each log, differ by at most this from the match, m and rad."""
-
-_MATCH_COVARIANCE = np.diag([MATCH_STD[0] ** 2, MATCH_STD[0] ** 2, MATCH_STD[1] ** 2])
 
 
 def joined_by_lines(replays: Replays, frame: FloatArray, report: Report) -> JointReplay | str:
@@ -77,7 +76,7 @@ def joined_run(first: FilteredRun, second: FilteredRun, frame: FloatArray) -> Fi
     second = replace(
         second,
         poses=se2.compose(frame, second.poses),
-        covariances=se2.turned(second.covariances, float(frame[2])) + _MATCH_COVARIANCE,
+        covariances=se2.turned(second.covariances, float(frame[2])) + MATCH_COVARIANCE,
     )
     apart = 1 + max((record.landmark for record in first.associations), default=-1)
     associations = [
