@@ -96,15 +96,15 @@ class Placed(NamedTuple):
         The map in which the readings have to fit; None if it is the map in which the robot goes on.
     has_drifted
         Whether the robot was not carried away, but has drifted, and is near.
-    is_break
-        Whether its odometry says nothing of how it came there.
+    has_slipped
+        Whether it is not where its odometry says, and its covariance does not explain that.
     """
 
     at: float
     rays: FloatArray
     place: KnownPlaces | None
     has_drifted: bool = False
-    is_break: bool = False
+    has_slipped: bool = False
 
 
 @dataclass(eq=False)

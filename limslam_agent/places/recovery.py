@@ -58,6 +58,8 @@ class Recovery:
         What is known about a robot that is lost, or that is not yet sure of its place; None otherwise.
     breaks
         Steps before which the robot was carried away, in the frame that it has found again.
+    slips
+        Parts of the drive in which it has slipped: from where its place was known to where it was placed near by.
     records
         What happened, for ``result.json``.
     """
@@ -68,6 +70,7 @@ class Recovery:
         self._copies: list[KnownFrame] = []
         self.absence: Absence | None = None
         self.breaks: list[int] = []
+        self.slips: list[tuple[int, int]] = []
         self.records: list[dict[str, Any]] = []
         self._offset = np.zeros((3, 3))  # covariance of a map that was begun anew
 
@@ -154,8 +157,10 @@ class Recovery:
         if before is None or before.known is None or loss.known is not None:
             before = self.absence = self._lost_from(first, loss, jump, slam, grid)
         elif before.placed is not None:
-            if before.placed.is_break:
+            if not before.placed.has_drifted:
                 self.breaks.pop()
+            elif before.placed.has_slipped:
+                self.slips.pop()
             first, before.placed = before.since, None
             self.log.steps[: len(before.steps)] = before.steps
         else:
@@ -276,18 +281,21 @@ class Recovery:
 
     def has_joined(self, placement: Placement, closed: KnownPlaces | None = None) -> None:
         """The robot goes on in the known frame. If this has closed a loop, the map of this frame is ``closed`` now."""
-        if closed is None:
+        has_slipped = placement.has_drifted and closed is None
+        if has_slipped:
+            self.slips.append((max([0, *self.breaks, *(last for _, last in self.slips)]), placement.step))
+        elif closed is None:
             self.breaks.append(placement.step)
         self.note_event("found", step=self.log.end - 1, carried_at=placement.step)
-        self._has_returned(placement.rays, closed, has_drifted=placement.has_drifted, is_break=closed is None)
+        self._has_returned(placement.rays, closed, has_drifted=placement.has_drifted, has_slipped=has_slipped)
 
     def _has_returned(
-        self, rays: FloatArray, place: KnownPlaces | None, *, has_drifted: bool, is_break: bool = False
+        self, rays: FloatArray, place: KnownPlaces | None, *, has_drifted: bool, has_slipped: bool = False
     ) -> None:
         absence = self.absence
         assert absence is not None and absence.search is not None  # noqa: PT018, S101 (the robot was lost from a frame)
         absence.search.wait()
-        absence.placed = Placed(absence.driven, rays, place or absence.search.place, has_drifted, is_break)
+        absence.placed = Placed(absence.driven, rays, place or absence.search.place, has_drifted, has_slipped)
         absence.has_returned = True
 
     def still_fits(self, own: StatusMonitor, sensor: RangeSensor) -> bool:

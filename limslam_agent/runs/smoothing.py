@@ -73,6 +73,7 @@ def smooth_episode(episode: "Episode") -> "SmoothedRun | None":
         associations=episode.associations,
         closures=episode.closures,
         breaks=(*((0, step) for step in places.breaks), *unknown_start),
+        slips=tuple((0, *part) for part in places.slips),
         sensor=episode.sensor,
     )
     found = smooth_run(run, settings, places.placed.stop)

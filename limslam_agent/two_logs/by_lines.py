@@ -100,6 +100,7 @@ def joined_run(first: FilteredRun, second: FilteredRun, frame: FloatArray) -> Fi
         associations=[*first.associations, *associations],
         closures=[*first.closures, *closures],
         breaks=(*first.breaks, (0, seam), *((0, step + seam) for _, step in second.breaks)),
+        slips=(*first.slips, *((0, begin + seam, end + seam) for _, begin, end in second.slips)),
         sensor=longer.sensor,
         **columns,
     )
