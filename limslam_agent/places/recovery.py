@@ -123,7 +123,7 @@ class Recovery:
     def note(self, step: LoggedStep, slam: LineSlam, grid: OccupancyGrid, *, is_suspicious: bool = False) -> None:
         """Keep a step of the robot, and now and then a copy of its estimate after it.
 
-        While the robot may have been carried away, some copies from before are kept.
+        While the robot may have been carried away, half of the copies are kept from before.
         """
         self.log.steps.append(step)
         if self.absence is not None:
@@ -151,10 +151,11 @@ class Recovery:
         """The robot is lost, and the odometry has jumped by a distance, m.
 
         A robot whose place was found and is wrong goes back to the frame as it was before, and to what it believed and
-        knew when it was lost from there: what it has read at a wrong place says nothing of the earlier map.
+        knew when it was lost from there: what it has read at a wrong place says nothing of the earlier map. If it has
+        slipped since then, its place was right.
         """
         before, first = self.absence, max(self.log.end - 1 - loss.ago, self.log.begin + 1)
-        if before is None or before.known is None or loss.known is not None:
+        if before is None or before.known is None or (self.is_placed and loss.known is not None):
             before = self.absence = self._lost_from(first, loss, jump, slam, grid)
         elif before.placed is not None:
             if not before.placed.has_drifted:
@@ -241,8 +242,8 @@ class Recovery:
     def seek_near(self, known: KnownMap | None, sensor: RangeSensor) -> Placement | None:
         """The placement of a robot that may have drifted, if its readings since then fit near the believed pose.
 
-        Such a robot need not go on in a local frame. They are compared with the map ``known`` of the time before, which
-        is by default that of the frame.
+        Such a robot need not go on in a local frame. The map ``known`` is that of the moment of a slip; by default, the
+        readings are compared with the map that the robot was lost from.
         """
         absence = self.absence
         assert absence is not None and absence.known is not None and absence.search is not None  # noqa: PT018, S101

@@ -8,9 +8,9 @@ from support.halls import HALL, PART, ROBOT, SQUARE, STD, WAY, drive, known
 
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.kernels.tables import RAY_LENGTH
-from limslam_agent.places.localisation import LEAD, KnownPlaces, agree, localise
+from limslam_agent.places.localisation import FAR_SHARE, LEAD, KnownPlaces, agree, localise
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.known_map import DECIDED
+from limslam_agent.status.known_map import DECIDED, PlaceFit
 from limslam_agent.status.rays import ends_of, have_ended, moved, rays_of
 from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
 from limslam_env.geometry.segment import distances
@@ -71,6 +71,17 @@ def test_a_pose_does_not_slide_along_walls_that_are_not_quite_parallel():
     assert abs(middle[0]) < 0.3
     assert abs(middle[1]) < 0.01
     assert abs(found[2]) < 0.01
+
+
+def test_the_likeliest_place_near_the_believed_one_is_compared_with_far_ones(whole):
+    rays = moved(rays_of(drive(PART, HALL), ROBOT), np.array([3.5, -1.0, -0.4]))
+    alone = localise(whole, rays, far=FAR_SHARE)
+    assert not alone.is_near
+    near = PlaceFit(np.zeros(3), 0.6 * alone.fit.evidence, 3, 90)
+    found = localise(whole, rays, far=FAR_SHARE, near=[near])
+    assert found.fit is near
+    assert found.is_accepted, "contradictions need only not speak against a place near the believed one"
+    assert not localise(whole, rays, far=FAR_SHARE, near=[replace(near, contradictions=6)]).is_accepted
 
 
 def test_two_searches_agree_on_one_place_only(whole):

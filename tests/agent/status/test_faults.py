@@ -1,19 +1,16 @@
 """The status of robots with faults that begin in the middle of an exploration, and of a healthy robot."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 from support.faults import Fault, steps_with
 
-from limslam_agent import Mapper, preset, read_log
+from limslam_agent import preset, read_log
 from limslam_agent.output.summary import run_summary
 from limslam_agent.replay.replay import replay_log
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import score
 from limslam_agent.runs.run_config import RunConfig
-from limslam_agent.status.monitor import StatusMonitor
-from limslam_env.interface import NominalNoise, RobotSpec
+from limslam_env.interface import NominalNoise
 
 BEGIN, NOISE = 30.0, 0.02
 
@@ -43,20 +40,6 @@ def test_the_uncertainty_of_a_kidnapped_robot_outgrows_its_error():
     np.testing.assert_array_equal(agent.mapper.belief.covariance, snapshot.covariance)
     assert agent.mapper.belief.status == snapshot.statuses[0]
     assert np.trace(agent.slam.covariance) < 1.0
-
-
-def test_the_monitor_changes_no_pose(monkeypatch):
-    _, rows = steps_with(Fault("kidnapped", 10.0, 1), "env2", NOISE, 10.0, seed=1)
-    settings = replace(preset("consistent", NominalNoise(NOISE)), finds_places=False)
-    watched, bare = (Mapper(RobotSpec(), settings, rows[0]["pose"]) for _ in range(2))
-    for row in rows:
-        watched.step(row["observation"])
-    monkeypatch.setattr(StatusMonitor, "observe", lambda *_, **__: False)
-    for row in rows:
-        bare.step(row["observation"])
-    np.testing.assert_array_equal(watched.slam.poses, bare.slam.poses)
-    np.testing.assert_array_equal(watched.slam.covariances, bare.slam.covariances)
-    np.testing.assert_array_equal(watched.slam.segments, bare.slam.segments)
 
 
 def test_results_of_runs_and_replays_have_the_status(tmp_path, monkeypatch):
