@@ -30,15 +30,14 @@ _MARGIN = 1.0  # m: the middle of a drive may lie so far outside of free ground
 _LATEST, _EARLIER, _POSES = 60, 60, 2000  # number of rays in the rough search, and of its best poses
 _REFINED, _FEWEST = 60, 150  # number of poses that are refined: by the ground, and in a small map
 _SPREAD = 0.25, math.radians(12.0)  # how far these poses are apart
+_LIKENESS = 0.85  # largest share that the evidence of another place has of that of the best one
 _KEPT = 20  # number of places that are tried again in the next search
 _WALL, _HIT, _MISS = 0.20, (2.5, 1.3), -8.0  # m, and evidence of a ray's end at a wall, and in free ground
 _CROSSED, _FREE = -6.0, 0.2  # evidence of a ray's way through a wall, and through free ground
 _ALIKE = 2.0  # a place is a rival if its test of contradictions speaks less for it by less than this
 
-LEAD, LIKENESS = 25.0, 0.70
-"""Least difference between the evidence of a place and that of every other place, and largest share that the latter has
-of it.
-"""
+LEAD = 25.0
+"""Least difference between the evidence of a place and that of every other place."""
 
 FAR_SHARE = 0.3
 """For what share of its evidence a place counts that is far from the believed one, if nothing says that the robot was
@@ -146,6 +145,11 @@ class Localisation:
     def is_accepted(self) -> bool:
         """Whether the place counts."""
         return not self.refusal
+
+    @property
+    def likeness(self) -> float:
+        """The evidence of the best other place, as a share of the largest evidence."""
+        return 1.0 if self.fit is None or self.fit.evidence <= 0.0 else self.runner_up / self.fit.evidence
 
     @property
     def record(self) -> dict[str, Any]:
@@ -267,6 +271,6 @@ def _refusal(best: PlaceFit, runner_up: float, on_map: float) -> str:
     """Why a place does not count, in words; empty if it counts. The test of contradictions must give ``on_map``."""
     if best.is_on_map < on_map:
         return f"{best.contradictions} of {best.tested} readings contradict the map there"
-    if runner_up > min(best.evidence - LEAD, LIKENESS * best.evidence):
+    if runner_up > min(best.evidence - LEAD, _LIKENESS * best.evidence):
         return f"ambiguous: another place has an evidence of {runner_up:.0f}, and the best one {best.evidence:.0f}"
     return ""

@@ -12,6 +12,7 @@ import numpy as np
 
 from limslam_agent.places.localisation import KnownPlaces, Localisation, agree, localise
 from limslam_agent.status.known_map import PlaceFit
+from limslam_agent.status.monitor import TURN_LENGTH
 from limslam_agent.status.sudden_changes import WINDOW
 from limslam_env.geometry import FloatArray
 
@@ -19,6 +20,9 @@ _FIRST, _SPACING = 0.8, 0.35  # m: way to the first search, and between two of t
 
 LONGEST = 6000
 """Largest number of steps of a search from the start of a drive on."""
+
+LARGEST_RUNNER_UP = 0.70
+"""Largest evidence of another place, as a share of the best one, at which a place is confirmed."""
 
 CONFIRMED, FAR_CONFIRMED = WINDOW, 30.0
 """A place is confirmed after so much driving without contradictions, m: in a map without a frontier, and in any map."""
@@ -47,7 +51,8 @@ class PlaceSearch:
 
     def drive(self, motion: FloatArray) -> None:
         """Note the motion (3,) of a step."""
-        self._way += math.hypot(*motion[:2].tolist())
+        x, y, turn = motion.tolist()
+        self._way += math.hypot(x, y) + TURN_LENGTH * abs(turn)
 
     @property
     def is_due(self) -> bool:
@@ -86,4 +91,7 @@ class PlaceSearch:
 
 def other_place(place: KnownPlaces, rays: FloatArray) -> str:
     """Why rays (n, 7) in the frame of a map may also be elsewhere in it, in words; empty if they fit in one place."""
-    return localise(place, rays, [np.zeros(3)]).refusal
+    found = localise(place, rays, [np.zeros(3)])
+    if found.is_accepted and found.likeness > LARGEST_RUNNER_UP:
+        return f"ambiguous: another place has {found.likeness:.0%} of the evidence"
+    return found.refusal

@@ -4,9 +4,9 @@ Two sequential tests compare the readings with the map (A. Wald, "Sequential tes
 
 - *Contradictions.* Of the readings of the last metres, as few contradict the map as at the right pose, or as many as at
   a wrong one.
-- *Carried away.* The robot may have been carried to another place before any step of the last metres
-  (:mod:`~limslam_agent.status.sudden_changes`). The readings since then speak for the believed pose, or one near it, or
-  are no likelier there than at a random place.
+- *Moved.* The robot may have slipped, or been carried to another place, before any step of the last metres
+  (:mod:`~limslam_agent.status.sudden_changes`). The readings since then speak for the believed pose, or for one near
+  it, or are no likelier there than at a random place.
 """
 
 import math

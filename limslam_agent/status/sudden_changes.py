@@ -1,9 +1,10 @@
-"""Changes of the readings before which the robot may have been carried away, and what all readings since then say.
+"""Changes of the readings before which the robot may have been moved, and what all readings since then say.
 
 For each step, the readings are explained in two ways: the robot is still *here*, and each beam goes on along what it
 saw before, or sweeps past an edge; or the robot is *elsewhere*, and each reading is that of a random place. The
 evidence is the logarithm of the likelihood ratio of both, as far as the map does not explain the readings. All readings
-since a change are weighed with the map of that moment, which a wrong pose cannot change any more.
+since a change are weighed with the map of that moment, which a wrong pose cannot change any more. It says whether the
+robot is still here, has *slipped* and is near, or is elsewhere.
 """
 
 import math
@@ -84,16 +85,16 @@ class Change:
 
 
 class Suspicion(NamedTuple):
-    """That the robot is not where it is believed to be, since a change.
+    """That the robot is not where it is believed to be since a change.
 
     Attributes
     ----------
     change, evidence
-        The change, and the logarithm of the likelihood ratio.
+        The change, and the logarithm of the likelihood ratio of that and of the believed pose.
     is_certain
-        Whether that is so even if the beam that says most is broken.
+        Whether it is lost, even if the beam that says most is broken.
     is_slip
-        Whether it has slipped, and is near.
+        Whether the robot has slipped, and is near; it is elsewhere otherwise.
     """
 
     change: Change
@@ -122,8 +123,8 @@ class _Candidate:
 class SuddenChanges:
     """Finds the changes of one robot's readings, and weighs them by all readings since then.
 
-    A change may be sudden, or the robot was carried to a place that looked at first like the one before. So the
-    likeliest step of each ``LONGEST_SPACING`` is a change, too.
+    A change may be sudden, or the robot has slipped, or the place that it was carried to looked at first like its own.
+    So the likeliest step of each ``LONGEST_SPACING`` is a change, too.
 
     Attributes
     ----------
@@ -206,7 +207,7 @@ class SuddenChanges:
         if self.suspicion is None and doubted:
             self.suspicion = Suspicion(doubted[0], 0.0)
 
-    def _carried(self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray) -> "Suspicion":
+    def _carried(self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray) -> Suspicion:
         """That the robot is elsewhere since a change, by the rays (n, 7) since then."""
         by_ray = max(-here.evidence, _test_of_places(later, here), key=np.sum)
         evidence = change.evidence + float(by_ray.sum())
@@ -219,7 +220,7 @@ class SuddenChanges:
         others = without_the_worst(change.by_beam + by_beam(later, by_ray, self._robot))
         return Suspicion(change, evidence, is_certain=least >= UNLIKELY and others >= DECIDED)
 
-    def _slipped(self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray) -> "Suspicion":
+    def _slipped(self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray) -> Suspicion:
         """That the robot has slipped at a change, by the rays (n, 7) since then."""
         if not len(later):
             return Suspicion(change, 0.0)

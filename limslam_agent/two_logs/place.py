@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from limslam_agent.kernels.tables import RAY_TO_X, RAY_X
-from limslam_agent.places.localisation import LEAD, LIKENESS, KnownPlaces
+from limslam_agent.places.localisation import LEAD, KnownPlaces
+from limslam_agent.places.search import LARGEST_RUNNER_UP
 from limslam_agent.replay.replay import Replay
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.known_map import PlaceFit
@@ -137,6 +138,6 @@ def _refusal(fit: PlaceFit, runner_up: float, stretches: int) -> str:
         return NO_MATCH
     if fit.contradictions > _MOST_CONTRADICTED * fit.tested:
         return f"{fit.contradictions} of {fit.tested} readings contradict the map there"
-    if runner_up > min(fit.evidence - LEAD, LIKENESS * fit.evidence):
+    if runner_up > min(fit.evidence - LEAD, LARGEST_RUNNER_UP * fit.evidence):
         return f"ambiguous: another place has {runner_up / fit.evidence:.0%} of the evidence"
     return ""
