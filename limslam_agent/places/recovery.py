@@ -29,7 +29,7 @@ from limslam_agent.places.revisions import BEGUN_ANEW, NOT_CONFIRMED
 from limslam_agent.places.search import CONFIRMED, FAR_CONFIRMED, PlaceSearch, other_place
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.known_map import DECIDED, UNLIKELY, KnownMap, NearFit, near_fit
+from limslam_agent.status.known_map import DECIDED, UNLIKELY, KnownMap, NearFit, drift_fit, slip_fit
 from limslam_agent.status.monitor import Loss, StatusMonitor
 from limslam_agent.status.rays import moved, rays_of
 from limslam_agent.status.status import Status
@@ -232,7 +232,7 @@ class Recovery:
         # A robot that was not carried away has drifted, and is near. If its readings fit near the believed pose,
         # nothing says any more that it was carried away: a robot that has drifted may also read sudden changes, and in
         # a large building, some other place fits nearly always.
-        near = near_fit(place, rays, absence.covariance)
+        near = drift_fit(place, rays, absence.covariance)
         is_far_likely = absence.is_carried and not self._fits_near(near, rays)
         # A search of the whole map may miss the place near by.
         far = 1.0 if is_far_likely else FAR_SHARE
@@ -242,8 +242,7 @@ class Recovery:
     def seek_near(self, known: KnownMap | None, sensor: RangeSensor) -> Placement | None:
         """The placement of a robot that may have drifted, if its readings since then fit near the believed pose.
 
-        Such a robot need not go on in a local frame. The map ``known`` is that of the moment of a slip; by default, the
-        readings are compared with the map that the robot was lost from.
+        Such a robot need not go on in a local frame. If it has slipped, ``known`` is the map of that moment.
         """
         absence = self.absence
         assert absence is not None and absence.known is not None and absence.search is not None  # noqa: PT018, S101
@@ -251,7 +250,7 @@ class Recovery:
             return None  # the doubtful readings may be in that map already, and would fit there in any case
         rays = rays_of(self.log.since(absence.first), self._robot, sensor)
         # Ground that the map does not have is unlikely beforehand, since nothing says that the robot was carried away.
-        near = near_fit(known or absence.search.place, rays, absence.covariance)
+        near = slip_fit(known, rays) if known else drift_fit(absence.search.place, rays, absence.covariance)
         if not self._fits_near(near, rays):
             return None
         return self._placement(absence, rays, absence.search.accept(near.fit, rays[:, :2].mean(axis=0)), sensor)

@@ -220,21 +220,14 @@ class NearFit(NamedTuple):
         return self.fit.evidence - self.cost
 
 
-def near_fit(known: KnownMap, rays: FloatArray, covariance: FloatArray) -> NearFit:
-    """The likeliest pose of rays (n, 7) if they have drifted, or slipped where the first of them begins.
-
-    ``covariance`` (3, 3) is that of the believed pose, the origin. Without rays, this pose is as likely as any.
-    """
-    if not len(rays):
-        return NearFit(known.fit_here(rays), 0.0)
-    return max(drift_fit(known, rays, covariance), slip_fit(known, rays), key=lambda each: each.evidence)
-
-
 def drift_fit(known: KnownMap, rays: FloatArray, covariance: FloatArray) -> NearFit:
     """The likeliest pose of rays (n, 7) by the covariance (3, 3) of the believed pose, the origin.
 
-    Of this covariance, only the part counts that the walls near by do not share.
+    Of this covariance, only the part counts that the walls near by do not share. Without rays, the believed pose is as
+    likely as any.
     """
+    if not len(rays):
+        return NearFit(known.fit_here(rays), 0.0)
     middle = rays[:, :2].mean(axis=0)
     about, back = np.array([*middle, 0.0]), np.array([*-middle, 0.0])
     spread = _OWN**2 * covariance + MATCH_COVARIANCE
@@ -250,7 +243,9 @@ def drift_fit(known: KnownMap, rays: FloatArray, covariance: FloatArray) -> Near
 
 
 def slip_fit(known: KnownMap, rays: FloatArray) -> NearFit:
-    """The likeliest pose of rays (n, 7) if the robot has turned, without its wheels, where the first of them begins."""
+    """The likeliest pose of rays (n, 7), at least one, if the robot has turned where the first of them begins, and its
+    wheels have not reported that.
+    """
     about = np.array([*rays[0, :2], 0.0])
     turned = np.column_stack((np.zeros((len(_SLIPS), 2)), _SLIPS))
     fits = known.weigh(compose(compose(about, turned), -about), rays)
