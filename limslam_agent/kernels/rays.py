@@ -9,7 +9,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.kernels.algebra import wrapped
+from limslam_agent.kernels.algebra import factorise, solve_factored, wrapped
 from limslam_agent.kernels.compilation import compiled, lean_entry
 from limslam_agent.kernels.measurement import read_share
 from limslam_agent.kernels.readings import normal_density
@@ -260,26 +260,14 @@ def nearest_offset(x: float, y: float, walls: FloatArray, most: float) -> tuple[
 
 
 @compiled
-def solve(matrix: FloatArray, vector: FloatArray) -> None:
-    """Replace a vector (3,) by the solution of a positive definite system (3, 3), whose upper triangle counts."""
-    for i in range(3):
-        for j in range(i + 1, 3):
-            share = matrix[i, j] / matrix[i, i]
-            for k in range(j, 3):
-                matrix[j, k] -= share * matrix[i, k]
-            vector[j] -= share * vector[i]
-    for i in range(2, -1, -1):
-        for k in range(i + 1, 3):
-            vector[i] -= matrix[i, k] * vector[k]
-        vector[i] /= matrix[i, i]
-
-
-@compiled
 def add_residuals(
     pose: FloatArray, rays: FloatArray, walls: FloatArray, most: float, cone: float, matrix: FloatArray,
     vector: FloatArray,
 ) -> None:  # fmt: skip
-    """Add the distances of the ends of rays from walls within ``most`` (m) to the normal equations of a pose (3,)."""
+    """Add the distances of the ends of rays from walls within ``most`` (m) to the normal equations of a pose (3,).
+
+    The lower triangle of the matrix counts.
+    """
     for number in range(len(rays)):
         from_x, from_y, to_x, to_y = placed_ray(pose, rays, number)
         length = rays[number, RAY_LENGTH]
@@ -294,7 +282,7 @@ def add_residuals(
         row = normal_x, normal_y, normal_y * x - normal_x * y
         for i in range(3):
             vector[i] += row[i] * offset
-            for j in range(i, 3):
+            for j in range(i + 1):
                 matrix[i, j] += row[i] * row[j]
 
 
@@ -318,7 +306,8 @@ def refine_poses(
                     matrix[i, j] = _DAMPING if i == j else 0.0
             most = _FAR + (_NEAR - _FAR) * turn / (_ROUNDS - 1)
             add_residuals(poses[number], rays, walls, most, cone, matrix, vector)
-            solve(matrix, vector)
+            factorise(matrix, 3)
+            solve_factored(matrix, vector, 3)
             for i in range(3):
                 poses[number, i] += vector[i]
         poses[number, 2] = wrapped(poses[number, 2])
