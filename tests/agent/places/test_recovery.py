@@ -145,6 +145,24 @@ def test_a_carried_robot_came_to_where_it_was_found_and_one_that_has_slipped_is_
     np.testing.assert_allclose(added, np.radians(10.0) ** 2 * np.array([0.0, 0.5, 0.5, 0.0]), atol=1e-9)
 
 
+@pytest.mark.parametrize(("step", "turn"), [(200, 14.0), (500, -14.0)])
+def test_a_robot_that_has_slipped_goes_on_near_by(episode, step, turn):
+    """The wheels do not report a turn in the drive before the robot was kidnapped."""
+    mapper, ways = Mapper(RobotSpec(), preset("graph", NominalNoise(NOISE)), episode.true[0, 0]), []
+    for number in range(step + 150):
+        slip = 0.5 * RobotSpec().axle * np.radians(turn) * np.array([1.0, -1.0]) * (number == step)
+        mapper.step({"ranges": episode.ranges[number, 0], "wheels": episode.wheels[number, 0] + slip})
+        off = mapper.poses[0] - episode.true[number, 0]
+        ways.append((np.hypot(*off[:2]), abs(wrap_angle(off[2]))))
+    assert ways[step][1] > np.radians(10.0)
+    assert max(way for way, _ in ways[-50:]) < 0.15
+    assert ways[-1][1] < np.radians(4.0)
+    assert mapper.places.breaks == []
+    ((first, last),) = mapper.places.slips
+    assert first == 0
+    assert abs(last - step) <= 10
+
+
 def test_revisions_replace_the_poses_of_a_local_frame():
     poses, covariances = np.zeros((6, 1, 3)), np.zeros((6, 1, 3, 3))
     found = Revision(2, np.ones((3, 3)), np.ones((3, 3, 3)))

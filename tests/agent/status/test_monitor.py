@@ -11,7 +11,6 @@ from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.known_map import KnownMap
 from limslam_agent.status.monitor import (
     CARRIED,
-    MAYBE_CARRIED,
     WINDOW,
     StatusMonitor,
 )
@@ -104,36 +103,6 @@ def test_a_jump_of_the_odometry_is_noticed_in_the_same_step():
     assert watched.status == Status("lost", "the odometry reports a motion of 5.0 m in one step")
     assert math.sqrt(watched.added_covariance[0, 0]) == pytest.approx(5.0)
     assert not watched.observe(blind(0.01), is_busy=True)
-
-
-def changing(beams, motion, *, known=UNKNOWN, walls=None, lasts=20):
-    """The monitor of a robot whose readings change at once, of some beams, until it is lost."""
-    watched, nowhere = monitor(), KnownMap(np.zeros((0, 4)) if walls is None else walls, known, SENSOR)
-    for number in range(10 + lasts):
-        ranges = np.where(np.arange(6) < beams * (number >= 10), 0.4, 1.0)
-        if watched.observe(Sight(place(0), ranges, np.array([motion[0], 0.0, motion[1]])), is_busy=True):
-            watched.check(SURE, nowhere)
-        if watched.status.level == "lost":
-            break
-    return watched
-
-
-@pytest.mark.parametrize(
-    ("beams", "motion", "level"),
-    [
-        (5, (0.02, 0.0), "lost"), (3, (0.02, 0.0), "unsure"), (1, (0.02, 0.0), "ok"), (6, (0.02, 0.1), "lost"),
-        (6, (0.5, 0.0), "ok"),
-    ],
-)  # fmt: skip
-def test_readings_that_change_at_once_are_noticed_if_the_motion_does_not_explain_them(beams, motion, level):
-    watched = changing(beams, motion)
-    assert watched.status.level == level
-    assert watched.is_suspicious is (level != "ok")
-    if level == "lost":
-        assert watched.status == CARRIED
-        assert watched.loss.ago <= 10
-    if level == "unsure":
-        assert watched.status == MAYBE_CARRIED
 
 
 def test_a_beam_alone_is_no_proof():
