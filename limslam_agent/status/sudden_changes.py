@@ -194,10 +194,8 @@ class SuddenChanges:
             if since_then.sum() > _SUPPORTED:
                 candidate.is_doubted = False
                 continue
-            found = max(
-                self._carried(change, later, here, covariance), self._slipped(change, later, here, covariance),
-                key=lambda each: each.evidence,
-            )  # fmt: skip
+            carried, slipped = (each(change, later, here, covariance) for each in (self._carried, self._slipped))
+            found = carried if slipped is None or slipped.evidence < carried.evidence else slipped
             if found.evidence >= most:
                 most, self.suspicion = found.evidence, found
             is_held = candidate.is_doubted and latest - change.step <= STEPS
@@ -220,19 +218,18 @@ class SuddenChanges:
         others = without_the_worst(change.by_beam + by_beam(later, by_ray, self._robot))
         return Suspicion(change, evidence, is_certain=least >= UNLIKELY and others >= DECIDED)
 
-    def _slipped(self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray) -> Suspicion:
-        """That the robot has slipped at a change, by the rays (n, 7) since then."""
+    def _slipped(self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray) -> Suspicion | None:
+        """That the robot has slipped at a change, by the rays (n, 7) since then; None if that is not certain."""
         if not len(later):
-            return Suspicion(change, 0.0)
+            return None
         slip = slip_fit(change.known, later)
         evidence = slip.evidence - float(here.evidence.sum())
-        if evidence >= DOUBTED:  # or it has drifted
-            evidence = min(evidence, slip.evidence - drift_fit(change.known, later, covariance).evidence)
         if evidence < DECIDED:
-            return Suspicion(change, evidence)
+            return None
+        evidence = min(evidence, slip.evidence - drift_fit(change.known, later, covariance).evidence)
         there = change.known.explained(moved(later, slip.fit.pose))
         others = without_the_worst(by_beam(later, there.evidence - here.evidence, self._robot))
-        return Suspicion(change, evidence, is_certain=others >= DECIDED, is_slip=True)
+        return Suspicion(change, evidence, is_certain=True, is_slip=True) if min(evidence, others) >= DECIDED else None
 
     def _likeliest(self, sights: Sequence[Sight], first: int, known: KnownMap, covariance: FloatArray) -> Change | None:
         """The step since the last call with the most sudden change, if there is a step."""
