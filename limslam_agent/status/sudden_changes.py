@@ -194,8 +194,10 @@ class SuddenChanges:
             if since_then.sum() > _SUPPORTED:
                 candidate.is_doubted = False
                 continue
-            carried, slipped = (each(change, later, here, covariance) for each in (self._carried, self._slipped))
-            found = carried if slipped is None or slipped.evidence < carried.evidence else slipped
+            found = self._carried(change, later, here, covariance)
+            slipped = self._slipped(change, later, here, covariance)
+            if slipped is not None and slipped.evidence >= found.evidence:
+                found = slipped
             if found.evidence >= most:
                 most, self.suspicion = found.evidence, found
             is_held = candidate.is_doubted and latest - change.step <= STEPS
