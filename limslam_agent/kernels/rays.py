@@ -9,16 +9,23 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.kernels.algebra import wrapped
+from limslam_agent.kernels.algebra import factorise, solve_factored, wrapped
 from limslam_agent.kernels.compilation import compiled, lean_entry
 from limslam_agent.kernels.measurement import read_share
-from limslam_agent.kernels.tables import GRAZING, RAY_LENGTH, RAY_REACH, RAY_TO_X, RAY_TO_Y, RAY_X, RAY_Y
+from limslam_agent.kernels.readings import normal_density
+from limslam_agent.kernels.tables import (
+    GRAZING,
+    NOTHING,
+    RAY_LENGTH,
+    RAY_REACH,
+    RAY_TO_X,
+    RAY_TO_Y,
+    RAY_X,
+    RAY_Y,
+    UNRELATED,
+)
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
-NOTHING = 0.45
-"""Likelihood that a beam sees nothing at a random place."""
-
-_WRONG = 0.02  # likelihood that a reading has nothing to do with the map, although it is known there
 _OVER, _INSET = 0.05, 0.08  # m: walls may be so much longer, or shorter, than they were drawn
 _STEEPEST = 0.25  # least cosine by which the spread of a distance to a wall is divided
 _BESIDE = 0.15  # m: a reading that differs by less than this and three standard deviations contradicts nothing
@@ -62,9 +69,9 @@ def wall_evidence(length: float, reach: float, wall: float, std: float) -> float
     """The evidence of a reading for a wall at a distance (m), against a random place."""
     if length >= reach:
         beyond = 0.5 * math.erfc((reach - wall) / (std * math.sqrt(2.0)))
-        return math.log(((1.0 - _WRONG) * beyond + _WRONG * NOTHING) / NOTHING)
-    density = math.exp(-0.5 * ((length - wall) / std) ** 2) / (std * math.sqrt(2.0 * math.pi))
-    return math.log((1.0 - _WRONG) * density * reach / (1.0 - NOTHING) + _WRONG)
+        return math.log(((1.0 - UNRELATED) * beyond + UNRELATED * NOTHING) / NOTHING)
+    density = normal_density(length - wall, std)
+    return math.log((1.0 - UNRELATED) * density * reach / (1.0 - NOTHING) + UNRELATED)
 
 
 @compiled
@@ -127,11 +134,12 @@ def explain(
         return wall_evidence(length, reach, wall, std), against, True
     if free >= reach - 0.05:
         is_empty = length > reach - 0.1
-        return (math.log((1.0 - _WRONG) / NOTHING) if is_empty else math.log(_WRONG)), 0.0 if is_empty else length, True
+        likelihood = (1.0 - UNRELATED) / NOTHING if is_empty else UNRELATED
+        return math.log(likelihood), 0.0 if is_empty else length, True
     if free <= 0.0:
         return 0.0, 0.0, False
     if length < free - _BESIDE - 3.0 * math.sqrt(spread[0] + spread[1] * free**2):
-        return math.log(_WRONG), length, True
+        return math.log(UNRELATED), length, True
     beyond = -math.log(NOTHING + (1.0 - NOTHING) * (1.0 - free / reach))
     if ends_at < 0:
         # Beams ended in this cell, but no wall was drawn.
@@ -252,26 +260,14 @@ def nearest_offset(x: float, y: float, walls: FloatArray, most: float) -> tuple[
 
 
 @compiled
-def solve(matrix: FloatArray, vector: FloatArray) -> None:
-    """Replace a vector (3,) by the solution of a positive definite system (3, 3), whose upper triangle counts."""
-    for i in range(3):
-        for j in range(i + 1, 3):
-            share = matrix[i, j] / matrix[i, i]
-            for k in range(j, 3):
-                matrix[j, k] -= share * matrix[i, k]
-            vector[j] -= share * vector[i]
-    for i in range(2, -1, -1):
-        for k in range(i + 1, 3):
-            vector[i] -= matrix[i, k] * vector[k]
-        vector[i] /= matrix[i, i]
-
-
-@compiled
 def add_residuals(
     pose: FloatArray, rays: FloatArray, walls: FloatArray, most: float, cone: float, matrix: FloatArray,
     vector: FloatArray,
 ) -> None:  # fmt: skip
-    """Add the distances of the ends of rays from walls within ``most`` (m) to the normal equations of a pose (3,)."""
+    """Add the distances of the ends of rays from walls within ``most`` (m) to the normal equations of a pose (3,).
+
+    The lower triangle of the matrix counts.
+    """
     for number in range(len(rays)):
         from_x, from_y, to_x, to_y = placed_ray(pose, rays, number)
         length = rays[number, RAY_LENGTH]
@@ -286,7 +282,7 @@ def add_residuals(
         row = normal_x, normal_y, normal_y * x - normal_x * y
         for i in range(3):
             vector[i] += row[i] * offset
-            for j in range(i, 3):
+            for j in range(i + 1):
                 matrix[i, j] += row[i] * row[j]
 
 
@@ -310,7 +306,8 @@ def refine_poses(
                     matrix[i, j] = _DAMPING if i == j else 0.0
             most = _FAR + (_NEAR - _FAR) * turn / (_ROUNDS - 1)
             add_residuals(poses[number], rays, walls, most, cone, matrix, vector)
-            solve(matrix, vector)
+            factorise(matrix, 3)
+            solve_factored(matrix, vector, 3)
             for i in range(3):
                 poses[number, i] += vector[i]
         poses[number, 2] = wrapped(poses[number, 2])

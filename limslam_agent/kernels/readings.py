@@ -28,7 +28,6 @@ _ON_LINE = 0.6
 _EDGES, _EDGES_PER_TURN, _FASTEST = 0.01, 0.4, 0.2
 _APPEARS = 0.04  # likelihood that a wall comes into reach in a step
 _LIMITS = -1.5, 4.5  # of a single reading
-_ROOT = math.sqrt(2.0 * math.pi)
 
 
 @lean_entry
@@ -64,7 +63,7 @@ def sort_readings(
 @compiled
 def normal_density(off: float, std: float) -> float:
     """Density of a normal distribution."""
-    return math.exp(-0.5 * (off / std) ** 2) / (std * _ROOT)
+    return math.exp(-0.5 * (off / std) ** 2) / (std * math.sqrt(2.0 * math.pi))
 
 
 @compiled
@@ -101,11 +100,11 @@ def reading_evidence(
         return math.log(NOTHING / ((1.0 - edges) * here + NOTHING * edges))
     if nothing[1]:
         here *= 2.0 * _APPEARS * (1.0 + 3.0 * (turn > 0.5 * _FASTEST))
-        return math.log(NOTHING / reach / (here + edges / reach))
+        return math.log((1.0 - NOTHING) / reach / (here + edges / reach))
     if min(turn, turn_before) > _SWEEPS and not nothing[2] and not math.isnan(earlier):
         bend = math.sqrt(6.0 * variance + _BENT[0] ** 2 + (_BENT[1] * turn * shorter) ** 2)
         here = max(here, _ON_LINE * normal_density(now - 2.0 * before + earlier, bend))
-    return math.log(NOTHING / reach / ((1.0 - edges) * here + edges / reach))
+    return math.log((1.0 - NOTHING) / reach / ((1.0 - edges) * here + edges / reach))
 
 
 @lean_entry

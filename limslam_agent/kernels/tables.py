@@ -52,8 +52,11 @@ KINK_GATE, MIN_KINK = 12.0, math.radians(8.0)
 AROUND_KINK, DEEPEST = 0.02, 4
 """Readings within this distance of a kink, m, are in neither half; a line is cut at most this many times in a row."""
 
-NOTHING = 0.5
+NOTHING = 0.45
 """Likelihood that a beam sees nothing at a random place."""
+
+UNRELATED = 0.02
+"""Likelihood that a reading has nothing to do with the map of the place where it was taken."""
 
 THROUGH_SIGMAS, THROUGH_SLACK = 3.0, 0.05
 """A beam has passed through a wall if it is longer than the distance to the wall's line by this many standard

@@ -137,14 +137,16 @@ class Frames:
 
     def _lose(self, recovery: Recovery, loss: Loss, jump: float) -> None:
         """See to it that a robot that is lost goes on: in a renewed map, near by, or in a local frame."""
-        if recovery.may_be_wrong:
+        # The map of a local frame does not say where the robot is in the frame that it was lost from.
+        known = None if recovery.is_lost else loss.known
+        if recovery.may_be_wrong and known is None:
             self._revisions.pop()  # the place that was found was wrong
         recovery.lose(loss, jump, self.slam, self._present.grid)
         found: Placement | None = None
         if recovery.may_have_drifted:
-            if self._go_on_renewed(recovery):
+            found = recovery.seek_near(known, self.slam.range_sensor)
+            if found is None and self._go_on_renewed(recovery):
                 return
-            found = recovery.seek_near(self.slam.range_sensor)
         if found is None:
             self._go_on_locally(recovery)
         else:

@@ -214,7 +214,8 @@ class Mapper(Frames):
         if self._lookup is not None:
             records = [*self._lookup.records, *records]
         is_suspicious = self._present.monitors[0].is_suspicious
-        return PlaceHistory(list(self._revisions), breaks, self._unplaced, records, is_suspicious)
+        slips = list(recovery.slips)
+        return PlaceHistory(list(self._revisions), breaks, slips, self._unplaced, records, is_suspicious)
 
     @property
     def covariances(self) -> FloatArray:

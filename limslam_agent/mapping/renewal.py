@@ -10,6 +10,7 @@ import numpy as np
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.places.localisation import is_far
+from limslam_agent.slam.consistent.limits import ONE_WALL_GATE
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.known_map import DECIDED, DRIFT, KnownMap
@@ -19,15 +20,8 @@ from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose, inverse, wrap_angle
 from limslam_env.interface import Observation
 
-LEAST_PERIOD = 30.0
-"""Least time since the last renewal, s, after which the estimate of a lost robot is renewed."""
-
 LEAST_DRIVEN = 1.0
 """A robot that has hardly moved since the last renewal has nothing to smooth, m."""
-
-
-UNEXPECTED = 16.0
-"""Squared Mahalanobis distance: a renewal that moves the pose by more, and farther than a drift, is not expected."""
 
 
 class _Seen(NamedTuple):
@@ -100,8 +94,7 @@ class Renewal:
 
         The smoother can take back a wrong association. The readings that contradict the estimate then no longer do so.
         """
-        waited = len(self._rows) * self._slam.robot.control_period
-        if not self.is_possible or waited < LEAST_PERIOD or not self._renew(is_expected=False):
+        if not self.is_possible or not self._rows or not self._renew(is_expected=False):
             return False
         self._begin_at_last_row()
         return True
@@ -136,7 +129,7 @@ class Renewal:
         off[2] = wrap_angle(off[2])
         if not is_far(off, np.zeros(2), *DRIFT):
             return True
-        return bool(off @ np.linalg.solve(self._slam.covariance, off) <= UNEXPECTED)
+        return bool(off @ np.linalg.solve(self._slam.covariance, off) <= ONE_WALL_GATE)
 
     def _drawn(self, poses: Sequence[FloatArray]) -> OccupancyGrid:
         """The grid from before the stretch, with the readings of the stretch at poses (3,)."""

@@ -95,13 +95,16 @@ class Placed(NamedTuple):
     place
         The map in which the readings have to fit; None if it is the map in which the robot goes on.
     has_drifted
-        Whether the robot was not carried away, but has drifted: its odometry holds for all its motions.
+        Whether the robot was not carried away, but has drifted, and is near.
+    has_slipped
+        Whether it is not where its odometry says, and its covariance does not explain that.
     """
 
     at: float
     rays: FloatArray
     place: KnownPlaces | None
     has_drifted: bool = False
+    has_slipped: bool = False
 
 
 @dataclass(eq=False)

@@ -10,12 +10,10 @@ from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.known_map import KnownMap
 from limslam_agent.status.rays import step_rays
+from limslam_agent.status.sudden_changes import change_evidence
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import Observation, RobotSpec
-
-_WORST = 3.0  # usual changes: largest change that counts
-_CHANGE = 0.10  # m: a reading seldom changes by more in a step in which the robot is not carried away
 
 
 def copied(observations: Sequence[Observation]) -> tuple[Observation, ...]:
@@ -111,9 +109,7 @@ def carried_at(log: StepLog, placed: FloatArray, robot: RobotSpec, sensor: Range
 
     Both are weighed by the evidence of the readings in the map, which is 0 on ground that the map does not have. There,
     no reading contradicts anything, and a step would be taken for one of the new place if only contradictions counted.
-    The changes of the readings at the break count, too, in units of a change that is seldom exceeded. That is at least
-    the square root of two standard deviations of a change, so that the whole square, and not half of it, stands for the
-    logarithm of a likelihood.
+    The evidence of the change of the readings at the break counts, too.
 
     Parameters
     ----------
@@ -134,10 +130,10 @@ def carried_at(log: StepLog, placed: FloatArray, robot: RobotSpec, sensor: Range
         for here, there in [place.weigh(np.array([step.pose, pose]), step_rays(step.ranges, mounted, sensor.bias))]
     ]
     totals = np.cumsum(gained)
-    # Readings may change by more where the break is.
-    change = _CHANGE + 5.0 * sensor.usual_std(float(robot.max_ranges.max()))
-    changes = np.diff([step.ranges for step in log.steps[: len(placed) + 1]], axis=0) / change
-    saved = np.minimum(np.abs(np.nan_to_num(changes)), _WORST) ** 2
-    totals[: len(saved)] += saved.sum(axis=1)
+    changing = log.steps[: len(placed) + 1]
+    changes = change_evidence(
+        np.array([step.ranges for step in changing]), np.array([step.motion for step in changing]), robot, sensor
+    ).sum(axis=1)
+    totals[1 : 1 + len(changes)] += changes
     # Of equally good steps, the last one is the nearest to the first doubt.
     return log.begin + len(totals) - int(totals[::-1].argmax())

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from limslam_agent.status.known_map import DECIDED, DRIFT, KnownMap, PlaceFit
+from limslam_agent.status.known_map import DECIDED, DRIFT, MATCH_COVARIANCE, KnownMap, PlaceFit
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose, transform_points, wrap_angle
 from limslam_env.geometry.segment import sample
@@ -30,10 +30,10 @@ _MARGIN = 1.0  # m: the middle of a drive may lie so far outside of free ground
 _LATEST, _EARLIER, _POSES = 60, 60, 2000  # number of rays in the rough search, and of its best poses
 _REFINED, _FEWEST = 60, 150  # number of poses that are refined: by the ground, and in a small map
 _SPREAD = 0.25, math.radians(12.0)  # how far these poses are apart
+_LIKENESS = 0.85  # largest share that the evidence of another place has of that of the best one
 _KEPT = 20  # number of places that are tried again in the next search
 _WALL, _HIT, _MISS = 0.20, (2.5, 1.3), -8.0  # m, and evidence of a ray's end at a wall, and in free ground
 _CROSSED, _FREE = -6.0, 0.2  # evidence of a ray's way through a wall, and through free ground
-_LIKENESS = 0.85  # largest share that the evidence of another place has of that of the best one
 _ALIKE = 2.0  # a place is a rival if its test of contradictions speaks less for it by less than this
 
 LEAD = 25.0
@@ -46,9 +46,6 @@ carried away.
 
 FAR = 1.5, math.radians(30.0)
 """A robot that is off by more than this, m and rad, has not drifted, but was carried."""
-
-MATCH_STD = 0.05, math.radians(2.0)
-"""Standard deviations of position and heading of a place that was found, m and rad."""
 
 
 class KnownPlaces(KnownMap):
@@ -243,7 +240,7 @@ def match_covariance(middle: FloatArray, pose: FloatArray) -> FloatArray:
     """
     lever = np.eye(3)
     lever[:2, 2] = middle[1] - pose[1], pose[0] - middle[0]
-    return lever @ np.diag([MATCH_STD[0] ** 2, MATCH_STD[0] ** 2, MATCH_STD[1] ** 2]) @ lever.T
+    return np.asarray(lever @ MATCH_COVARIANCE @ lever.T)
 
 
 def is_far(pose: FloatArray, middle: FloatArray, most: float = FAR[0], turn: float = FAR[1]) -> bool:

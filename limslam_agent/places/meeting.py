@@ -6,15 +6,17 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from limslam_agent.grid.occupancy import GridView
+from limslam_agent.kernels.tables import POSE
 from limslam_agent.places.history import LoggedStep
-from limslam_agent.places.localisation import MATCH_STD, KnownPlaces, match_covariance
+from limslam_agent.places.localisation import KnownPlaces, match_covariance
 from limslam_agent.places.search import CONFIRMED, FAR_CONFIRMED, LONGEST, PlaceSearch, other_place
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.core.teammates import may_hit_others
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.known_map import DECIDED
+from limslam_agent.status.known_map import DECIDED, MATCH_COVARIANCE
 from limslam_agent.status.rays import STEPS, moved, rays_of
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, inverse, transform_points
@@ -24,7 +26,7 @@ FIRST = 15.0
 """Distance that the robots drive before the first search, m, in the mean. Small maps of one room fit into another room.
 """
 
-_PLACED = np.diag([0.0, 0.0, 0.0, MATCH_STD[0] ** 2, MATCH_STD[0] ** 2, 0.0])  # covariance of both poses
+_PLACED = block_diag(np.zeros((POSE, POSE)), MATCH_COVARIANCE)  # covariance of both poses
 _MOST_REFUSED = 3  # places that the readings contradicted end the search
 
 

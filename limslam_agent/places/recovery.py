@@ -18,7 +18,6 @@ from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.places.absence import LEAST_KNOWN, Absence, KnownFrame, Placed, Placement, known_before
 from limslam_agent.places.history import LoggedStep, StepLog, carried_at
 from limslam_agent.places.localisation import (
-    FAR,
     FAR_SHARE,
     LEAD,
     KnownPlaces,
@@ -30,7 +29,7 @@ from limslam_agent.places.revisions import BEGUN_ANEW, NOT_CONFIRMED
 from limslam_agent.places.search import CONFIRMED, FAR_CONFIRMED, PlaceSearch, other_place
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.known_map import DECIDED, DRIFT, NearFit, near_fit
+from limslam_agent.status.known_map import DECIDED, UNLIKELY, KnownMap, NearFit, drift_fit, slip_fit
 from limslam_agent.status.monitor import Loss, StatusMonitor
 from limslam_agent.status.rays import moved, rays_of
 from limslam_agent.status.status import Status
@@ -41,7 +40,6 @@ from limslam_env.interface import RobotSpec
 # Number of steps between two copies of the estimate, number of copies that are kept, and least number of steps by which
 # a copy must be older than the first doubt about the estimate.
 _CHECKPOINT, _CHECKPOINTS, _MARGIN = 50, 6, 100
-_PLACES = 12.0  # logarithm of the number of places that a map has, each of which is as unlikely beforehand
 
 
 class Recovery:
@@ -60,6 +58,8 @@ class Recovery:
         What is known about a robot that is lost, or that is not yet sure of its place; None otherwise.
     breaks
         Steps before which the robot was carried away, in the frame that it has found again.
+    slips
+        Parts of the drive in which it has slipped: from where its place was known to where it was placed near by.
     records
         What happened, for ``result.json``.
     """
@@ -70,6 +70,7 @@ class Recovery:
         self._copies: list[KnownFrame] = []
         self.absence: Absence | None = None
         self.breaks: list[int] = []
+        self.slips: list[tuple[int, int]] = []
         self.records: list[dict[str, Any]] = []
         self._offset = np.zeros((3, 3))  # covariance of a map that was begun anew
 
@@ -95,7 +96,8 @@ class Recovery:
         if search is None or search.latest is None:
             return []
         return [
-            Guess(fit.pose, min(fit.evidence - _PLACES, fit.is_on_map), search.place.grid) for fit in search.latest.open
+            Guess(fit.pose, min(fit.evidence - UNLIKELY, fit.is_on_map), search.place.grid)
+            for fit in search.latest.open
         ]
 
     def status(self, own: Status) -> Status:
@@ -121,17 +123,21 @@ class Recovery:
     def note(self, step: LoggedStep, slam: LineSlam, grid: OccupancyGrid, *, is_suspicious: bool = False) -> None:
         """Keep a step of the robot, and now and then a copy of its estimate after it.
 
-        While the robot may have been carried away, the copies from before are kept.
+        While the robot may have been carried away, half of the copies are kept from before.
         """
         self.log.steps.append(step)
         if self.absence is not None:
             self.absence.driven += math.hypot(*step.motion[:2].tolist())
             if self.absence.search is not None:
                 self.absence.search.drive(step.motion)
+            if self.is_lost:
                 return
-        if not self._copies or (self.log.end % _CHECKPOINT == 0 and not is_suspicious):
-            self._copies = [*self._copies, self._copy(slam, grid)][-_CHECKPOINTS:]
-            self.log.forget_before(self._copies[0].step)
+        if not self._copies or self.log.end % _CHECKPOINT == 0:
+            kept = self._copies[: _CHECKPOINTS // 2] if is_suspicious else []
+            later = [*self._copies[len(kept) :], self._copy(slam, grid)]
+            self._copies = [*kept, *later[len(kept) - _CHECKPOINTS :]]
+            if self.absence is None:
+                self.log.forget_before(self._copies[0].step)
 
     def move(self, poses: Sequence[FloatArray]) -> None:
         """A renewal has moved the latest steps to poses (3,): copies from before and searches mean nothing any more."""
@@ -145,14 +151,17 @@ class Recovery:
         """The robot is lost, and the odometry has jumped by a distance, m.
 
         A robot whose place was found and is wrong goes back to the frame as it was before, and to what it believed and
-        knew when it was lost from there: what it has read at a wrong place says nothing of the earlier map.
+        knew when it was lost from there: what it has read at a wrong place says nothing of the earlier map. If it has
+        slipped since then, its place was right.
         """
         before, first = self.absence, max(self.log.end - 1 - loss.ago, self.log.begin + 1)
-        if before is None or before.known is None:
+        if before is None or before.known is None or (self.is_placed and loss.known is not None):
             before = self.absence = self._lost_from(first, loss, jump, slam, grid)
         elif before.placed is not None:
             if not before.placed.has_drifted:
                 self.breaks.pop()
+            elif before.placed.has_slipped:
+                self.slips.pop()
             first, before.placed = before.since, None
             self.log.steps[: len(before.steps)] = before.steps
         else:
@@ -223,25 +232,25 @@ class Recovery:
         # A robot that was not carried away has drifted, and is near. If its readings fit near the believed pose,
         # nothing says any more that it was carried away: a robot that has drifted may also read sudden changes, and in
         # a large building, some other place fits nearly always.
-        near = near_fit(place, rays, absence.covariance)
+        near = drift_fit(place, rays, absence.covariance)
         is_far_likely = absence.is_carried and not self._fits_near(near, rays)
         # A search of the whole map may miss the place near by.
         far = 1.0 if is_far_likely else FAR_SHARE
         found = absence.search.seek(rays, far, [near.fit], may_be_bent=not is_far_likely)
         return None if found is None else self._placement(absence, rays, found, sensor)
 
-    def seek_near(self, sensor: RangeSensor) -> Placement | None:
+    def seek_near(self, known: KnownMap | None, sensor: RangeSensor) -> Placement | None:
         """The placement of a robot that may have drifted, if its readings since then fit near the believed pose.
 
-        Such a robot need not go on in a local frame.
+        Such a robot need not go on in a local frame. If it has slipped, ``known`` is the map of that moment.
         """
         absence = self.absence
         assert absence is not None and absence.known is not None and absence.search is not None  # noqa: PT018, S101
-        if absence.first <= absence.known.step + 1:
+        if known is None and absence.first <= absence.known.step + 1:
             return None  # the doubtful readings may be in that map already, and would fit there in any case
         rays = rays_of(self.log.since(absence.first), self._robot, sensor)
         # Ground that the map does not have is unlikely beforehand, since nothing says that the robot was carried away.
-        near = near_fit(absence.search.place, rays, absence.covariance)
+        near = slip_fit(known, rays) if known else drift_fit(absence.search.place, rays, absence.covariance)
         if not self._fits_near(near, rays):
             return None
         return self._placement(absence, rays, absence.search.accept(near.fit, rays[:, :2].mean(axis=0)), sensor)
@@ -272,16 +281,21 @@ class Recovery:
 
     def has_joined(self, placement: Placement, closed: KnownPlaces | None = None) -> None:
         """The robot goes on in the known frame. If this has closed a loop, the map of this frame is ``closed`` now."""
-        if not placement.has_drifted:
+        has_slipped = placement.has_drifted and closed is None
+        if has_slipped:
+            self.slips.append((max([0, *self.breaks, *(last for _, last in self.slips)]), placement.step))
+        elif closed is None:
             self.breaks.append(placement.step)
         self.note_event("found", step=self.log.end - 1, carried_at=placement.step)
-        self._has_returned(placement.rays, closed, has_drifted=placement.has_drifted)
+        self._has_returned(placement.rays, closed, has_drifted=placement.has_drifted, has_slipped=has_slipped)
 
-    def _has_returned(self, rays: FloatArray, place: KnownPlaces | None, *, has_drifted: bool) -> None:
+    def _has_returned(
+        self, rays: FloatArray, place: KnownPlaces | None, *, has_drifted: bool, has_slipped: bool = False
+    ) -> None:
         absence = self.absence
         assert absence is not None and absence.search is not None  # noqa: PT018, S101 (the robot was lost from a frame)
         absence.search.wait()
-        absence.placed = Placed(absence.driven, rays, place or absence.search.place, has_drifted)
+        absence.placed = Placed(absence.driven, rays, place or absence.search.place, has_drifted, has_slipped)
         absence.has_returned = True
 
     def still_fits(self, own: StatusMonitor, sensor: RangeSensor) -> bool:
@@ -334,7 +348,7 @@ class Recovery:
         pose = placed[step - 1 - log.begin]
         covariance = match_covariance(transform_points(frame, found.middle[None])[0], pose)
         placed_rays = moved(rays, frame)
-        has_drifted = not is_far(frame, found.middle, *(DRIFT if absence.was_moved else FAR))
+        has_drifted = not is_far(frame, found.middle)
         if not has_drifted and not absence.was_moved and known is not None:
             has_drifted = known.explains(frame, covariance, placed_rays)
         return Placement(step, pose, covariance, placed_rays, has_drifted)

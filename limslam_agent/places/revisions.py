@@ -65,6 +65,8 @@ class PlaceHistory:
         Poses of earlier steps as they became known when the robot had found its place.
     breaks
         The steps before which the robot was carried away, as far as it has found its place again.
+    slips
+        Parts of the drive, from a step to before another one, in one step of which the robot has slipped.
     unplaced
         The local map of a robot that is still lost at the end; None otherwise.
     records
@@ -76,6 +78,7 @@ class PlaceHistory:
 
     revisions: list[Revision] = field(default_factory=list)
     breaks: list[int] = field(default_factory=list)
+    slips: list[tuple[int, int]] = field(default_factory=list)
     unplaced: Unplaced | None = None
     records: list[dict[str, Any]] = field(default_factory=list)
     is_suspicious: bool = False

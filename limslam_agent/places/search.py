@@ -12,11 +12,11 @@ import numpy as np
 
 from limslam_agent.places.localisation import KnownPlaces, Localisation, agree, localise
 from limslam_agent.status.known_map import PlaceFit
+from limslam_agent.status.monitor import TURN_LENGTH
 from limslam_agent.status.sudden_changes import WINDOW
 from limslam_env.geometry import FloatArray
 
 _FIRST, _SPACING = 0.8, 0.35  # m: way to the first search, and between two of them
-_TURN_LENGTH = 0.1  # m of this way: a turn by one radian
 
 LONGEST = 6000
 """Largest number of steps of a search from the start of a drive on."""
@@ -52,7 +52,7 @@ class PlaceSearch:
     def drive(self, motion: FloatArray) -> None:
         """Note the motion (3,) of a step."""
         x, y, turn = motion.tolist()
-        self._way += math.hypot(x, y) + _TURN_LENGTH * abs(turn)
+        self._way += math.hypot(x, y) + TURN_LENGTH * abs(turn)
 
     @property
     def is_due(self) -> bool:

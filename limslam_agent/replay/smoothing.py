@@ -154,6 +154,7 @@ def smoothed_by_lines(
         associations=associations,
         closures=closures,
         breaks=tuple((0, step) for step in places.breaks),
+        slips=tuple((0, *part) for part in places.slips),
         sensor=replay.sensor,
     )
     found = smooth_run(run, config, placed)

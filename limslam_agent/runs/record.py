@@ -176,6 +176,7 @@ class Episode:
             associations=self.associations,
             closures=self.closures,
             breaks=(*((0, step) for step in places.breaks), *unknown_start),
+            slips=tuple((0, *part) for part in places.slips),
             sensor=self.sensor,
         )
         found = smooth_run(run, settings, places.placed.stop)

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.kernels.tables import RAY_LENGTH, RAY_REACH, RAY_TO_X, RAY_X
+from limslam_agent.kernels.tables import RAY_LENGTH, RAY_REACH, RAY_TO_X, RAY_X, UNRELATED
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.rays import have_ended
 from limslam_env.geometry import BoolArray, FloatArray
@@ -25,12 +25,9 @@ from limslam_env.geometry.se2 import compose
 
 _MAP_STD = 0.045  # m: standard deviation of a wall's place in the map as seen from a refined pose
 _RIGHT, _WRONG = 0.005, 0.12  # shares of rays that contradict a map at the right place, and at a wrong one
-_RIGHT_IF_BENT = 0.02  # the first share in a map that may be bent, or whose furniture may have been moved
 _WALL_COLUMNS = 5
-_STARTS = (-0.3, 0.0, 0.3), (-math.radians(8.0), 0.0, math.radians(8.0))  # m, rad: where poses near by are looked for
+_SLIPS = np.radians(np.arange(-28.0, 29.0, 4.0))  # turns that the wheels may miss, rad
 _DEVIATIONS = -2.0, -1.0, 0.0, 1.0, 2.0  # and along each axis of the covariance, in standard deviations
-_LIKELY = 4.5  # a pose with at most this cost is near, however far it is: 3 standard deviations
-_LEAST_STD, _LEAST_TURN = 0.05, math.radians(1.0)  # m, rad: least deviation of the pose with respect to the map
 _OWN = 0.5  # part of the pose's standard deviation that the walls near by do not share
 
 DRIFT = 0.5, math.radians(15.0)
@@ -46,12 +43,23 @@ By Wald's bound, a test that stops there is wrong in at most one of 100, or of 1
 """
 
 
+MATCH_COVARIANCE = np.diag([0.05, 0.05, math.radians(2.0)]) ** 2
+"""Covariance (3, 3) of a pose with respect to the walls around that its readings fit, m^2 and rad^2."""
+
+UNLIKELY = 10.0
+"""How unlikely it is beforehand that a robot slips or is carried away just here, or is in one of all places of a map.
+
+This is a logarithm, without its sign.
+"""
+
+
 def contradiction_test(contradicting: int, tested: int, *, may_be_bent: bool = False) -> float:
     """Logarithm of the likelihood ratio of a wrong place and of the right one, by the number of contradictions.
 
-    ``tested`` is the number of rays that could have contradicted the map.
+    ``tested`` is the number of rays that could have contradicted the map. A map may be bent, or its furniture may have
+    been moved.
     """
-    right = _RIGHT_IF_BENT if may_be_bent else _RIGHT
+    right = UNRELATED if may_be_bent else _RIGHT
     fitting = tested - contradicting
     return contradicting * math.log(_WRONG / right) + fitting * math.log((1.0 - _WRONG) / (1.0 - right))
 
@@ -212,26 +220,35 @@ class NearFit(NamedTuple):
         return self.fit.evidence - self.cost
 
 
-def near_fit(known: KnownMap, rays: FloatArray, covariance: FloatArray) -> NearFit:
-    """The likeliest pose of rays (n, 7) near the believed pose, the origin, whose covariance (3, 3) is given.
+def drift_fit(known: KnownMap, rays: FloatArray, covariance: FloatArray) -> NearFit:
+    """The likeliest pose of rays (n, 7) by the covariance (3, 3) of the believed pose, the origin.
 
-    A pose is near within ``DRIFT``, or within 3 standard deviations of the part of the pose's error that the walls near
-    by do not share. Without rays, the believed pose is as likely as any.
+    Of this covariance, only the part counts that the walls near by do not share. Without rays, the believed pose is as
+    likely as any.
     """
     if not len(rays):
         return NearFit(known.fit_here(rays), 0.0)
     middle = rays[:, :2].mean(axis=0)
     about, back = np.array([*middle, 0.0]), np.array([*-middle, 0.0])
-    spread = _OWN**2 * covariance + np.diag([_LEAST_STD**2, _LEAST_STD**2, _LEAST_TURN**2])
+    spread = _OWN**2 * covariance + MATCH_COVARIANCE
     variances, axes = np.linalg.eigh(spread)
     likely = np.array(list(product(_DEVIATIONS, repeat=3))) * np.sqrt(variances) @ axes.T
-    grid = np.array(list(product(_STARTS[0], _STARTS[0], _STARTS[1])))
-    starts = compose(compose(about, np.concatenate((likely, grid))), back)
+    starts = compose(compose(about, likely), back)
     # With few rays, a refinement may lead away from the right pose.
-    poses = np.concatenate((starts[: len(likely)], known.refined(starts, rays)))
+    poses = np.concatenate((starts, known.refined(starts, rays)))
     off = compose(compose(back, poses), about)
     costs = 0.5 * np.einsum("ni,ij,nj->n", off, np.linalg.inv(spread), off)
-    is_near = (np.hypot(off[:, 0], off[:, 1]) < DRIFT[0]) & (np.abs(off[:, 2]) < DRIFT[1])
-    is_near |= costs < _LIKELY
-    found = map(NearFit, known.weigh(poses[is_near], rays), costs[is_near].tolist())
+    found = map(NearFit, known.weigh(poses, rays), costs.tolist())
     return max(found, key=lambda each: each.evidence)
+
+
+def slip_fit(known: KnownMap, rays: FloatArray) -> NearFit:
+    """The likeliest pose of rays (n, 7), at least one, if the robot has turned where the first of them begins, and its
+    wheels have not reported that.
+    """
+    about = np.array([*rays[0, :2], 0.0])
+    turned = np.column_stack((np.zeros((len(_SLIPS), 2)), _SLIPS))
+    fits = known.weigh(compose(compose(about, turned), -about), rays)
+    best = max(fits, key=lambda fit: fit.evidence)
+    (refined,) = known.weigh(known.refined(best.pose[None], rays), rays)
+    return NearFit(max(best, refined, key=lambda fit: fit.evidence), UNLIKELY)

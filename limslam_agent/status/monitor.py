@@ -4,9 +4,9 @@ Two sequential tests compare the readings with the map (A. Wald, "Sequential tes
 
 - *Contradictions.* Of the readings of the last metres, as few contradict the map as at the right pose, or as many as at
   a wrong one.
-- *Carried away.* The robot may have been carried to another place before any step of the last metres
-  (:mod:`~limslam_agent.status.sudden_changes`). The readings since then speak for the believed pose, or one near it, or
-  are no likelier there than at a random place.
+- *Moved.* The robot may have slipped, or been carried to another place, before any step of the last metres
+  (:mod:`~limslam_agent.status.sudden_changes`). The readings since then speak for the believed pose, or for one near
+  it, or are no likelier there than at a random place.
 """
 
 import math
@@ -64,12 +64,15 @@ class Loss(NamedTuple):
         Whether the readings of that step say so themselves.
     is_carried
         Whether the readings say that the robot was carried away before that step.
+    known
+        The map before that step, near to which the readings since then fit: the robot has slipped.
     """
 
     status: Status
     ago: int
     is_dated: bool = False
     is_carried: bool = False
+    known: KnownMap | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -221,7 +224,7 @@ class StatusMonitor:
     @property
     def is_suspicious(self) -> bool:
         """Whether the robot may have been carried away, so that the map since then may be wrong."""
-        return self._changes.suspect is not None
+        return self._changes.suspicion is not None
 
     @property
     def added_covariance(self) -> FloatArray:
@@ -287,8 +290,8 @@ class StatusMonitor:
             words = f"the heading's standard deviation is {math.degrees(heading_std):.1f} deg"
             self.status = Status("unsure", words)
         if self.loss is not None:
-            suspect = self._changes.suspect
-            self._reference = present.frozen if suspect is None else suspect.known
+            found = self._changes.suspicion
+            self._reference = present.frozen if found is None else found.change.known
             self._driven, self._lost_at = 0.0, self._place
             self._checks = []
 
@@ -299,11 +302,14 @@ class StatusMonitor:
         recent = self._checks
         # Contradictions alone make a robot lost only when it is known whether the readings changed suddenly before.
         is_refuted = _refutes([check for check in recent if check.step <= self._changes.weighed])
-        change = self._changes.suspect
-        if change is not None and (is_refuted or self._changes.is_certain):
+        found = self._changes.suspicion
+        if found is not None and (is_refuted or found.is_certain):
+            change, is_slip = found.change, found.is_slip
             # Without a sudden change, the estimate may be wrong as well, as after a wrong association.
-            is_sudden = change.evidence > 0.0
-            return Loss(CARRIED, self._step - change.step, change.evidence >= DOUBTED, is_carried=is_sudden)
+            return Loss(
+                CARRIED, self._step - change.step, change.evidence >= DOUBTED or is_slip,
+                is_carried=change.evidence > 0.0 and not is_slip, known=change.known if is_slip else None,
+            )  # fmt: skip
         if is_refuted and _refutes(recent):
             sums = np.cumsum([check.evidence for check in reversed(recent)])[::-1]
             return Loss(Status("lost", _words(recent)), self._step - recent[int(sums.argmax())].step)
@@ -311,7 +317,7 @@ class StatusMonitor:
 
     def _doubts(self) -> Status:
         """The status of a robot that is not lost by its readings."""
-        if self._changes.suspect is not None:
+        if self._changes.suspicion is not None:
             return MAYBE_CARRIED
         recent = self._checks
         if sum(check.evidence for check in recent) < DOUBTED:

@@ -1,9 +1,10 @@
-"""Changes of the readings before which the robot may have been carried away, and what all readings since then say.
+"""Changes of the readings before which the robot may have been moved, and what all readings since then say.
 
 For each step, the readings are explained in two ways: the robot is still *here*, and each beam goes on along what it
 saw before, or sweeps past an edge; or the robot is *elsewhere*, and each reading is that of a random place. The
 evidence is the logarithm of the likelihood ratio of both, as far as the map does not explain the readings. All readings
-since a change are weighed with the map of that moment, which a wrong pose cannot change any more.
+since a change are weighed with the map of that moment, which a wrong pose cannot change any more. It says whether the
+robot is still here, has *slipped* and is near, or is elsewhere.
 """
 
 import math
@@ -16,7 +17,16 @@ import numpy as np
 
 from limslam_agent.kernels.tables import RAY_BEAM, RAY_LENGTH, RAY_TO_X
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.known_map import DECIDED, DOUBTED, Explained, KnownMap, contradiction_test, near_fit
+from limslam_agent.status.known_map import (
+    DECIDED,
+    DOUBTED,
+    UNLIKELY,
+    Explained,
+    KnownMap,
+    contradiction_test,
+    drift_fit,
+    slip_fit,
+)
 from limslam_agent.status.rays import LASTING, STEPS, dropouts, moved, numbered_rays_of, step_rays
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
@@ -27,7 +37,6 @@ WINDOW, LONGEST_SPACING = 3.0, 0.30
 PLACE = 0.3
 """Contradictions less far apart, m, may have one cause, as a short wall that is missing."""
 
-_CARRIED = 10.0  # evidence of a change after which the robot is lost: it outweighs that few robots are carried away
 _SUPPORTED = 15.0  # evidence of readings that clearly fit
 _EXPLAINED = 1.0  # evidence of a reading for the map: more than that of seeing nothing on free ground
 _MAPS = 4
@@ -75,6 +84,25 @@ class Change:
         return float(self.by_beam.sum())
 
 
+class Suspicion(NamedTuple):
+    """That the robot is not where it is believed to be since a change.
+
+    Attributes
+    ----------
+    change, evidence
+        The change, and the logarithm of the likelihood ratio of that and of the believed pose.
+    is_certain
+        Whether it is lost, even if the beam that says most is broken.
+    is_slip
+        Whether the robot has slipped, and is near; it is elsewhere otherwise.
+    """
+
+    change: Change
+    evidence: float
+    is_certain: bool = False
+    is_slip: bool = False
+
+
 @dataclass(eq=False)
 class _Candidate:
     """A change that may be the one before which the robot was carried away.
@@ -95,15 +123,13 @@ class _Candidate:
 class SuddenChanges:
     """Finds the changes of one robot's readings, and weighs them by all readings since then.
 
-    A change may be sudden, or the robot was carried to a place that looked at first like the one before. So the
-    likeliest step of each ``LONGEST_SPACING`` is a change, too.
+    A change may be sudden, or the robot has slipped, or the place that it was carried to looked at first like its own.
+    So the likeliest step of each ``LONGEST_SPACING`` is a change, too.
 
     Attributes
     ----------
-    suspect
-        The likeliest change that makes the robot doubtful; None without it.
-    is_certain
-        Whether the robot was carried away before it, even if the beam that says most is broken.
+    suspicion
+        The likeliest one that makes the robot doubtful; None without it.
     weighed
         Number of the latest step in which a change would have been noticed; -1 before the first one. What follows a
         reading says whether it was a dropout, so that the last steps wait.
@@ -138,8 +164,8 @@ class SuddenChanges:
 
     def forget(self) -> None:
         """Forget all changes: the estimator has closed a loop, and moved the map."""
-        self._candidates, self.is_certain = list[_Candidate](), False
-        self.suspect: Change | None = None
+        self._candidates = list[_Candidate]()
+        self.suspicion: Suspicion | None = None
 
     @property
     def oldest(self) -> int:
@@ -151,13 +177,13 @@ class SuddenChanges:
     ) -> None:
         """Weigh the changes by the readings since then, and find the likeliest one that makes the robot doubtful.
 
-        Both the evidence of the readings and the test of their contradictions can speak for a change. A doubt remains
-        until the readings since the last contradiction clearly fit. No robot is lost whose change is outweighed by all
-        readings since then.
+        The robot is still here, it has slipped, or it is elsewhere. Both the evidence of the readings and the test of
+        their contradictions can speak for the last one. A doubt remains until the readings since the last contradiction
+        clearly fit. No robot is lost whose change is outweighed by all readings since then.
         """
         oldest, latest = self._candidates[0].change.step, first + len(sights) - 1
         rays, steps = numbered_rays_of(sights[oldest - first :], self._robot, known.sensor)
-        self.suspect, self.is_certain, most, since = None, False, DOUBTED, steps + oldest
+        self.suspicion, most, since = None, DOUBTED, steps + oldest
         for candidate in self._candidates:
             change = candidate.change
             change.known.sensor = known.sensor
@@ -168,24 +194,44 @@ class SuddenChanges:
             if since_then.sum() > _SUPPORTED:
                 candidate.is_doubted = False
                 continue
-            by_ray = max(-here.evidence, _test_of_places(later, here), key=np.sum)
-            evidence = change.evidence + float(by_ray.sum())
-            if evidence >= DOUBTED:  # or it has drifted
-                near = near_fit(change.known, later, covariance)
-                there = max(-near.evidence, contradiction_test(near.fit.contradictions, near.fit.tested))
-                evidence = min(evidence, change.evidence + there)
-            if evidence >= most:
-                others = without_the_worst(change.by_beam + by_beam(later, by_ray, self._robot))
-                most, self.suspect = evidence, change
-                # The readings since a change must not speak for the place: bodies pass, and beams meet edges at once.
-                least = min(evidence, change.evidence - float(here.evidence.sum()))
-                self.is_certain = least >= _CARRIED and others >= DECIDED
+            found = self._carried(change, later, here, covariance)
+            slipped = self._slipped(change, later, here, covariance)
+            if slipped is not None and slipped.evidence >= found.evidence:
+                found = slipped
+            if found.evidence >= most:
+                most, self.suspicion = found.evidence, found
             is_held = candidate.is_doubted and latest - change.step <= STEPS
-            candidate.is_doubted = evidence >= DOUBTED or is_held
+            candidate.is_doubted = found.evidence >= DOUBTED or is_held
         self._candidates = [each for each in self._candidates if each.is_doubted or place - each.place <= WINDOW]
         doubted = [each.change for each in self._candidates if each.is_doubted]
-        if self.suspect is None and doubted:
-            self.suspect = doubted[0]
+        if self.suspicion is None and doubted:
+            self.suspicion = Suspicion(doubted[0], 0.0)
+
+    def _carried(self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray) -> Suspicion:
+        """That the robot is elsewhere since a change, by the rays (n, 7) since then."""
+        by_ray = max(-here.evidence, _test_of_places(later, here), key=np.sum)
+        evidence = change.evidence + float(by_ray.sum())
+        if evidence >= DOUBTED:  # or it has drifted
+            near = drift_fit(change.known, later, covariance)
+            there = max(-near.evidence, contradiction_test(near.fit.contradictions, near.fit.tested))
+            evidence = min(evidence, change.evidence + there)
+        # The readings since a change must not speak for the place: bodies pass, and beams meet edges at once.
+        least = min(evidence, change.evidence - float(here.evidence.sum()))
+        others = without_the_worst(change.by_beam + by_beam(later, by_ray, self._robot))
+        return Suspicion(change, evidence, is_certain=least >= UNLIKELY and others >= DECIDED)
+
+    def _slipped(self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray) -> Suspicion | None:
+        """That the robot has slipped at a change, by the rays (n, 7) since then; None if that is not certain."""
+        if not len(later):
+            return None
+        slip = slip_fit(change.known, later)
+        evidence = slip.evidence - float(here.evidence.sum())
+        if evidence < DECIDED:
+            return None
+        evidence = min(evidence, slip.evidence - drift_fit(change.known, later, covariance).evidence)
+        there = change.known.explained(moved(later, slip.fit.pose))
+        others = without_the_worst(by_beam(later, there.evidence - here.evidence, self._robot))
+        return Suspicion(change, evidence, is_certain=True, is_slip=True) if min(evidence, others) >= DECIDED else None
 
     def _likeliest(self, sights: Sequence[Sight], first: int, known: KnownMap, covariance: FloatArray) -> Change | None:
         """The step since the last call with the most sudden change, if there is a step."""
@@ -194,11 +240,8 @@ class SuddenChanges:
         steps = sights[begin:]
         if len(steps) <= LASTING + 1:
             return None
-        ranges = np.array([each.ranges for each in steps])
-        usable = np.isfinite(ranges) & ~dropouts(ranges >= self._robot.too_far)
-        motions = np.array([(np.hypot(*each.increment[:2]), abs(each.increment[2])) for each in steps])
-        last = 1 - LASTING
-        evidence = change_evidence(ranges[:last], usable[:last], motions[:last], self._robot, known.sensor)
+        ranges, motions = np.array([each.ranges for each in steps]), np.array([each.increment for each in steps])
+        evidence = change_evidence(ranges, motions, self._robot, known.sensor)[: 1 - LASTING]
         new = max(self.weighed - first - begin - 1, 0)
         self.weighed = first + begin + len(steps) - LASTING
         if new >= len(evidence):
@@ -206,21 +249,19 @@ class SuddenChanges:
         row = new + int(evidence[new:].sum(axis=1).argmax())
         number = first + begin + row + 2
         map_then = next((each for at, each in reversed(self._known) if at <= number), self._known[0][1])
-        is_explained = self._are_explained(steps[row + 2], usable[row + 2], map_then, covariance)
+        is_explained = self._are_explained(steps[row + 2], map_then, covariance)
         return Change(number, map_then, np.where(is_explained, np.minimum(evidence[row], 0.0), evidence[row]))
 
-    def _are_explained(self, sight: Sight, usable: BoolArray, known: KnownMap, covariance: FloatArray) -> BoolArray:
+    def _are_explained(self, sight: Sight, known: KnownMap, covariance: FloatArray) -> BoolArray:
         """Which readings (n_beams,) ended where the map has a wall, so that their change says nothing."""
-        ranges, sensor = np.where(usable, sight.ranges, np.nan), known.sensor
-        rays = moved(step_rays(ranges, sensor.mounted(self._robot), sensor.bias), sight.pose)
-        found: BoolArray = np.zeros(len(ranges), dtype=bool)
+        sensor = known.sensor
+        rays = moved(step_rays(sight.ranges, sensor.mounted(self._robot), sensor.bias), sight.pose)
+        found: BoolArray = np.zeros(len(sight.ranges), dtype=bool)
         found[rays[:, RAY_BEAM].astype(int)] = known.explained(rays, covariance).evidence > _EXPLAINED
         return found
 
 
-def change_evidence(
-    ranges: FloatArray, usable: BoolArray, motions: FloatArray, robot: RobotSpec, sensor: RangeSensor
-) -> FloatArray:
+def change_evidence(ranges: FloatArray, motions: FloatArray, robot: RobotSpec, sensor: RangeSensor) -> FloatArray:
     """The evidence (m, n_beams) of each reading that the robot was carried away before its step.
 
     It is the logarithm of the likelihood of the reading at a random place, less that of the reading after the one
@@ -230,17 +271,18 @@ def change_evidence(
 
     Parameters
     ----------
-    ranges, usable
-        Readings of m + 2 steps (m + 2, n_beams), m, and a mask of those that count.
-    motions
-        Length and angle of the motion before each of the steps (m + 2, 2), m and rad, without signs.
+    ranges, motions
+        Readings of m + 2 steps (m + 2, n_beams), m, and the motions (m + 2, 3) before them, m and rad. Readings that
+        are not new are NaN. Those that saw nothing count if the beam does so in ``LASTING`` steps in succession.
     robot, sensor
         The beams, and how they measure.
     """
     from limslam_agent.kernels.readings import weigh_changes
 
-    evidence = np.empty((len(ranges) - 2, ranges.shape[1]))
-    weigh_changes(ranges, usable, motions, robot.beam_table, float(sensor.std), float(sensor.growth), evidence)
+    usable = np.isfinite(ranges) & ~dropouts(ranges >= robot.too_far)
+    lengths = np.column_stack((np.hypot(*motions[:, :2].T), np.abs(motions[:, 2])))
+    evidence = np.empty((max(len(ranges) - 2, 0), ranges.shape[1]))
+    weigh_changes(ranges, usable, lengths, robot.beam_table, float(sensor.std), float(sensor.growth), evidence)
     return evidence
 
 

@@ -5,10 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from limslam_agent.places.localisation import MATCH_STD, KnownPlaces
+from limslam_agent.places.localisation import KnownPlaces
 from limslam_agent.replay.record import Replay
 from limslam_agent.slam.graph.smooth import Report
 from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_run
+from limslam_agent.status.known_map import MATCH_COVARIANCE
 from limslam_agent.status.smoothed_status import smoothed_status
 from limslam_agent.status.status import LEVELS
 from limslam_agent.two_logs.joint import JointReplay, Replays, frame_of, grid_of
@@ -72,11 +73,10 @@ def joined_run(first: FilteredRun, second: FilteredRun, frame: FloatArray) -> Fi
     ``frame`` (3,) is the pose of the second run's frame in that of the first run.
     """
     seam = len(first.poses)
-    match_covariance = np.diag(np.square([MATCH_STD[0], *MATCH_STD]))
     second = replace(
         second,
         poses=se2.compose(frame, second.poses),
-        covariances=se2.turned(second.covariances, float(frame[2])) + match_covariance,
+        covariances=se2.turned(second.covariances, float(frame[2])) + MATCH_COVARIANCE,
     )
     apart = 1 + max((record.landmark for record in first.associations), default=-1)
     associations = [
@@ -100,6 +100,7 @@ def joined_run(first: FilteredRun, second: FilteredRun, frame: FloatArray) -> Fi
         associations=[*first.associations, *associations],
         closures=[*first.closures, *closures],
         breaks=(*first.breaks, (0, seam), *((0, step + seam) for _, step in second.breaks)),
+        slips=(*first.slips, *((0, begin + seam, end + seam) for _, begin, end in second.slips)),
         sensor=longer.sensor,
         **columns,
     )

@@ -57,6 +57,8 @@ class FilteredRun:
         Step of the drive that row 0 belongs to, if the run is a part of a drive.
     breaks
         Robots and steps before which a robot was carried away. The poses before and after say where to.
+    slips
+        Robots and parts of the drive, from a step to before another one, in one step of which a robot has slipped.
     sensor
         How the sensor measures, as the filter has found out. None if it is as ``robot`` and ``noise`` state.
     waiting
@@ -74,6 +76,7 @@ class FilteredRun:
     closures: list[Closure]
     first_step: int = 0
     breaks: tuple[tuple[int, int], ...] = ()
+    slips: tuple[tuple[int, int, int], ...] = ()
     sensor: RangeSensor | None = None
     waiting: FloatArray | None = None
 
@@ -99,6 +102,7 @@ class FilteredRun:
             associations=[each for each in self.associations if each.readings[:, 0].max() < end],
             closures=[each for each in self.closures if each.step < end],
             breaks=tuple(each for each in self.breaks if each[1] < step),
+            slips=tuple((number, first, min(last, step)) for number, first, last in self.slips if first < step),
         )
 
 
@@ -157,7 +161,7 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Association | None:
     problem = make_problem(
         run.robot, run.noise, run.poses[0], run.wheels, run.ranges, run.usable, prior, run.first_step, run.sensor
     )
-    problem = with_breaks(problem, run)
+    problem = with_breaks(with_slips(problem, run), run)
     labels = filter_labels(problem, run.associations, run.closures, run.first_step)
     if np.count_nonzero(labels >= 0) < FEWEST:
         return None
@@ -195,6 +199,18 @@ def _calibrated(problem: Problem) -> Problem:
     sensor = problem.sensor
     is_rough = (sensor.cone > 0.0 or sensor.growth > 0.0) and not sensor.bias
     return replace(problem, prior=RELATIVE_PRIOR if is_rough else CALIBRATION_PRIOR)
+
+
+def with_slips(problem: Problem, run: FilteredRun) -> Problem:
+    """A problem in which the wheels may have slipped in any step of a part of the drive. The readings say in which."""
+    roots = problem.roots.copy()
+    for number, first, last in run.slips:
+        part = slice(max(first - 1, 0), last - 1)
+        covariances = np.linalg.inv(np.swapaxes(roots[number, part], -1, -2) @ roots[number, part])
+        wheel = _FOUND_STDS[2] * problem.robot.axle / math.sqrt(2.0)
+        covariances[..., [0, 1], [0, 1]] += wheel**2 / max(len(covariances), 1)
+        roots[number, part] = np.linalg.inv(np.linalg.cholesky(covariances))
+    return replace(problem, roots=roots)
 
 
 def with_breaks(problem: Problem, run: FilteredRun) -> Problem:

@@ -52,12 +52,12 @@ def plain_evidence(ranges: FloatArray, usable: BoolArray, motions: FloatArray, s
     goes_on = np.where(is_line, np.maximum(goes_on, 0.6 * density(now - 2.0 * before + earlier, bend)), goes_on)
     changes = (1.0 - edges) * goes_on + edges / limits
     vanishes = sum(share * ndtr((before - limits) / each) for share, each in zip(shares, stds, strict=True))
-    vanishes = (1.0 - edges) * vanishes + 0.5 * edges
+    vanishes = (1.0 - edges) * vanishes + 0.45 * edges
     comes = sum(share * density(limits - now, each) for share, each in zip(shares, stds, strict=True))
     comes = 0.08 * (1.0 + 3.0 * (turn > 0.1)) * comes + edges / limits
     here = np.where(nothing[2:], vanishes, np.where(nothing[1:-1], comes, changes))
-    evidence = np.log(np.where(nothing[2:], 0.5, 0.5 / limits) / here)
-    evidence = np.where(nothing[2:] & nothing[1:-1], math.log(0.5), evidence)
+    evidence = np.log(np.where(nothing[2:], 0.45, 0.55 / limits) / here)
+    evidence = np.where(nothing[2:] & nothing[1:-1], math.log(0.45), evidence)
     return np.where(usable[2:] & usable[1:-1], np.clip(evidence, -1.5, 4.5), 0.0)
 
 

@@ -2,29 +2,23 @@
 
 import json
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from support.halls import HALL, PART, ROBOT, SENSOR, WAY, drive, known, poses_along, readings
 
 from limslam_agent import preset
-from limslam_agent.config.exploration import GridConfig
-from limslam_agent.grid.occupancy import GridView, drawn_grid
+from limslam_agent.grid.occupancy import GridView
 from limslam_agent.mapping.joining import NOT_YET_CONFIRMED, NOT_YET_JOINED, JoiningMapper
 from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.mapping.team import LimSlamTeam
 from limslam_agent.output.summary import record_summary
-from limslam_agent.places.history import LoggedStep
-from limslam_agent.places.localisation import KnownPlaces
-from limslam_agent.places.meeting import FIRST, Meeting
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import write_episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.runs.smoothing import final_status
 from limslam_agent.status.status import LEVELS, Status
-from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
+from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
 
 NOISE = 0.02
@@ -62,64 +56,6 @@ def test_two_robots_become_a_team(episode):
     start[2] = wrap_angle(start[2])
     assert start @ np.linalg.solve(covariance, start) < 16.3, "the 99.9 % limit of three degrees of freedom"
     np.testing.assert_allclose(episode.odometry[0, 1], event["start"], atol=1e-9)
-
-
-def hall_slams():
-    """The second robot knows the hall in a frame of its own, and the first one in the world."""
-    frame = np.array([2.0, -1.0, 0.7])
-    maps = [known(WAY, HALL), known(WAY, HALL)]
-    turned = transform_points(inverse(frame), HALL.reshape(-1, 2)).reshape(-1, 4)
-    maps[1] = KnownPlaces(turned, known_grid(frame), SENSOR)
-    slams = [SimpleNamespace(segments=each.segments, range_sensor=SENSOR, covariance=np.zeros((3, 3))) for each in maps]
-    return slams, [each.grid for each in maps], frame
-
-
-def known_grid(frame):
-    poses = poses_along(WAY)
-    ranges = readings(poses, HALL)[:, None]
-    local = compose(inverse(frame), poses)
-    return drawn_grid(GridConfig(), ROBOT, local[:, None], ranges, np.ones(ranges.shape, dtype=bool))
-
-
-def met():
-    """A meeting in which both robots have driven in the hall, each in its own frame."""
-    slams, grids, frame = hall_slams()
-    meeting = Meeting(ROBOT)
-    for first, second in zip(drive(PART, HALL), drive(PART, HALL, frame), strict=True):
-        meeting.note([first, second])
-        meeting.drive([np.array([0.03, 0.0, 0.0])] * 2)
-    assert not meeting.is_due, "small maps fit in many places"
-    meeting.drive([np.array([FIRST, 0.0, 0.0])] * 2)
-    return meeting, slams, grids, frame
-
-
-def test_two_searches_in_succession_find_the_other_robot():
-    meeting, slams, grids, frame = met()
-    assert meeting.is_due
-    start = np.array([0.3, 0.2, 0.1])
-    assert meeting.seek(slams, grids, start) is None, "one search is not enough"
-    found = meeting.seek(slams, grids, start)
-    np.testing.assert_allclose(found[0], compose(frame, start), atol=0.05)
-    assert np.linalg.eigvalsh(found[1]).min() > 0.0
-    assert not meeting.is_due
-
-
-def test_a_robot_that_sees_the_other_one_finds_it():
-    """A reading that ends at the body of the other robot contradicts its map, and says nothing about the place."""
-    slams, grids, frame = hall_slams()
-    there = np.array([2.2, 1.8, 0.0])
-    angles = np.linspace(0.0, 2.0 * np.pi, 9)
-    corners = there[:2] + ROBOT.radius * np.column_stack((np.cos(angles), np.sin(angles)))
-    body = np.concatenate((corners[:-1], corners[1:]), axis=1)
-    second = drive(PART, np.concatenate((HALL, body)), frame)
-    (seen,) = readings(there[None], HALL)
-    meeting = Meeting(ROBOT)
-    for step in second:
-        meeting.note([LoggedStep({}, there, HERE, seen), step])
-    found = [meeting.seek(slams, grids, HERE) for _ in range(3)][-1]
-    np.testing.assert_allclose(found[0], frame, atol=0.05)
-    meeting.has_joined(found[0])
-    assert meeting.records[0]["match"]["contradictions"] == 0
 
 
 def test_a_joining_that_the_readings_contradict_is_taken_back(episode, monkeypatch):

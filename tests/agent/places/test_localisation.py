@@ -7,13 +7,11 @@ import pytest
 from support.halls import HALL, PART, ROBOT, SQUARE, STD, WAY, drive, known
 
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.kernels.tables import RAY_LENGTH
-from limslam_agent.places.localisation import LEAD, KnownPlaces, agree, localise
+from limslam_agent.places.localisation import FAR_SHARE, LEAD, KnownPlaces, agree, localise
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.known_map import DECIDED
-from limslam_agent.status.rays import ends_of, have_ended, moved, rays_of
+from limslam_agent.status.known_map import DECIDED, PlaceFit
+from limslam_agent.status.rays import have_ended, moved, rays_of
 from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
-from limslam_env.geometry.segment import distances
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +71,17 @@ def test_a_pose_does_not_slide_along_walls_that_are_not_quite_parallel():
     assert abs(found[2]) < 0.01
 
 
+def test_the_likeliest_place_near_the_believed_one_is_compared_with_far_ones(whole):
+    rays = moved(rays_of(drive(PART, HALL), ROBOT), np.array([3.5, -1.0, -0.4]))
+    alone = localise(whole, rays, far=FAR_SHARE)
+    assert not alone.is_near
+    near = PlaceFit(np.zeros(3), 0.6 * alone.fit.evidence, 3, 90)
+    found = localise(whole, rays, far=FAR_SHARE, near=[near])
+    assert found.fit is near
+    assert found.is_accepted, "contradictions need only not speak against a place near the believed one"
+    assert not localise(whole, rays, far=FAR_SHARE, near=[replace(near, contradictions=6)]).is_accepted
+
+
 def test_two_searches_agree_on_one_place_only(whole):
     found = localise(whole, rays_of(drive(PART, HALL), ROBOT))
     assert agree(found, found)
@@ -98,15 +107,6 @@ def test_without_rays_or_walls_there_is_nothing_to_compare(whole):
         assert found.record == {"accepted": False, "reason": "there is nothing to compare"}
 
 
-def test_rays_end_at_walls_and_move_with_their_frame():
-    frame = np.array([2.0, -1.0, 1.3])
-    rays = rays_of(drive(PART, HALL, frame), ROBOT)
-    ends = ends_of(moved(rays, frame))
-    assert distances(ends[have_ended(rays)], HALL).min(axis=1).max() < 1e-5
-    assert distances(ends[~have_ended(rays)], HALL).min(axis=1).min() > 0.0
-    np.testing.assert_allclose(ends, transform_points(frame, ends_of(rays)), atol=1e-9)
-
-
 def test_readings_that_say_nothing_have_no_ray():
     steps = drive([[1.0, 0.7], [1.2, 0.7]], HALL)[:6]
     unsaid = np.array([np.nan, 0.0, *steps[0].ranges[2:]])
@@ -117,21 +117,3 @@ def test_readings_that_say_nothing_have_no_ray():
     rays = rays_of([*steps[:2], missed, *steps[3:]], ROBOT)
     assert (~have_ended(rays)).sum() <= (~have_ended(rays_of(steps, ROBOT))).sum()
     assert have_ended(rays).any()
-
-
-def test_of_very_many_beams_some_are_used():
-    angles = np.radians(np.arange(-90.0, 90.0, 1.0))
-    many = replace(ROBOT, beams=tuple(replace(ROBOT.beams[0], angle=angle) for angle in angles))
-    step = replace(drive(PART, HALL)[0], ranges=np.full(180, 0.8))
-    rays = rays_of([step], many)
-    assert 10 < len(rays) <= 36
-
-
-def test_a_drive_that_has_left_the_ground_of_the_map_is_still_found(whole):
-    """The latest rays are those of ground that the map does not have."""
-    rays = rays_of(drive(PART, HALL), ROBOT)
-    away = moved(rays, np.array([-2.5, 0.0, 0.0]))
-    away[:, RAY_LENGTH] = 0.25
-    seen = np.concatenate((rays, away))
-    found = whole.refined(whole.likely(seen), seen)
-    assert np.hypot(*found[:, :2].T)[np.abs(found[:, 2]) < 0.1].min() < 0.1

@@ -47,16 +47,3 @@ def test_a_placed_robot_moves_with_the_walls_that_it_was_matched_with():
     np.testing.assert_allclose(
         np.sqrt(np.diag(ekf.joint_pose_covariance)), [0.05, np.hypot(0.6, 0.05), 0.03], atol=1e-3
     )
-
-
-WORLD_OF_ONE = lines_moved_with((2.5, 1.0), LINES[:1] * [0.0, 1.0], np.array([[2.0, 0.0]]))[:, 1:]
-
-
-def test_a_placed_robot_is_independent_of_walls_that_say_nothing_of_its_place():
-    """One wall says nothing of the position along it."""
-    _, state = room_in_an_uncertain_world(1)
-    by_lines = state.by_walls(POSE, ends(1))
-    np.testing.assert_allclose(by_lines[0], 0.0, atol=1e-12)
-    np.testing.assert_allclose(by_lines[1:] @ WORLD_OF_ONE, [[1.0, 0.0], [0.0, 1.0]], atol=1e-12)
-    assert not state.by_walls(POSE, ends(4)[-5:] + 1.0).any(), "no reading ends on the wall"
-    assert room_in_an_uncertain_world(0)[1].by_walls(POSE, ends(4)).shape == (3, 0)

@@ -11,7 +11,6 @@ from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.known_map import KnownMap
 from limslam_agent.status.monitor import (
     CARRIED,
-    MAYBE_CARRIED,
     WINDOW,
     StatusMonitor,
 )
@@ -60,20 +59,6 @@ def test_a_robot_in_a_right_map_is_ok():
     assert not watched.added_covariance.any()
 
 
-@pytest.mark.parametrize(("together", "level"), [(1, "ok"), (3, "ok"), (4, "lost")])
-def test_dropouts_are_no_contradictions_and_beams_that_keep_seeing_nothing_are(together, level):
-    watched = monitor()
-    for number in range(60):
-        pose, ranges = place(number), ranges_at(place(number), WALLS)
-        lost = np.where(np.arange(len(ranges)) == number % len(ranges), ROBOT.max_ranges, ranges)
-        for step in range(5):
-            is_lost = step >= 5 - together
-            sight = Sight(pose, lost if is_lost else ranges, np.array([0.11 if step == 4 else 0.0, 0.0, 0.0]))
-            if watched.observe(sight, is_busy=True):
-                watched.check(SURE, KNOWN)
-    assert watched.status.level == level
-
-
 def test_a_robot_whose_walls_are_gone_is_lost_at_once_and_says_why():
     watched = monitor()
     drive(watched, 40)
@@ -120,36 +105,6 @@ def test_a_jump_of_the_odometry_is_noticed_in_the_same_step():
     assert not watched.observe(blind(0.01), is_busy=True)
 
 
-def changing(beams, motion, *, known=UNKNOWN, walls=None, lasts=20):
-    """The monitor of a robot whose readings change at once, of some beams, until it is lost."""
-    watched, nowhere = monitor(), KnownMap(np.zeros((0, 4)) if walls is None else walls, known, SENSOR)
-    for number in range(10 + lasts):
-        ranges = np.where(np.arange(6) < beams * (number >= 10), 0.4, 1.0)
-        if watched.observe(Sight(place(0), ranges, np.array([motion[0], 0.0, motion[1]])), is_busy=True):
-            watched.check(SURE, nowhere)
-        if watched.status.level == "lost":
-            break
-    return watched
-
-
-@pytest.mark.parametrize(
-    ("beams", "motion", "level"),
-    [
-        (5, (0.02, 0.0), "lost"), (3, (0.02, 0.0), "unsure"), (1, (0.02, 0.0), "ok"), (6, (0.02, 0.1), "lost"),
-        (6, (0.5, 0.0), "ok"),
-    ],
-)  # fmt: skip
-def test_readings_that_change_at_once_are_noticed_if_the_motion_does_not_explain_them(beams, motion, level):
-    watched = changing(beams, motion)
-    assert watched.status.level == level
-    assert watched.is_suspicious is (level != "ok")
-    if level == "lost":
-        assert watched.status == CARRIED
-        assert watched.loss.ago <= 10
-    if level == "unsure":
-        assert watched.status == MAYBE_CARRIED
-
-
 def test_a_beam_alone_is_no_proof():
     """Its readings change again and again, and contradict the map."""
     watched, free = monitor(), GridView(np.array([-3.0, -3.0]), 0.1, np.full((60, 60), 9, dtype=np.int16))
@@ -160,18 +115,6 @@ def test_a_beam_alone_is_no_proof():
             watched.check(SURE, KnownMap(np.zeros((0, 4)), free, SENSOR))
         assert watched.status.level != "lost"
     assert watched.status.level == "unsure"
-
-
-def test_readings_that_clearly_fit_end_a_suspicion():
-    watched = monitor()
-    drive(watched, 40)
-    for number in range(40, 46):  # something passes the robot
-        ranges = np.where(np.arange(6) < 3, 0.25, ranges_at(place(number), WALLS))
-        if watched.observe(Sight(place(number), ranges, np.array([0.02, 0.0, 0.0])), is_busy=True):
-            watched.check(SURE, KNOWN)
-    levels = drive(watched, 60, begin=46)
-    assert "lost" not in levels
-    assert watched.status == Status()
 
 
 @pytest.mark.parametrize("counts", [True, False])
@@ -185,20 +128,6 @@ def test_a_body_beside_the_robot_makes_it_lost_only_if_free_space_counts(counts)
             watched.check(SURE, known)
         levels.append(watched.status.level)
     assert ("lost" in levels) == counts
-
-
-def test_contradictions_at_a_single_place_are_no_proof():
-    free = GridView(np.array([-2.0, -2.0]), 0.1, np.full((40, 40), 9, dtype=np.int16))
-    for apart, level in ((0.0, "unsure"), (0.4, "lost")):
-        watched = monitor()
-        for number in range(30):
-            # Two beams in turn end in space that is known to be free.
-            beam, away = (2, 3)[number % 2], 0.6 + apart * (number % 2)
-            seen = np.where(np.arange(6) == beam, away, ROBOT.max_ranges)
-            pose = np.array([0.0, 0.0, -ROBOT.beam_angles[beam]])
-            if watched.observe(Sight(pose, seen, np.array([0.11, 0.0, 0.0])), is_busy=True):
-                watched.check(SURE, KnownMap(np.array([[5.0, 5.0, 6.0, 5.0]]), free, SENSOR))
-        assert watched.status.level == level
 
 
 def test_an_uncertain_heading_is_unsure():
