@@ -298,6 +298,11 @@ class LineSlam:
         if isinstance(self._estimator, ConsistentEstimator):
             self._estimator.assume(sensor)
 
+    def correct_delay(self) -> None:
+        """Take the ranges to be as late as the readings say. The caller lets the wheels wait for them from then on."""
+        if isinstance(self._estimator, ConsistentEstimator):
+            self._estimator.correct_delay()
+
     def leave_out(self, beam: int) -> None:
         """Use no further readings of a broken beam of the only robot. Only the consistent estimator can do so."""
         if self.is_renewable:

@@ -73,13 +73,10 @@ class AssumedSensor:
         config, sensor, noise = self._config, self.sensor, self._noise.estimate
         change, evidence = errors.estimate_of(COMMON)[0], errors.evidence
         change[1] = np.clip(change[1], -sensor.cone, LARGEST_CONE - sensor.cone)
-        evidence = np.where(np.abs(change) > (LEAST_BIAS, LEAST_ANGLE, LEAST_DELAY), evidence, 0.0)
+        evidence = np.where(np.abs(change[:DELAY]) > (LEAST_BIAS, LEAST_ANGLE), evidence[:DELAY], 0.0)
         gate, noise_gate = config.gate, config.noise_gate
         if not self._is_specified:
             gate = noise_gate = config.further_gate
-        late_gate = config.further_gate if sensor.delay else config.gate
-        if evidence[DELAY] > late_gate and sensor.delay + change[DELAY] > 0.0:
-            return sensor._replace(delay=min(sensor.delay + float(change[DELAY]), LONGEST))
         turned = self._turned(errors)
         if turned is not None:
             return turned
@@ -90,10 +87,20 @@ class AssumedSensor:
             return None
         # Too little noise looks like an opening angle, and the reverse. So once one of them is known to be wrong, any
         # evidence for the other one counts. A bias is not found that early.
-        change = np.where([is_biased, evidence[1] > 0.0, False], change, 0.0)
+        change = np.where([is_biased, evidence[1] > 0.0], change[:DELAY], 0.0)
         std, growth = (noise.std, noise.growth) if noise.evidence > 0.0 else (sensor.std, sensor.growth)
         cone, bias = sensor.cone + float(change[1]), sensor.bias + float(change[0])
         return sensor._replace(std=std, growth=growth, cone=cone, bias=bias)
+
+    def delayed(self, errors: RangeErrors | None) -> RangeSensor | None:
+        """The sensor with another delay of its ranges, if the readings so far require that."""
+        if errors is None:
+            return None
+        delay, gate = self.sensor.delay, self._config.further_gate if self.sensor.delay else self._config.gate
+        further = float(errors.estimate_of(COMMON)[0][DELAY])
+        if abs(further) < LEAST_DELAY or delay + further < 0.0 or errors.evidence[DELAY] < gate:
+            return None
+        return self.sensor._replace(delay=min(delay + further, LONGEST))
 
     def _turned(self, errors: RangeErrors) -> RangeSensor | None:
         """The sensor with other directions of its beams, if the readings require that.

@@ -19,6 +19,7 @@ from limslam_agent.kernels.tables import CLONES, LINES, LINES_FROM, POSE, POSES_
 from limslam_agent.slam.consistent import clone_filter
 from limslam_agent.slam.consistent.clone_filter import begins_of, clones_from, equality, line_at, num_lines, size_of
 from limslam_agent.slam.consistent.separate_bias import DELAY, TURNS, ConstantErrors, OdometryErrors, RangeErrors
+from limslam_agent.slam.core.motion import is_sure
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import normalise
 from limslam_env.geometry.se2 import wrap_angle
@@ -201,6 +202,8 @@ class CloneEKF:
         by_pose, by_increment, moved = np.zeros((POSE, POSE)), np.zeros((POSE, POSE)), slice(at, at + POSE)
         move_pose(arrays.x, arrays.P, size, at, increment, covariance, by_pose, by_increment, self._poses_end)
         self._motions[robot] = by_increment @ increment
+        if not is_sure(float(increment[2]), float(covariance[2, 2])):
+            self._motions[robot, 2] = 0.0
         if arrays.by_errors.shape[1]:
             arrays.by_errors[moved] = by_pose @ arrays.by_errors[moved]
         if by_calibration is None:

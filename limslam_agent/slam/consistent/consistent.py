@@ -261,6 +261,15 @@ class ConsistentEstimator(Estimator):
         self._filter.correct_ranges(sensor.change_from(self.sensor))
         self._assume(sensor)
 
+    def correct_delay(self) -> None:
+        """Take the ranges to be as late as they are, if the readings say so. The caller lets the wheels wait for them.
+
+        Without that, the same delay would be found again and again.
+        """
+        found = self._sensor.delayed(self._filter.range_errors)
+        if found is not None:
+            self.assume(found)
+
     def leave_out(self, beam: int) -> None:
         """Use no further readings of a broken beam. What was found about the sensor may have been due to it."""
         sensor = self._sensor.specified

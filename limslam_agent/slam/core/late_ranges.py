@@ -50,7 +50,7 @@ class WaitingTravel:
 
         The delay may change from step to step.
         """
-        if "wheels" not in observations[0]:
+        if not (observations and all("wheels" in seen for seen in observations)):
             return observations
         total = self._totals[-1] + np.array([seen["wheels"] for seen in observations], dtype=float)
         self._totals = [*self._totals[-int(LONGEST) - 1 :], total]
