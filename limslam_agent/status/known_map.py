@@ -220,11 +220,13 @@ class NearFit(NamedTuple):
         return self.fit.evidence - self.cost
 
 
-def drift_fit(known: KnownMap, rays: FloatArray, covariance: FloatArray) -> NearFit:
+def drift_fit(
+    known: KnownMap, rays: FloatArray, covariance: FloatArray, others: FloatArray | None = None
+) -> NearFit:  # fmt: skip
     """The likeliest pose of rays (n, 7) by the covariance (3, 3) of the believed pose, the origin.
 
     Of this covariance, only the part counts that the walls near by do not share. Without rays, the believed pose is as
-    likely as any.
+    likely as any. ``others`` (m, 3) are further poses that may be the likeliest one.
     """
     if not len(rays):
         return NearFit(known.fit_here(rays), 0.0)
@@ -235,7 +237,7 @@ def drift_fit(known: KnownMap, rays: FloatArray, covariance: FloatArray) -> Near
     likely = np.array(list(product(_DEVIATIONS, repeat=3))) * np.sqrt(variances) @ axes.T
     starts = compose(compose(about, likely), back)
     # With few rays, a refinement may lead away from the right pose.
-    poses = np.concatenate((starts, known.refined(starts, rays)))
+    poses = np.concatenate((starts, known.refined(starts, rays), np.empty((0, 3)) if others is None else others))
     off = compose(compose(back, poses), about)
     costs = 0.5 * np.einsum("ni,ij,nj->n", off, np.linalg.inv(spread), off)
     found = map(NearFit, known.weigh(poses, rays), costs.tolist())

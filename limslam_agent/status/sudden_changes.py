@@ -228,7 +228,8 @@ class SuddenChanges:
         evidence = slip.evidence - float(here.evidence.sum())
         if evidence < DECIDED:
             return None
-        evidence = min(evidence, slip.evidence - drift_fit(change.known, later, covariance).evidence)
+        drifted = drift_fit(change.known, later, covariance, slip.fit.pose[None])
+        evidence = min(evidence, slip.evidence - drifted.evidence)
         there = change.known.explained(moved(later, slip.fit.pose))
         others = without_the_worst(by_beam(later, there.evidence - here.evidence, self._robot))
         return Suspicion(change, evidence, is_certain=True, is_slip=True) if min(evidence, others) >= DECIDED else None
