@@ -19,7 +19,10 @@ from limslam_agent.kernels.tables import (
     AROUND_KINK,
     BEND_AT,
     BENT,
+    CURVE_GATE,
     DEEPEST,
+    END_GATE,
+    END_ZONE,
     EXTENT,
     FEWEST,
     FEWEST_FOR_SHAPE,
@@ -34,14 +37,14 @@ from limslam_agent.kernels.tables import (
     THETA,
 )
 from limslam_agent.kernels.updates import covariance_of, gathered, involved
-from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 
 @algebra
 def fit_segment(
     x: FloatArray, start: int, block: FloatArray, begins: IntArray, places: IntArray, readings: FloatArray,
     points: FloatArray, members: IntArray, line: tuple[float, float], std: float, variances: FloatArray,
-    segment: FloatArray, along: FloatArray,
+    segment: FloatArray, along: FloatArray, loose: BoolArray,
 ) -> tuple[FloatArray, IntArray]:  # fmt: skip
     """Fit a line to readings by generalised least squares, and test whether they are straight.
 
@@ -57,8 +60,8 @@ def fit_segment(
         (r, theta) that the fit begins at.
     std, variances
         Standard deviation of a short range, m, and the variances of the members' ranges (n,), m^2.
-    segment, along
-        Filled: the segment (7,), and the position of each member along it (n,), m.
+    segment, along, loose
+        Filled: the segment (7,), the position of each member along it (n,), m, and which of them are loose ends (n,).
 
     Returns
     -------
@@ -101,6 +104,7 @@ def fit_segment(
     sort_with(ordered, chosen, count)
     describe(along, len(members), own, foot, theta, std, segment)
     segment[BENT] = bend(own, ordered, expected, left, basis, factor, segment)
+    mark_loose_ends(own, ordered, expected, left, basis, factor, clear, len(members), loose)
     return left, clear[:count]
 
 
@@ -176,21 +180,33 @@ def bend(
     along: FloatArray, ordered: FloatArray, expected: FloatArray, left: FloatArray, basis: FloatArray,
     factor: FloatArray, segment: FloatArray,
 ) -> float:  # fmt: skip
-    """Whether (1 or 0) a kinked line explains readings much better; fills the position of the best kink."""
-    count, kinks = len(along), len(KINKS_AT)
-    if count < FEWEST_FOR_SHAPE or ordered[count - 1] <= ordered[0]:
+    """Whether (1 or 0) a kinked or curved line explains readings much better; fills the position of the best kink."""
+    count = len(along)
+    reach, kinks = ordered[count - 1] - ordered[0], len(KINKS_AT)
+    if count < FEWEST_FOR_SHAPE or reach <= 0.0:
         return 0.0
-    shapes, places = np.empty((count, kinks)), np.empty(kinks)
+    shapes, places = np.empty((count, kinks + 3)), np.empty(kinks)
     for k in range(kinks):
         places[k] = quantile(ordered, count, KINKS_AT[k])
     for i in range(count):
         for k in range(kinks):
             shapes[i, k] = max(along[i] - places[k], 0.0) / expected[i, 6]
-    whiten(factor, shapes, count, kinks)
-    leave_beside(shapes, 0, kinks, basis, count)
+        scaled = 2.0 * (along[i] - ordered[0]) / reach - 1.0
+        for k in range(3):
+            shapes[i, kinks + k] = scaled ** (2 + k) / expected[i, 6]
+    whiten(factor, shapes, count, kinks + 3)
+    leave_beside(shapes, 0, kinks + 3, basis, count)
     most, best, angle = strongest_kink(shapes, left, kinks)
+    orthonormalise(shapes, kinks, kinks + 3, count)
+    curved = 0.0
+    for k in range(3):
+        product = 0.0
+        for i in range(count):
+            product += left[i] * shapes[i, kinks + k]
+        curved += product * product
     segment[BEND_AT] = places[best]
-    return 1.0 if most > KINK_GATE and abs(angle) > MIN_KINK else 0.0
+    is_kinked = most > KINK_GATE and abs(angle) > MIN_KINK
+    return 1.0 if is_kinked or curved > CURVE_GATE else 0.0
 
 
 @algebra
@@ -210,22 +226,58 @@ def strongest_kink(shapes: FloatArray, left: FloatArray, kinks: int) -> tuple[fl
 
 
 @algebra
-def cut_part(order: IntArray, first: int, number: int, segment: FloatArray, along: FloatArray, rest: IntArray) -> None:
-    """Cut a part of ``order`` where it is bent.
+def mark_loose_ends(
+    along: FloatArray, ordered: FloatArray, expected: FloatArray, left: FloatArray, basis: FloatArray,
+    factor: FloatArray, clear: IntArray, number: int, loose: BoolArray,
+) -> None:  # fmt: skip
+    """Mark readings at either end that all lie on one side of the line: they belong to another object."""
+    count, shape = len(along), np.empty((len(along), 1))
+    for i in range(number):
+        loose[i] = False
+    for end in (ordered[0], ordered[count - 1]):
+        inside = 0
+        for i in range(count):
+            is_in = abs(along[i] - end) < END_ZONE
+            inside += is_in
+            shape[i, 0] = (1.0 if is_in else 0.0) / expected[i, 6]
+        whiten(factor, shape, count, 1)
+        leave_beside(shape, 0, 1, basis, count)
+        square, product = dot(shape, 0, 0, count), 0.0
+        for i in range(count):
+            product += left[i] * shape[i, 0]
+        if inside < count and square > LEAST_DIVISOR and product * product > END_GATE * square:
+            for i in range(count):
+                if abs(along[i] - end) < END_ZONE:
+                    loose[clear[i]] = True
 
-    Fills where the two parts begin in ``order``, and their lengths: ``rest`` (2, 2). The last one is to be processed
+
+@algebra
+def cut_part(
+    order: IntArray, first: int, number: int, segment: FloatArray, along: FloatArray, loose: BoolArray, rest: IntArray
+) -> int:
+    """Cut a part of ``order`` where it is bent, or cut off its loose ends; into how many parts, 0 if it is straight.
+
+    Fills where these parts begin in ``order``, and their lengths: ``rest`` (2, 2). The last one is to be processed
     first.
     """
-    part, before, behind = order[first : first + number].copy(), 0, 0
+    part, before, behind, firm = order[first : first + number].copy(), 0, 0, 0
+    if segment[BENT] > 0.0:
+        for i in range(number):
+            if along[i] < segment[BEND_AT] - AROUND_KINK:
+                order[first + before] = part[i]
+                before += 1
+        for i in range(number):
+            if along[i] > segment[BEND_AT] + AROUND_KINK:
+                order[first + before + behind] = part[i]
+                behind += 1
+        rest[0, 0], rest[0, 1], rest[1, 0], rest[1, 1] = first + before, behind, first, before
+        return 2
     for i in range(number):
-        if along[i] < segment[BEND_AT] - AROUND_KINK:
-            order[first + before] = part[i]
-            before += 1
-    for i in range(number):
-        if along[i] > segment[BEND_AT] + AROUND_KINK:
-            order[first + before + behind] = part[i]
-            behind += 1
-    rest[0, 0], rest[0, 1], rest[1, 0], rest[1, 1] = first + before, behind, first, before
+        if not loose[i]:
+            order[first + firm] = part[i]
+            firm += 1
+    rest[0, 0], rest[0, 1] = first, firm
+    return 1 if firm < number else 0
 
 
 @entry
@@ -233,7 +285,7 @@ def cut_at_bends(
     x: FloatArray, P: FloatArray, start: int, places: IntArray, readings: FloatArray, points: FloatArray,
     members: IntArray, line: FloatArray, std: float, variances: FloatArray,
 ) -> tuple[FloatArray, IntArray, FloatArray]:  # fmt: skip
-    """Cut readings near one line into straight segments, at bends.
+    """Cut readings near one line into straight segments: at bends, and at ends that bend away.
 
     Parameters
     ----------
@@ -258,7 +310,7 @@ def cut_at_bends(
     columns, begins = involved(places, members, (len(x) - start) // POSE, start, -1)
     block, size, count, waiting = dense_block(P, columns), len(members), 0, int(len(members) >= FEWEST)
     segments, ends, owner, residuals = np.empty((2**DEEPEST, 7)), np.empty((2, 2)), np.full(size, -1), np.empty(size)
-    along, order = np.empty(size), np.arange(size)
+    along, loose, order = np.empty(size), np.empty(size, dtype=np.bool_), np.arange(size)
     rest = np.empty((2, 2), dtype=np.int64)
     # Parts that wait: where they begin in ``order``, their lengths, how often they may be cut, and their lines.
     parts, lines = np.empty((DEEPEST + 1, 3), dtype=np.int64), np.empty((DEEPEST + 1, 2))
@@ -271,23 +323,22 @@ def cut_at_bends(
         read = gathered(members, these)
         left, clear = fit_segment(
             x, start, block, gathered(begins, these), places, readings, points, read,
-            (lines[waiting, 0], lines[waiting, 1]), std, gathered(variances, read), segment, along,
+            (lines[waiting, 0], lines[waiting, 1]), std, gathered(variances, read), segment, along, loose,
         )  # fmt: skip
         if not len(clear):
             continue
-        if depth and segment[BENT] > 0.0:
-            cut_part(order, first, number, segment, along, rest)
-            for k in range(2):
-                begin, length = rest[k, 0], rest[k, 1]
-                if length >= FEWEST:
-                    r, theta = fit_line(points, gathered(members, order[begin : begin + length]), ends)
-                    parts[waiting, 0], parts[waiting, 1], parts[waiting, 2] = begin, length, depth - 1
-                    lines[waiting, 0], lines[waiting, 1] = r, theta
-                    waiting += 1
-            continue
-        for i in range(number):
-            owner[these[i]] = count
-        for i in range(len(clear)):
-            residuals[these[clear[i]]] = left[i]
-        count += 1
+        shorter = cut_part(order, first, number, segment, along, loose, rest) if depth else 0
+        for k in range(shorter):
+            begin, length = rest[k, 0], rest[k, 1]
+            if length >= FEWEST:
+                r, theta = fit_line(points, gathered(members, order[begin : begin + length]), ends)
+                parts[waiting, 0], parts[waiting, 1], parts[waiting, 2] = begin, length, depth - 1
+                lines[waiting, 0], lines[waiting, 1] = r, theta
+                waiting += 1
+        if not shorter:
+            for i in range(number):
+                owner[these[i]] = count
+            for i in range(len(clear)):
+                residuals[these[clear[i]]] = left[i]
+            count += 1
     return segments[:count], owner, residuals

@@ -41,7 +41,7 @@ FEWEST = 6
 """Least number of readings of a wall segment."""
 
 FEWEST_FOR_SHAPE = 10
-"""Least number of readings that are tested for a kink."""
+"""Least number of readings that are tested for a kink or a curve."""
 
 KINKS_AT = (0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)
 """Quantiles of the readings' positions at which a kink is tested for."""
@@ -49,8 +49,15 @@ KINKS_AT = (0.15, 0.25, 0.35, 0.45, 0.55, 0.65, 0.75, 0.85)
 KINK_GATE, MIN_KINK = 12.0, math.radians(8.0)
 """Least gain in chi-square (one degree of freedom) of a model with a kink, and least angle of that kink, rad."""
 
+CURVE_GATE = 14.0
+"""Least gain in chi-square (three degrees of freedom) of a smooth curve."""
+
 AROUND_KINK, DEEPEST = 0.02, 4
 """Readings within this distance of a kink, m, are in neither half; a line is cut at most this many times in a row."""
+
+END_ZONE, END_GATE = 0.10, 6.0
+"""Points within this distance of an end, m, belong to another wall if chi-square falls by more than this without them.
+"""
 
 NOTHING = 0.45
 """Likelihood that a beam sees nothing at a random place."""

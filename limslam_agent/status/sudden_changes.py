@@ -221,8 +221,11 @@ class SuddenChanges:
         return Suspicion(change, evidence, is_certain=least >= UNLIKELY and others >= DECIDED)
 
     def _slipped(self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray) -> Suspicion | None:
-        """That the robot has slipped at a change, by the rays (n, 7) since then; None if that is not certain."""
-        if not len(later):
+        """That the robot has slipped at a change, by the rays (n, 7) since then; None if that is not certain.
+
+        Readings on unknown ground may fit a turned map by chance. So one of them must contradict the believed pose.
+        """
+        if not here.against.any():
             return None
         slip = slip_fit(change.known, later)
         evidence = slip.evidence - float(here.evidence.sum())

@@ -26,8 +26,8 @@ from limslam_agent.slam.core.line_map import Landmark
 from limslam_env import LimSlamParallelEnv, NominalNoise, Observation, RobotSpec
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import nearest_form, through
-from limslam_env.geometry.se2 import wrap_angle
-from limslam_env.geometry.segment import lengths, polygon_edges
+from limslam_env.geometry.se2 import compose, inverse, wrap_angle
+from limslam_env.geometry.segment import distances, lengths, polygon_edges
 from limslam_env.metrics.association import AssociationEvent, association_metrics, closure_metrics
 from limslam_env.robots import four_beam_drone, ring
 
@@ -128,8 +128,41 @@ def test_a_wall_drawn_over_a_door_opens_when_beams_pass() -> None:
     check_pose(slam, more[-1], 0.01, 0.3)
 
 
-@pytest.mark.parametrize("radius", [0.3, 0.6])
-@pytest.mark.parametrize("noise", [0.0, 0.02])
+@pytest.mark.parametrize("yaw", [2.5])
+def test_a_wall_seen_from_both_sides_is_one_landmark(yaw: float) -> None:
+    # Up one side of a thin wall, round its end, and down the other side.
+    start = np.array([0.3, -0.2, yaw])
+    between = np.array([0.0, 0.5, 3.0, 0.5])
+    walls = placed(np.vstack((between[None], room(-0.8, -0.5, 4.0, 1.5))), start)
+    wheels = along([(0.0, 0.0), (3.5, 0.0), (3.5, 1.0), (-0.3, 1.0)])
+    observations, poses = drive(walls, start, wheels, noise=0.02)
+    slam, _ = slam_after(observations, NOISY, start)
+    marks = [mark for mark in slam.landmarks if np.abs(local(mark.ends, start)[:, 1] - 0.5).max() < 0.1]
+    assert len(marks) == 1
+    assert np.ptp(local(marks[0].ends, start)[:, 0]) == pytest.approx(3.0, abs=0.15)
+    assert len(slam.landmarks) == 5
+    check_pose(slam, poses[-1], 0.08, 2.0)
+
+
+@pytest.mark.parametrize(("degrees", "yaw"), [(60.0, 0.0), (120.0, 2.8)])
+def test_a_corner_gives_two_walls_at_its_angle(degrees: float, yaw: float) -> None:
+    # The wall to the left turns right, and the robot with it, from as far as it has always been.
+    start, bend = np.array([1.0, -1.0, yaw]), math.radians(-degrees)
+    corner = np.array([2.0, 0.5])
+    beyond = corner + 4.0 * np.array([math.cos(bend), math.sin(bend)])
+    walls = placed(np.array([[-2.0, 0.5, *corner], [*corner, *beyond]]), start)
+    until = 2.0 - 0.5 * math.tan(math.radians(0.5 * degrees))
+    observations, poses = drive(walls, start, [*straight(until), *turn(-degrees), *straight(2.0)])
+    slam, _ = slam_after(observations, CONFIG, start)
+    assert len(slam.landmarks) == len(slam.segments) == 2
+    for mark, wall in zip(slam.landmarks, walls, strict=True):
+        assert np.abs(off_line(mark, wall)).max() < 0.01
+        # Neither goes on past the corner.
+        assert distances(mark.ends, wall[None]).max() < 0.03
+    check_pose(slam, poses[-1], 0.01, 0.5)
+
+
+@pytest.mark.parametrize(("radius", "noise"), [(0.3, 0.02), (0.6, 0.0)])
 def test_a_rounded_obstacle_is_not_one_wall(radius: float, noise: float) -> None:
     around = np.linspace(0.0, 2.0 * math.pi, 40, endpoint=False)
     middle = np.array([2.0, 0.4 + radius])
@@ -243,6 +276,33 @@ def test_beams_on_teammates_make_no_wall() -> None:
     assert shared
 
 
+def test_the_map_of_one_robot_helps_the_other() -> None:
+    # The first maps the corridor; the second comes from 3 m away, where there is nothing to see, with bad wheels.
+    walls = np.array([[0.0, 0.4, 8.0, 0.4], [0.0, -0.4, 8.0, -0.4]])
+    ahead, behind = np.array([0.3, 0.0, 0.0]), np.array([-3.0, 0.0, 0.0])
+    good, _ = drive(walls, ahead, straight(5.0))
+    bad, poses = drive(walls, behind, straight(5.0))
+    lying = [
+        Observation(ranges=each["ranges"], wheels=(np.asarray(each["wheels"]) * (1.0, 1.003)).astype(np.float32))
+        for each in bad
+    ]
+    alone, _ = slam_after(lying, CONFIG, behind)
+    team, records = LineSlam(ROBOT, CONFIG, np.array([ahead, behind])), list[AssociationRecord]()
+    team.on_association = records.append
+    still = Observation(wheels=np.zeros(2, dtype=np.float32))
+    for each in good:
+        team.step(each, still)
+    for each in lying:
+        team.step(still, each)
+    team.finish()
+    errors = [abs(wrap_angle(float(pose[2] - poses[-1, 2]))) for pose in (alone.pose, team.poses[1])]
+    assert errors[0] > math.radians(1.5)
+    assert errors[1] < math.radians(0.3)
+    assert len(team.landmarks) == 2
+    assert not any(record.is_new for record in records if record.robot == 1)
+    assert sum(record.robot == 1 for record in records) > 5
+
+
 def rounds(noise: float = 0.02) -> tuple[list[Observation], FloatArray]:
     """Once round a block in a room and a side more."""
     return drive(ROOM, np.zeros(3), along(LOOP), noise=noise)
@@ -305,3 +365,21 @@ def test_other_robots_map_a_room(robot: RobotSpec) -> None:
         assert (np.abs(off) < [0.10, math.radians(4.0)]).all(axis=1).any()
     check_pose(slam, poses[-1], 0.10, 3.0)
     check_covariance(slam)
+
+
+def test_odometry_poses_serve_in_place_of_wheels() -> None:
+    start = np.array([1.0, 2.0, -2.9])
+    walls = placed(ROOM, start)
+    observations, poses = drive(walls, start, along(LOOP), noise=0.02)
+    logged, before = list[Observation](), poses[0]
+    for observation, pose in zip(observations, poses, strict=True):
+        logged.append(Observation(ranges=observation["ranges"], odometry=compose(inverse(before), pose)))
+        before = pose
+    # The heading of this odometry drifts by 0.2 degrees a metre.
+    for each in logged:
+        each["odometry"][2] += math.radians(0.2) * each["odometry"][0]
+    slam, records = slam_after(logged, NOISY, start)
+    assert len(slam.landmarks) == len(ROOM)
+    check_pose(slam, poses[-1], 0.25, 4.0)
+    check_covariance(slam)
+    check_each_reading_is_used_once(records)

@@ -92,6 +92,20 @@ def test_the_filter_and_its_separate_bias_know_what_a_filter_with_the_bias_in_it
     np.testing.assert_allclose(separate.P, separate.P.T, rtol=1e-12)
 
 
+def test_the_derivative_by_the_errors_is_that_of_filters_with_other_odometry() -> None:
+    def state(ekf: CloneEKF, assumed: OdometryCalibration) -> FloatArray:
+        Corridor([ekf], AS_SPECIFIED).drive(assumed)
+        return ekf.x.copy()
+
+    ekf = CloneEKF(np.zeros(3), PRIOR)
+    state(ekf, AS_SPECIFIED)
+    for column in range(3):
+        above, below = (
+            state(CloneEKF(np.zeros(3)), OdometryCalibration(*(step * np.eye(3)[column]))) for step in (SMALL, -SMALL)
+        )
+        np.testing.assert_allclose(ekf.by_errors[:, column], (above - below) / (2.0 * SMALL), atol=2e-3)
+
+
 def test_the_evidence_is_the_bayes_factor_of_the_two_hypotheses() -> None:
     generator, prior = np.random.default_rng(1), np.diag([1e-4, 4e-4, 9e-4])
     errors, jacobian = OdometryErrors(1, prior), generator.normal(size=(5, 3))
@@ -131,10 +145,11 @@ def test_a_mapper_finds_uneven_wheels_and_starts_again() -> None:
         Mapper(FOUR_BEAMS, self_calibrating(preset("consistent", NOISE), when), poses[0])
         for when in ("if_needed", "always")
     )
-    slams = [mapper.slam]
-    for seen in observations:
+    slams, errors = [mapper.slam], []
+    for seen, true in zip(observations, poses, strict=True):
         mapper.step(seen)
         always.step(seen)
+        errors.append(float(np.hypot(*(mapper.slam.pose - true)[:2])))
         if mapper.slam is not slams[-1]:
             slams.append(mapper.slam)
     assert len(slams) == 2
@@ -142,6 +157,7 @@ def test_a_mapper_finds_uneven_wheels_and_starts_again() -> None:
     np.testing.assert_array_equal(mapper.slam.pose, always.slam.pose)
     np.testing.assert_array_equal(mapper.slam.segments, always.slam.segments)
     np.testing.assert_array_equal(mapper.grid.values, always.grid.values)
+    assert math.sqrt(np.mean(np.square(errors))) < 0.2
     found = mapper.slam.odometry_calibration
     assert found is not None
     turns, std = np.array([-1.0, 1.0, 0.0]), math.sqrt(np.array([-1, 1, 0]) @ found[1] @ np.array([-1, 1, 0]))
