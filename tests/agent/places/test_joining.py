@@ -27,7 +27,7 @@ HERE = np.zeros(3)
 
 @pytest.fixture(scope="module")
 def episode():
-    return run_episode(RunConfig("env2", NOISE, seed=201, robots=2, unknown_starts=True, max_time=100.0))
+    return run_episode(RunConfig("env2", NOISE, seed=201, robots=2, unknown_starts=True, max_time=160.0))
 
 
 @pytest.fixture(scope="module")
@@ -111,7 +111,7 @@ def test_robots_that_do_not_join_leave_two_maps(early, tmp_path):
 
 
 def test_the_body_of_a_robot_that_is_not_known_contradicts_no_map():
-    met = run_episode(RunConfig("env2", NOISE, seed=9300, robots=2, unknown_starts=True, max_time=52.0))
+    met = run_episode(RunConfig("env2", NOISE, seed=9302, robots=2, unknown_starts=True, max_time=52.0))
     assert met.joined is None
     assert (met.wall_seen[:, 0] == -2).sum() > 50, "the first robot has seen the second one"
     assert met.levels[:, 0].max() < LEVELS.index("lost")
