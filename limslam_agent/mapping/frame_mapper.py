@@ -93,13 +93,10 @@ class FrameMapper:
             else:
                 self.reset_monitors()
         before, self._extraction = self._extraction, self.slam.last_extraction
-        is_busy = before is not self._extraction
         for number in range(len(self.monitors)):
-            self._watch(number, is_busy=is_busy)
+            self._watch(number, is_busy=before is not self._extraction)
         for pose, front, drawer in zip(self.slam.poses, self.slam.robots, self.drawers, strict=True):
             drawer.draw(self.grid, frame, pose, front.ranges, front.measured)
-        if is_busy and "wheels" in observations[0]:
-            self.slam.correct_delay()
         return self._renew(observations[0], may_renew=may_renew)
 
     def renew_lost(self) -> bool:

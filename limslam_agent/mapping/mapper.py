@@ -128,7 +128,10 @@ class Mapper(Frames):
         for front, observation in zip(self.slam.robots, observations, strict=False):  # the SLAM checks their number
             self.check(observation, front)
         told, observations = observations, tuple(self._waiting.synchronous(observations, self.slam.range_sensor.delay))
+        before = self.slam.last_extraction
         has_jumped = self._present.process(observations, self.frame)
+        if self.slam.last_extraction is not before and self._waiting.is_fine:
+            self.slam.correct_delay()
         self.slam_ms, motions = self._present.slam_ms, self.slam.increments
         if has_jumped:
             self.frame += 1

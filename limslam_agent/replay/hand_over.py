@@ -15,15 +15,13 @@ from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.replay.filter_estimate import FilterEstimate, is_handed_over
 from limslam_agent.replay.smoothing import log_data
+from limslam_agent.replay.trust import MOST_STD
 from limslam_agent.slam.core.motion import motion_of
 from limslam_agent.slam.online_graph.online_graph import Beams, OnlineGraph
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import Observation
-
-MOST_STD = 1.0
-"""Standard deviation of the position in its map, m, above which the pose of the online graph is unsure."""
 
 
 class HandedOverEstimate(FilterEstimate):

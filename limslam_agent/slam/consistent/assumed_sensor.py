@@ -6,7 +6,7 @@ import numpy as np
 
 from limslam_agent.config.consistent import RangeErrorConfig
 from limslam_agent.slam.consistent.range_noise import RangeNoise
-from limslam_agent.slam.consistent.separate_bias import COMMON, DELAY, TURNS, RangeErrors
+from limslam_agent.slam.consistent.separate_bias import COMMON, DELAY, LENGTHS, TURNS, RangeErrors
 from limslam_agent.slam.core.late_ranges import LONGEST
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import FloatArray
@@ -71,9 +71,9 @@ class AssumedSensor:
             return None
         self._is_counted = False
         config, sensor, noise = self._config, self.sensor, self._noise.estimate
-        change, evidence = errors.estimate_of(COMMON)[0], errors.evidence
+        change, evidence = errors.estimate_of(LENGTHS)[0], errors.evidence[LENGTHS]
         change[1] = np.clip(change[1], -sensor.cone, LARGEST_CONE - sensor.cone)
-        evidence = np.where(np.abs(change[:DELAY]) > (LEAST_BIAS, LEAST_ANGLE), evidence[:DELAY], 0.0)
+        evidence = np.where(np.abs(change) > (LEAST_BIAS, LEAST_ANGLE), evidence, 0.0)
         gate, noise_gate = config.gate, config.noise_gate
         if not self._is_specified:
             gate = noise_gate = config.further_gate
@@ -87,7 +87,7 @@ class AssumedSensor:
             return None
         # Too little noise looks like an opening angle, and the reverse. So once one of them is known to be wrong, any
         # evidence for the other one counts. A bias is not found that early.
-        change = np.where([is_biased, evidence[1] > 0.0], change[:DELAY], 0.0)
+        change = np.where([is_biased, evidence[1] > 0.0], change, 0.0)
         std, growth = (noise.std, noise.growth) if noise.evidence > 0.0 else (sensor.std, sensor.growth)
         cone, bias = sensor.cone + float(change[1]), sensor.bias + float(change[0])
         return sensor._replace(std=std, growth=growth, cone=cone, bias=bias)

@@ -19,14 +19,12 @@ from limslam_agent.kernels.tables import CLONES, LINES, LINES_FROM, POSE, POSES_
 from limslam_agent.slam.consistent import clone_filter
 from limslam_agent.slam.consistent.clone_filter import begins_of, clones_from, equality, line_at, num_lines, size_of
 from limslam_agent.slam.consistent.separate_bias import DELAY, TURNS, ConstantErrors, OdometryErrors, RangeErrors
+from limslam_agent.slam.core.motion import is_sure
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import normalise
 from limslam_env.geometry.se2 import wrap_angle
 
 _LINES, _CLONES = 24, 12  # room that is made at once, besides an eighth of the state
-# Share of the newest step in the average motion. The noise of one step, or the size of an encoder's step, would look
-# like late ranges, since the pose has the same error (errors in variables).
-_NEWEST = 0.2
 
 
 class CloneEKF:
@@ -60,7 +58,7 @@ class CloneEKF:
             None if calibration is None else OdometryErrors(len(start) // POSE, calibration),
             None if range_errors is None else RangeErrors(range_errors),
         )
-        self._motions = np.zeros((len(start) // POSE, POSE))  # of the poses in a step, on average over the latest ones
+        self._motions = np.zeros((len(start) // POSE, POSE))  # of the poses in the latest step
         counts = np.array([len(start), len(start), 0, 0, 0])
         by_errors = np.zeros((len(start), self._errors.count))
         self.arrays = Filter(
@@ -203,7 +201,9 @@ class CloneEKF:
         arrays, at, size = self.arrays, POSE * robot, size_of(self.arrays.counts)
         by_pose, by_increment, moved = np.zeros((POSE, POSE)), np.zeros((POSE, POSE)), slice(at, at + POSE)
         move_pose(arrays.x, arrays.P, size, at, increment, covariance, by_pose, by_increment, self._poses_end)
-        self._motions[robot] += _NEWEST * (by_increment @ increment - self._motions[robot])
+        self._motions[robot] = by_increment @ increment
+        if not is_sure(float(increment[2]), float(covariance[2, 2])):
+            self._motions[robot, 2] = 0.0
         if arrays.by_errors.shape[1]:
             arrays.by_errors[moved] = by_pose @ arrays.by_errors[moved]
         if by_calibration is None:

@@ -84,8 +84,8 @@ class OdometryErrors(SeparateBias):
 COMMON, TURNS = slice(0, 3), slice(3, None)
 """Those of the ``RangeErrors`` that all beams share, and the directions of single beams."""
 
-DELAY = 2
-"""Place of the delay among the ``RangeErrors``."""
+LENGTHS, DELAY = slice(0, 2), 2
+"""Bias and opening angle, and the place of the delay, among the ``RangeErrors``."""
 
 
 class RangeErrors(SeparateBias):
@@ -116,13 +116,14 @@ class RangeErrors(SeparateBias):
 
     @property
     def evidence(self) -> FloatArray:
-        """Twice the logarithm of the Bayes factor for bias, opening angle and delay (3,), against the others alone.
+        """Twice the logarithm of the Bayes factor for bias, opening angle and delay (3,).
 
-        So none of them is taken for another one.
+        Bias and opening angle are compared with the other one alone, so that none is taken for the other one, and a
+        delay with both of them.
         """
-        numbers = np.arange(self.count)[COMMON]
-        others = [self.evidence_of(np.delete(numbers, number)) for number in numbers]
-        return np.asarray(self.evidence_of(COMMON) - np.array(others))
+        lengths = self.evidence_of(LENGTHS)
+        alone = [self.evidence_of(np.array([other])) for other in (1, 0)]
+        return np.array([*(lengths - each for each in alone), self.evidence_of(COMMON) - lengths])
 
     @property
     def turns(self) -> FloatArray:

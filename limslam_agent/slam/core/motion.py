@@ -18,8 +18,16 @@ LEAST_VARIANCE = 1e-12
 TOO_FAST = 300.0
 """A wheel that travels this many times as far in a step as the robot's largest wheel speed allows is refused."""
 
-# In standard deviations: a smaller turn may be noise only.
-_SURE_TURN = 4.0
+_SURE_TURN = 4.0  # in standard deviations: a smaller turn may be noise only
+
+
+def is_sure(turn: float, variance: float) -> bool:
+    """Whether a turn, rad, is no noise only.
+
+    A filter takes the derivative by a constant error as exact, and would explain the noise of a straight drive by an
+    axle that is too narrow, or by late ranges (errors in variables).
+    """
+    return bool(turn**2 > _SURE_TURN**2 * variance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,8 +117,7 @@ def calibrated(motion: Motion, axle: float, calibration: OdometryCalibration) ->
     With wheel travel l = d - t b / 2 and r = d + t b / 2 and the axle b (m), the distance d and the turn t become
     (1 + (fl + fr) / 2) d + (fr - fl) t b / 4 and ((1 + (fl + fr) / 2) t + (fr - fl) d / b) / (1 + fb).
 
-    A turn that may be noise only is left out of ``by_calibration``. The filter takes that derivative as exact, and
-    would explain the noise of a straight drive by an axle that is too narrow (errors in variables).
+    A turn that may be noise only is left out of ``by_calibration``.
     """
     x, y, turn = motion.increment.tolist()
     left, right = calibration.left, calibration.right
@@ -120,8 +127,7 @@ def calibrated(motion: Motion, axle: float, calibration: OdometryCalibration) ->
     driven = math.copysign(math.hypot(x, y), ahead) * (half / math.sin(half) if half else 1.0)
     lever, drift = 0.25 * axle * turn, driven / axle
     distance, turned = size * driven + uneven * lever, (size * turn + uneven * drift) / wider
-    is_sure = turn**2 > _SURE_TURN**2 * motion.covariance[2, 2]
-    sure, sure_turned = (turn, turned) if is_sure else (0.0, uneven * drift / wider)
+    sure, sure_turned = (turn, turned) if is_sure(turn, motion.covariance[2, 2]) else (0.0, uneven * drift / wider)
     by_calibration = arc_jacobian(distance, turned) @ np.array([
         [0.5 * driven - lever, 0.5 * driven + lever, 0.0],
         [(0.5 * sure - drift) / wider, (0.5 * sure + drift) / wider, -sure_turned / wider],
