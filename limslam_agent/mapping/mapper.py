@@ -252,7 +252,6 @@ class Mapper(Frames):
         before, self._known = self._known, self._found()
         sensor = self._known[0]
         if sensor is None or len(self._first_steps) >= RESTART_WITHIN:
-            self._first_steps, self._restarts = [], MOST_RESTARTS
             return False
         self._first_steps.append(copied(observations))
         if before[0] is not None and sensor.broken != before[0].broken:

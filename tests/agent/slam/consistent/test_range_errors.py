@@ -13,6 +13,7 @@ from support.readings import Readings, expected_ranges, expected_rows
 
 from limslam_agent import AgentConfig, Mapper, preset
 from limslam_agent.config.consistent import ConsistentConfig, RangeErrorConfig
+from limslam_agent.mapping import mapper as mapper_module
 from limslam_agent.output.summary import record_summary, turn_records
 from limslam_agent.slam.consistent.range_noise import RangeNoise
 from limslam_agent.slam.consistent.separate_bias import DELAY, by_range_errors
@@ -202,6 +203,16 @@ def test_a_beam_that_always_reads_the_same_is_left_out_and_named(beam: int, read
     result = {"record": {"sensor": sensor.found(RangeSensor(NOISE), 0.1)}, "config": {"robot": asdict(ROBOT)}}
     named = f"the beam at {math.degrees(ROBOT.beam_angles[beam]):.4g} deg always reads the same"
     assert named in "".join(record_summary(result))
+
+
+def test_a_beam_that_breaks_later_does_not_take_the_robot_back_to_its_start(monkeypatch) -> None:
+    monkeypatch.setattr(mapper_module, "RESTART_WITHIN", 200)
+    observations, true = observed(0.0, 5)
+    for seen in observations[450:]:
+        seen["ranges"][4] = 0.2
+    mapper, _, _ = mapped(observations, config_of())
+    assert mapper.slam.range_sensor.broken == (4,)
+    assert np.hypot(*(mapper.poses[0] - true[-1])[:2]) < 0.1
 
 
 def test_a_stated_opening_angle_keeps_the_filter_consistent() -> None:
