@@ -88,6 +88,14 @@ class Explained(NamedTuple):
         at_all = np.where(self.against > 0.0, contradiction_test(1, 1), contradiction_test(0, 1))
         return np.where(self.tested, at_all, 0.0)
 
+    def contradicted_at(self, rays: FloatArray) -> FloatArray:
+        """Where those of the rays (n, 7) that contradict the map do so (k, 2), m: at the wall that a ray has passed
+        through, or where it has ended in free space.
+        """
+        contradicts = self.against > 0.0
+        directions = rays[contradicts, RAY_TO_X:RAY_LENGTH]
+        return np.asarray(rays[contradicts, RAY_X:RAY_TO_X] + self.against[contradicts, None] * directions)
+
 
 @dataclass(frozen=True, eq=False)
 class PlaceFit:

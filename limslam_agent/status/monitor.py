@@ -15,10 +15,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.kernels.tables import RAY_BEAM, RAY_LENGTH, RAY_TO_X
+from limslam_agent.kernels.tables import RAY_BEAM
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.known_map import DECIDED, DOUBTED, KnownMap, contradiction_test
-from limslam_agent.status.rays import LASTING, moved, numbered_rays_of, step_rays
+from limslam_agent.status.known_map import DECIDED, DOUBTED, KnownMap
+from limslam_agent.status.rays import LASTING, moved, rays_of, step_rays
 from limslam_agent.status.status import LARGE_CORRECTION, UNSURE_HEADING, Status
 from limslam_agent.status.sudden_changes import (
     LONGEST_SPACING,
@@ -27,6 +27,7 @@ from limslam_agent.status.sudden_changes import (
     Sight,
     SuddenChanges,
     by_beam,
+    places_test,
     without_the_worst,
 )
 from limslam_env.geometry import FloatArray, IntArray
@@ -244,7 +245,7 @@ class StatusMonitor:
         rays = known.counting(rays, covariance)
         found = known.explained(rays, covariance)
         contradicts = found.against > 0.0
-        points = rays[contradicts, :2] + found.against[contradicts, None] * rays[contradicts, RAY_TO_X:RAY_LENGTH]
+        points = found.contradicted_at(rays)
         tested, beams = int(np.count_nonzero(found.tested)), rays[contradicts, RAY_BEAM].astype(int)
         self._checks.append(
             _Check(self._place, self._step, by_beam(rays, found.test, self._robot), tested, beams, points)
@@ -273,13 +274,9 @@ class StatusMonitor:
         test = np.sum([check.test for check in self._checks], axis=0)
         if test.sum() - test[beam] >= 0.0:
             return False
-        rays, _ = numbered_rays_of(self._sights, self._robot, self.sensor)
+        rays = rays_of(self._sights, self._robot, self.sensor)
         rays = rays[rays[:, RAY_BEAM] == beam]
-        found = present.explained(rays)
-        against = rays[found.against > 0.0]
-        points = against[:, :RAY_TO_X] + found.against[found.against > 0.0, None] * against[:, RAY_TO_X:RAY_LENGTH]
-        places = len(np.unique(np.floor(points / PLACE), axis=0))
-        return contradiction_test(places, places + int(found.tested.sum()) - len(points)) > 2.0 * DECIDED
+        return bool(places_test(rays, present.explained(rays)).sum() > 2.0 * DECIDED)
 
     def _judge(self, heading_variance: float, present: KnownMap) -> None:
         """Find the status of a robot that was not lost so far. If it is lost now, keep the map of this moment."""

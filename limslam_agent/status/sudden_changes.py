@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.kernels.tables import RAY_BEAM, RAY_LENGTH, RAY_TO_X
+from limslam_agent.kernels.tables import RAY_BEAM
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.known_map import (
     DECIDED,
@@ -209,7 +209,7 @@ class SuddenChanges:
 
     def _carried(self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray) -> Suspicion:
         """That the robot is elsewhere since a change, by the rays (n, 7) since then."""
-        by_ray = max(-here.evidence, _test_of_places(later, here), key=np.sum)
+        by_ray = max(-here.evidence, places_test(later, here), key=np.sum)
         evidence = change.evidence + float(by_ray.sum())
         if evidence >= DOUBTED:  # or it has drifted
             near = drift_fit(change.known, later, covariance)
@@ -290,12 +290,10 @@ def change_evidence(ranges: FloatArray, motions: FloatArray, robot: RobotSpec, s
     return evidence
 
 
-def _test_of_places(rays: FloatArray, explained: Explained) -> FloatArray:
+def places_test(rays: FloatArray, explained: Explained) -> FloatArray:
     """What rays (n, 7) contribute (n,) to the test of contradictions, if those at one place count once."""
     test, contradicting = explained.test, np.flatnonzero(explained.against)
-    against = rays[contradicting]
-    points = against[:, :RAY_TO_X] + explained.against[contradicting, None] * against[:, RAY_TO_X:RAY_LENGTH]
-    _, first = np.unique(np.floor(points / PLACE), axis=0, return_index=True)
+    _, first = np.unique(np.floor(explained.contradicted_at(rays) / PLACE), axis=0, return_index=True)
     test[np.delete(contradicting, first)] = 0.0
     return test
 

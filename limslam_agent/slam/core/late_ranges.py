@@ -18,10 +18,9 @@ _SAME, _FINE = 1e-6, 0.002  # m: changes of the travel between two steps that on
 
 
 def held_back(wheels: FloatArray, delay: float) -> FloatArray:
-    """Travel (t, n, 2) of the wheels of n robots in each step, m, that is by a number of steps late."""
+    """The travel (t, n, 2) of the wheels of n robots in each step, m, delayed by a number of steps."""
     totals = np.concatenate((np.zeros_like(wheels[:1]), np.cumsum(wheels, axis=0)))
-    given = np.array([_total(totals[: end + 1], delay) for end in range(len(totals))])
-    return np.diff(given, axis=0)
+    return np.diff(_totals_at(totals, np.arange(float(len(totals))) - delay), axis=0)
 
 
 def ahead(poses: FloatArray, waiting: FloatArray, axle: float) -> FloatArray:
@@ -52,7 +51,7 @@ class WaitingTravel:
         self.is_fine, self._last = False, self._totals[0]
 
     def synchronous(self, observations: Sequence[Observation], delay: float) -> Sequence[Observation]:
-        """The observations of the next step, with ranges and travel of one time, if ranges are by so many steps late.
+        """The observations of the next step, with travel that waits for ranges that are late by so many steps.
 
         The delay may change from step to step.
         """
@@ -66,7 +65,8 @@ class WaitingTravel:
         if not (delay or self.travel.any()):
             self._given = total
             return observations
-        before, self._given = self._given, _total(np.array(self._totals), delay)
+        before, place = self._given, np.array([len(self._totals) - 1.0 - delay])
+        self._given = _totals_at(np.array(self._totals), place)[0]
         self.travel = total - self._given
         return [
             Observation(**{**seen, "wheels": travel})
@@ -74,12 +74,13 @@ class WaitingTravel:
         ]
 
 
-def _total(totals: FloatArray, delay: float) -> FloatArray:
-    """The total (...) of a number of steps before the last one of totals (t, ...); the first one if that is earlier."""
-    place = max(len(totals) - 1.0 - delay, 0.0)
-    first = min(int(place), len(totals) - 1)
-    second = min(first + 1, len(totals) - 1)
-    return np.asarray(totals[first] + (place - first) * (totals[second] - totals[first]))
+def _totals_at(totals: FloatArray, places: FloatArray) -> FloatArray:
+    """Totals (m, ...) at places (m,) between those of totals (t, ...); the first one before them."""
+    places = np.maximum(places, 0.0)
+    first = places.astype(np.int64)
+    second = np.minimum(first + 1, len(totals) - 1)
+    shares = (places - first).reshape(-1, *(1,) * (totals.ndim - 1))
+    return np.asarray(totals[first] + shares * (totals[second] - totals[first]))
 
 
 def _arcs(travel: FloatArray, axle: float) -> FloatArray:
