@@ -1,4 +1,4 @@
-"""``python -m benchmarks``: suites of runs (``run``), their tables and figures, training and datasets.
+"""``python -m benchmarks``: suites of runs (``run``), their tables, training and datasets.
 
 What takes long to import is imported inside the commands, so that help comes at once.
 """
@@ -28,7 +28,6 @@ app = typer.Typer(
 # The commands that keep what is done, and go on with it.
 _GO_ON = "run", "dataset", "scoreboard", "baselines"
 
-Folder = Annotated[Path, typer.Argument(help="Folder of results that `run` has made.")]
 Folders = Annotated[list[Path], typer.Argument(help="Folders of results that `run` has made.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Jobs at once.", show_default="one a core")]
 Retry = Annotated[bool, typer.Option("--retry-failed", help="Do again what has failed.")]
@@ -108,16 +107,12 @@ def baselines(
     seeds: Annotated[int, typer.Option(help="Number of seeds.")] = 5,
 ) -> None:
     """Train PPO without a map and PPO on the belief, and print their sample efficiency (extra rl)."""
-    from benchmarks.training.efficiency import draw_efficiency, efficiency_table
-
     try:
-        from benchmarks.training.baselines import BaselineConfig, train_baselines
+        from benchmarks.baselines import BaselineConfig, efficiency_table, train_baselines
     except ModuleNotFoundError as error:
         raise ValueError(f"training needs {error.name}: pip install -e '.[rl]'") from error
     train_baselines(BaselineConfig(steps, seeds), out, typer.echo)
     typer.echo(efficiency_table(out).rstrip("\n"))
-    draw_efficiency(out, out / "efficiency.png")
-    typer.echo(f"plot        {out / 'efficiency.png'}")
 
 
 @app.command()
@@ -127,25 +122,18 @@ def dataset(
     policies: Annotated[str, typer.Option(help="Names of the policies, with commas.")] = "frontier,learned,random",
     max_time: Annotated[float, typer.Option(help="Longest simulated time of a drive, s.")] = 300.0,
     workers: Workers = None,
-    check: Annotated[bool, typer.Option("--check", help="Only check the datasets in the folder.")] = False,
     retry_failed: Retry = False,
 ) -> int:
     """Record drives as Minari datasets (extra datasets). The same command goes on after a kill."""
-    from benchmarks.dataset.drives import DatasetConfig
-    from benchmarks.dataset.files import check_dataset, make_dataset, require_minari
+    from benchmarks.dataset import DatasetConfig, make_dataset, require_minari
 
     require_minari()
-    if check:
-        typer.echo(f"checked: {check_dataset(out)}")
-        return 0
     config = DatasetConfig(plans, policies=_names(policies), max_time=max_time)
     summary = make_dataset(config, out, _processes(workers), retry_failed=retry_failed)
-    if summary is not None and summary.failures:
-        return _end(summary, [f"drives: {summary.words}"])
-    for line in ("complete" if summary is None else f"drives: {summary.words}", f"checked: {check_dataset(out)}"):
-        typer.echo(line)
-    typer.echo(f"dataset     {out}")
-    return 0
+    if summary is None:
+        typer.echo(f"complete    {out}")
+        return 0
+    return _end(summary, [f"drives: {summary.words}", f"dataset     {out}"])
 
 
 @app.command()
@@ -190,41 +178,29 @@ def table(folders: Folders) -> None:
 
 
 @app.command()
-def curves(
-    folders: Folders,
-    out: Annotated[Path | None, typer.Option(help="PNG of coverage over time.", show_default="none")] = None,
-) -> None:
-    """Print how soon explorers see the same floor plans, and draw it."""
-    from benchmarks.analysis.coverage import curve_table, draw_curves, read_curves
+def curves(folders: Folders) -> None:
+    """Print how soon explorers see the same floor plans."""
+    from benchmarks.analysis.coverage import curve_table, read_curves
 
-    found = read_curves(folders)
-    typer.echo(curve_table(found).rstrip("\n"))
-    if out is not None:
-        draw_curves(found, out)
-        typer.echo(f"plot        {out}")
+    typer.echo(curve_table(read_curves(folders)).rstrip("\n"))
 
 
 @app.command()
-def plot(
-    folder: Folder,
-    out: Annotated[Path | None, typer.Option(help="Folder for the plots.", show_default="FOLDER/plots")] = None,
+def speed(
+    device: Annotated[str, typer.Option(help="cpu, or cuda for batches on a GPU only.")] = "cpu",
+    processor_time: Annotated[
+        bool, typer.Option("--processor-time", help="Count processor time, for a machine that is busy.")
+    ] = False,
 ) -> None:
-    """Draw the paper's figures again: maps, errors over laps, and scores over noise."""
-    from benchmarks.analysis.figures import plot as draw
+    """Measure the speed of environments, batches, beliefs and runs."""
+    import time
 
-    for path in draw(folder, out or folder / "plots"):
-        typer.echo(f"plot        {path}")
+    from benchmarks.speed import print_device_rates, print_rates
 
-
-@app.command()
-def report(
-    folder: Folder,
-    out: Annotated[Path | None, typer.Option(help="The page.", show_default="FOLDER/report.html")] = None,
-) -> None:
-    """Put tables and plots on one page that stands alone."""
-    from benchmarks.analysis.report import report as compose
-
-    typer.echo(f"report      {compose(folder, out or folder / 'report.html')}")
+    if device == "cuda":
+        print_device_rates()
+    else:
+        print_rates(time.process_time if processor_time else time.perf_counter)
 
 
 def main() -> None:

@@ -1,17 +1,15 @@
-"""Coverage over time of exploration policies on the same floor plans: a table with intervals, and a figure."""
+"""Coverage over time of exploration policies on the same floor plans: a table with intervals."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from matplotlib.lines import Line2D
 
 from benchmarks.analysis.groups import metric
-from benchmarks.analysis.series import read_series
-from benchmarks.analysis.style import BAND, COLOURS, DASHES, INK, legend_below, plain_axes, save, sheet_of
-from benchmarks.suite.store import read_rows
+from benchmarks.suite.store import Row, read_rows, series_path
 from limslam_agent.measurements.statistics import MISSING, Estimate, median
+from limslam_agent.safe_files import load_arrays
 from limslam_env.geometry import FloatArray
 
 LABELS = {
@@ -63,15 +61,14 @@ def read_curves(folders: Sequence[Path]) -> dict[str, Curves]:
     Raises
     ------
     ValueError
-        If there are no curves.
+        If there are no curves, or those of a run cannot be read.
     """
     found: dict[str, dict[str, tuple[FloatArray, FloatArray, float]]] = {}
     for folder in folders:
         for row in read_rows(folder):
-            series = read_series(folder, row) if row.policy in LABELS and row.robots == 1 else None
-            if series is not None:
+            if row.policy in LABELS and row.robots == 1 and row.series is not None:
                 touches = metric("collisions")(row)
-                course = series.time, series.coverage, np.nan if touches is None else touches
+                course = *_course(folder, row), np.nan if touches is None else touches
                 found.setdefault(row.policy, {}).setdefault(f"{row.world}, {row.noise:g}, {row.seed}", course)
     if not found:
         raise ValueError("there are no explorations with their course in these folders")
@@ -87,6 +84,16 @@ def read_curves(folders: Sequence[Path]) -> dict[str, Curves]:
         for policy in LABELS
         if policy in found
     }
+
+
+def _course(folder: Path, row: Row) -> tuple[FloatArray, FloatArray]:
+    """Times (k,), s, and coverage (k,) of a run."""
+    path = series_path(folder, str(row.series))
+    try:
+        arrays = load_arrays(path, ("time", "coverage"))
+        return arrays["time"], arrays["coverage"]
+    except (OSError, ValueError, KeyError) as error:
+        raise ValueError(f"{path}: is missing or damaged: {error}") from error
 
 
 def curve_table(curves: Mapping[str, Curves]) -> str:
@@ -126,21 +133,3 @@ def _gain(curve: Curves, base: Curves | None) -> str:
 
 def _text(found: Estimate | None, decimals: int) -> str:
     return MISSING if found is None else found.text(decimals)
-
-
-def draw_curves(curves: Mapping[str, Curves], path: Path) -> None:
-    """Write a figure with the median coverage over time, and a band that contains half of the plans."""
-    figure, [[axes]] = sheet_of([2.6], 1, 6.4)
-    handles: list[Line2D] = []
-    for number, (policy, curve) in enumerate(curves.items()):
-        colour, dash = COLOURS[number % len(COLOURS)], DASHES[0 if policy.startswith("learned") else 1]
-        low, middle, high = np.quantile(curve.coverage, (0.25, 0.5, 0.75), axis=0)
-        axes.fill_between(curve.time, low, high, color=colour, alpha=BAND, linewidth=0.0)
-        label = f"{LABELS[policy]} (n = {len(curve.plans)})"
-        handles += axes.plot(curve.time, middle, color=colour, linestyle=dash, linewidth=1.8, label=label)
-    axes.axhline(GOAL, color=INK, linewidth=0.6)
-    last = next(iter(curves.values())).time[-1]
-    axes.set(xlabel="time, s", ylabel="coverage, true", xlim=(0.0, last), ylim=(0.0, 1.0))
-    plain_axes(axes)
-    legend_below(figure, handles, 2)
-    save(figure, path)

@@ -1,6 +1,5 @@
-"""Tables as data, and their output as Markdown and HTML."""
+"""Tables as data, and their output as Markdown."""
 
-import html
 import re
 from dataclasses import dataclass
 
@@ -45,16 +44,6 @@ class Sheet:
         lines = [f"### {_escaped(self.title)}", "", _line(map(_escaped, self.header)), f"|{'|'.join(marks)}|"]
         lines += [_line(map(_escaped, row)) for row in self.rows]
         return "\n".join([*lines, *(["", _escaped(self.note)] if self.note else [])])
-
-    def html(self) -> str:
-        """The table in HTML."""
-        head = "".join(f'<th scope="col">{html.escape(name)}</th>' for name in self.header)
-        body = "\n".join(f"<tr>{''.join(f'<td>{html.escape(cell)}</td>' for cell in row)}</tr>" for row in self.rows)
-        return (
-            f'<div role="region" tabindex="0" aria-label="{html.escape(self.title)}">'
-            f"<table><caption>{html.escape(self.title)}</caption>\n<thead><tr>{head}</tr></thead>\n"
-            f"<tbody>\n{body}\n</tbody></table></div>\n<p>{html.escape(self.note)}</p>"
-        )
 
 
 def _line(cells: "map[str]") -> str:

@@ -130,14 +130,3 @@ def read_rows(*paths: Path) -> list[Row]:
         If a file is missing, a line is not a valid row, or two different rows have the same job.
     """
     return store.rows_once(FORMAT, [row for path in paths for row in store.read_rows(FORMAT, path)])
-
-
-def read_stamp(folder: Path) -> Stamp:
-    """The stamp of a folder of results.
-
-    Raises
-    ------
-    ValueError
-        If the folder holds no results.
-    """
-    return store.read_stamp(FORMAT, folder)

@@ -1,11 +1,10 @@
-"""The execution of a job: its world, its scores, and its series for the plots."""
+"""The execution of a job: its world, its scores, and the course of its coverage."""
 
 import functools
 import os
 from collections.abc import Iterable
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,9 +17,6 @@ from limslam_agent.runs.results import cost, score
 from limslam_agent.runs.run_config import RunConfig
 from limslam_env.geometry import FloatArray
 from limslam_env.worlds.formats.loading import WorldSource, load_world
-
-SERIES_PERIOD = 1.0
-"""Simulated time between two rows of a job's series, s."""
 
 
 def data_folder() -> Path:
@@ -122,16 +118,7 @@ def _scored(episode: Episode) -> Outcome:
 
 
 def _series(episode: Episode) -> dict[str, FloatArray]:
-    rows = _each_second(episode.time)
-    sigma = np.sqrt(np.maximum(np.diagonal(episode.covariances[rows], axis1=-2, axis2=-1), 0.0))
-    return {
-        "time": episode.time[rows], "coverage": episode.coverage[rows], "true": episode.true[rows],
-        "estimated": episode.estimated[rows], "odometry": episode.odometry[rows], "sigma": sigma,
-        "segments": episode.final_map.segments, "edges": episode.world.edges,
-    }  # fmt: skip
-
-
-def _each_second(times: FloatArray) -> Any:
-    """Indices of the first row in each period, and of the last row."""
-    _, first = np.unique(np.floor(times / SERIES_PERIOD + 1e-9), return_index=True)
-    return np.union1d(first, [len(times) - 1])
+    """The course of the coverage, with the first step of each second and the last step."""
+    _, first = np.unique(np.floor(episode.time + 1e-9), return_index=True)
+    rows = np.union1d(first, [len(episode.time) - 1])
+    return {"time": episode.time[rows], "coverage": episode.coverage[rows]}

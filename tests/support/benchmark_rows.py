@@ -1,13 +1,10 @@
-"""Rows of results and their series, made up from a seed, for the tests of tables, plots and reports."""
+"""Rows of results, made up from a seed, for the tests of tables."""
 
-import json
-from dataclasses import asdict, replace
+from dataclasses import replace
 
 import numpy as np
 
 from benchmarks.suite.store import Row
-
-EDGES = np.array([[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0], [2, 0, 2, 1], [2, 2, 2, 3]], dtype=float)
 
 
 def row(
@@ -45,39 +42,3 @@ def grid(seeds=3, worlds=("env1", "env2"), noises=(0.0, 0.02), robots=(1, 2)):
         row(world, noise, seed, robots=number)
         for world in worlds for noise in noises for number in robots for seed in range(seeds)
     ]  # fmt: skip
-
-
-def series_of(made):
-    """A path of some loops, odometry that turns away from it, and a belief that stays near."""
-    rng = np.random.default_rng(made.seed)
-    count = 60 * max(made.laps, 1)
-    time = np.arange(count, dtype=float)
-    turn = 2 * np.pi * time * max(made.laps, 1) / (count - 1)
-    paths = [
-        np.column_stack((2 + np.cos(turn + shift), 1.5 + np.sin(turn + shift), (turn + shift) % (2 * np.pi) - np.pi))
-        for shift in np.arange(made.robots)
-    ]
-    true = np.stack(paths, axis=1)
-    growth = rng.uniform(0.5, 1.0) * (time / count)[:, None, None] * np.array([0.4, 0.4, 0.2])
-    return {
-        "time": time, "coverage": np.minimum(1.0, time / 40.0), "true": true, "odometry": true + growth,
-        "estimated": true + 0.02 * rng.normal(size=true.shape), "sigma": np.full(true.shape, 0.02),
-        "segments": EDGES[:4] + 0.02, "edges": EDGES,
-    }  # fmt: skip
-
-
-def write_folder(folder, rows, *, jobs=None):
-    """A folder of results with series for all rows that did not fail."""
-    (folder / "series").mkdir(parents=True)
-    lines = []
-    for made in rows:
-        kept = made
-        if made.error is None and made.series is None:
-            name = f"series/{made.key}.npz"
-            np.savez(folder / name, **series_of(made))
-            kept = replace(made, series=name)
-        lines.append(json.dumps(asdict(kept)) + "\n")
-    (folder / "results.jsonl").write_text("".join(lines), encoding="utf-8")
-    stamp = {"suite": "made-up", "digest": "d1ge57", "jobs": jobs or len(rows), "versions": {}, "commit": "0123456789"}
-    (folder / "suite.json").write_text(json.dumps(stamp), encoding="utf-8")
-    return folder

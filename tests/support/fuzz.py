@@ -29,8 +29,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from support.bags import distance, odometry, scan, storage_of, write_bag
 
-from benchmarks.analysis.series import read_series
-from benchmarks.suite.store import Row, read_rows
+from benchmarks.suite.store import read_rows
 from benchmarks.suite.suite import load_suite
 from limslam_agent import read_log
 from limslam_agent.cli.settings import Given, ReplayOptions, replay_agent, run_config, run_options
@@ -150,10 +149,6 @@ def _checked(path: Path) -> None:
     world.check(0.1)
 
 
-def _series(path: Path) -> None:
-    read_series(path.parent, Row("w", 0.0, 1, "p", "f", None, 0, 0, {}, series=path.name))
-
-
 def targets() -> list[Target]:
     """Every format with a valid input."""
     from PIL import Image
@@ -172,9 +167,6 @@ def targets() -> list[Target]:
     Image.fromarray(_room()).save(png, "PNG")
     pgm = b"P5\n50 40\n255\n" + _room().tobytes()
     plain = b"P2\n50 40\n255\n" + " ".join(map(str, _room().ravel())).encode()
-    poses = {name: np.zeros((3, 1, 3)) for name in ("true", "estimated", "odometry", "sigma")}
-    walls_of = {name: np.zeros((1, 4)) for name in ("segments", "edges")}
-    series = _npz(time=np.arange(3.0), coverage=np.zeros(3), **poses, **walls_of)
     relations = b"1 2 0.1 0 0 0 0 0.2 # words\n" * 4
     single = [
         Target("world.toml", {"w.toml": WORLD.encode()}, "w.toml", _checked),
@@ -198,7 +190,6 @@ def targets() -> list[Target]:
             "replay.toml", {"r.toml": b'preset = "paper"\nbeams = "1,2"\nmax_range = 3.0\n'}, "r.toml", _set_up_replay
         ),
         Target("weights", {"w.npz": (WEIGHTS / SHIPPED).read_bytes()}, "w.npz", load_network),
-        Target("series", {"s.npz": series}, "s.npz", _series),
     ]
     maps = [
         Target(f"map {name}", {"m.yaml": MAP.format(suffix).encode(), f"some.{suffix}": picture}, mutated, _map)

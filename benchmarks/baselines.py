@@ -9,9 +9,12 @@ An action is held for half a second. Ten decisions a second would make a minute 
 learner, and differ little from each other.
 """
 
+import json
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from functools import partial
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -28,19 +31,17 @@ from stable_baselines3.common.torch_layers import BaseFeaturesExtractor
 from torch import Tensor, nn
 
 import limslam_env  # noqa: F401 (registers the environments)
-from benchmarks.suite.runner import package_versions
-from benchmarks.training.efficiency import FORMAT, Row, Stamp
-from limslam_agent.mapping.team import LimSlamTeam
-from limslam_agent.measurements.store import open_store
-from limslam_agent.output.provenance import commit
-from limslam_agent.runs.oracle import policies_by_belief
-from limslam_agent.wrappers.single import default_config
+from limslam_agent.measurements.statistics import interquartile_mean, probability_of_improvement
+from limslam_agent.output.atomic_write import replace_content
+from limslam_agent.runs.evaluate import evaluate
 from limslam_agent.wrappers.vector import SlamVectorObservation
 from limslam_env.envs.sb3 import Sb3VecEnv
+from limslam_env.geometry import FloatArray
 
 TRAINING_PLANS, HELD_OUT_PLANS = 100_000, 200_000
 """First seeds of the plans that are learned on, and of those that are tried, as in the suite ``explore``."""
 
+CONFIG = "baselines.json"
 LEARNERS = ("recurrent", "belief")
 REFERENCES = ("random", "frontier", "frontier_fast")
 """Policies of ``limslam run`` that drive once on the held-out plans. Their rows have 0 steps of training."""
@@ -174,89 +175,64 @@ def _batch(config: BaselineConfig, *, is_trial: bool) -> Any:
     return gym.make_vec("LimSlam-Random-v0", config.envs, plans=plans, max_episode_steps=length, **shared)
 
 
-def trial(model: Any, learner: str, config: BaselineConfig) -> dict[str, list[float]]:
-    """Coverage and return of an episode on each held-out plan. Actions are drawn, as in training."""
+def trial(model: Any, learner: str, config: BaselineConfig) -> list[float]:
+    """Coverage after an episode on each held-out plan. Actions are drawn, as in training."""
     env = environment(learner, config, is_trial=True)
     observation, info = env.reset(seed=0)
-    returns, state = np.zeros(env.num_envs), None
-    starts = np.ones(env.num_envs, dtype=bool)
+    state, starts = None, np.ones(env.num_envs, dtype=bool)
     for _ in range(config.episode):
         actions, state = model.predict(observation, state, starts, deterministic=False)
         starts[:] = False
-        observation, reward, *_, info = env.step(actions)
-        returns += reward
+        observation, *_, info = env.step(actions)
     env.close()
-    return _scores(info, returns)
+    coverage: list[float] = np.asarray(info["coverage"], dtype=float).tolist()
+    return coverage
 
 
-def reference_trial(policy: str, config: BaselineConfig) -> dict[str, list[float]]:
-    """The same scores of a policy of ``limslam run``, from the same starts and with the same noise."""
-    env = _batch(config, is_trial=True)
-    observation, info = env.reset(seed=0)
-    robot = env.unwrapped.robot
-    settings = default_config([env.unwrapped.nominal_noise])
-    teams = []
-    for number, pose in enumerate(info["pose"]):
-        teams.append(
-            LimSlamTeam(robot, settings, 1, policies_by_belief(policy, robot, settings, robots=1, seed=number))
-        )
-        teams[-1].reset(np.array(pose)[None], number)
-    returns = np.zeros(env.num_envs)
-    for _ in range(config.episode * config.hold):
-        for number, team in enumerate(teams):
-            team.observe([{"ranges": observation["ranges"][number], "wheels": observation["wheels"][number]}])
-        observation, reward, *_, info = env.step(np.array([team.decide()[0] for team in teams], dtype=np.float32))
-        returns += reward
-    env.close()
-    return _scores(info, returns)
+def reference_trial(policy: str, config: BaselineConfig) -> dict[int, list[float]]:
+    """Coverage after an episode on each held-out plan by a policy of ``limslam run``."""
+    settings: dict[str, Any] = {"sensor_noise": config.noise, "max_time": 0.1 * config.episode * config.hold}
+    plans = range(HELD_OUT_PLANS, HELD_OUT_PLANS + config.held_out)
+    drives = [evaluate(policy, "LimSlam-World-v0", [0], world=f"random:{plan}", **settings)[0] for plan in plans]
+    return {0: [drive["coverage_true"] for drive in drives]}
 
 
-def _scores(info: dict[str, Any], returns: NDArray[Any]) -> dict[str, list[float]]:
-    return {"coverage": np.asarray(info["coverage"], dtype=float).tolist(), "return": returns.tolist()}
-
-
-def train_baselines(config: BaselineConfig, folder: Path, say: Any = print) -> None:
-    """Train what is missing in a folder. A seed that was interrupted begins anew.
+def train_baselines(config: BaselineConfig, folder: Path, say: Callable[[str], None] = print) -> None:
+    """Train what is missing in a folder: a file for each learner and seed. What was interrupted begins anew.
 
     Raises
     ------
     ValueError
-        If the folder holds results of other settings, versions or commit.
+        If the folder holds results of other settings.
     """
-    stamp = Stamp(asdict(config), package_versions(), commit())
-    with open_store(FORMAT, folder, stamp) as store:
-        for name in REFERENCES:
-            if (name, 0) not in store.rows:
-                scores = reference_trial(name, config)
-                store.append(Row(name, 0, {"0": scores["coverage"]}, {"0": scores["return"]}))
-        for seed in range(config.seeds):
-            for learner in LEARNERS:
-                if (learner, seed) not in store.rows:
-                    begin = time.process_time()
-                    store.append(_train(learner, config, seed))
-                    spent = time.process_time() - begin
-                    say(f"{learner}, seed {seed}: {config.steps} steps, {spent:.0f} s of processor time")
+    settings, path = json.dumps(asdict(config)).encode(), folder / CONFIG
+    if path.is_file() and path.read_bytes() != settings:
+        raise ValueError(f"{folder}: holds results of other settings: choose another folder")
+    replace_content(path, settings)
+    tasks = {f"{name}-0": partial(reference_trial, name, config) for name in REFERENCES}
+    for seed in range(config.seeds):
+        tasks |= {f"{learner}-{seed}": partial(_train, learner, config, seed) for learner in LEARNERS}
+    for name, scores in tasks.items():
+        if not (path := folder / f"{name}.json").is_file():
+            begin = time.process_time()
+            replace_content(path, json.dumps(scores()).encode())
+            say(f"{name}: {time.process_time() - begin:.0f} s of processor time")
 
 
-def _train(learner: str, config: BaselineConfig, seed: int) -> Row:
-    row = Row(learner, seed, {}, {})
+def _train(learner: str, config: BaselineConfig, seed: int) -> dict[int, list[float]]:
+    """The trials of a network, by the steps of training until then."""
     # Threads that wait for each other lose more than they gain on networks of this size.
     torch.set_num_threads(1)
     env = Sb3VecEnv(environment(learner, config, is_trial=False))
     rollout = max(min(_ROLLOUT, min(config.every, config.steps) // config.envs), 2)
-    shared = {
-        "n_steps": rollout,
-        "batch_size": min(_BATCH, rollout * config.envs),
-        "n_epochs": _EPOCHS,
-        "learning_rate": _RATE,
-        "gamma": _GAMMA,
-        "seed": seed,
-        "device": "cpu",
-    }
-    model = _model(learner, env, shared)
-    model.learn(config.steps, callback=_Trials(row, config))
+    shared: dict[str, Any] = {
+        "n_steps": rollout, "batch_size": min(_BATCH, rollout * config.envs), "n_epochs": _EPOCHS,
+        "learning_rate": _RATE, "gamma": _GAMMA, "seed": seed, "device": "cpu",
+    }  # fmt: skip
+    trials = _Trials(learner, config)
+    _model(learner, env, shared).learn(config.steps, callback=trials)
     env.close()
-    return row
+    return trials.scores
 
 
 def _model(learner: str, env: Sb3VecEnv, shared: dict[str, Any]) -> Any:
@@ -301,10 +277,10 @@ class GridAndRanges(BaseFeaturesExtractor):  # type: ignore[misc, unused-ignore]
 class _Trials(BaseCallback):  # type: ignore[misc, unused-ignore]
     """Tries the network on the held-out plans after equal numbers of steps."""
 
-    def __init__(self, row: Row, config: BaselineConfig) -> None:
+    def __init__(self, learner: str, config: BaselineConfig) -> None:
         super().__init__()
-        self._row, self._config = row, config
-        self._due = list(config.trials)
+        self._learner, self._config, self._due = learner, config, list(config.trials)
+        self.scores: dict[int, list[float]] = {}
 
     def _on_rollout_start(self) -> None:
         # A network has learned from all rollouts that have ended.
@@ -318,6 +294,27 @@ class _Trials(BaseCallback):  # type: ignore[misc, unused-ignore]
 
     def _try(self) -> None:
         while self._due and self.num_timesteps >= self._due[0]:
-            steps = str(self._due.pop(0))
-            scores = trial(self.model, self._row.learner, self._config)
-            self._row.coverage[steps], self._row.returns[steps] = scores["coverage"], scores["return"]
+            self.scores[self._due.pop(0)] = trial(self.model, self._learner, self._config)
+
+
+def efficiency_table(folder: Path) -> str:
+    """Markdown: interquartile means of the coverage after so many steps, and probabilities of improvement."""
+    curves: dict[str, dict[int, FloatArray]] = {}
+    for name in (*REFERENCES, *LEARNERS):
+        trials = [json.loads(path.read_bytes()) for path in sorted(folder.glob(f"{name}-[0-9]*.json"))]
+        curves[name] = {int(steps): np.array([each[steps] for each in trials]) for steps in trials[0]}
+    lines = ["| learner | steps | coverage | seeds |", "|---|---:|---:|---:|"]
+    for name, curve in curves.items():
+        lines += [f"| {name} | {n} | {interquartile_mean(each).text(2)} | {len(each)} |" for n, each in curve.items()]
+    lines += ["", "Interquartile means over seeds and plans, with 95 % bootstrap intervals over seeds.", ""]
+    last = {name: curve[max(curve)] for name, curve in curves.items()}
+    lines += [
+        f"P({first} sees more than {second} after training) = {_probability(last, first, second)}"
+        for first, second in combinations((*LEARNERS, *REFERENCES), 2)
+        if first in LEARNERS
+    ]
+    return "\n".join([*lines, ""])
+
+
+def _probability(last: Mapping[str, FloatArray], first: str, second: str) -> str:
+    return probability_of_improvement(last[first], last[second]).text(2)

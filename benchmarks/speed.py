@@ -1,0 +1,262 @@
+"""How fast environments, batches, beliefs and a run are, beside others in the same process.
+
+A shared machine changes its speed from second to second. So candidates take turns in short bursts. A burst of each
+makes a round, ratios are taken within a round, and the median of the rounds counts.
+"""
+
+import itertools
+import math
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from typing import Any, TypeAlias
+
+import gymnasium as gym
+import numpy as np
+import pymunk
+
+import limslam_env
+from limslam_agent import SlamVectorObservation
+from limslam_agent.runs.episode import run_episode
+from limslam_agent.runs.run_config import RunConfig
+from limslam_env.geometry import FloatArray
+from limslam_env.worlds.world import World
+
+Loop: TypeAlias = Callable[[], int]
+"""Does some steps, and returns how many."""
+
+Clock: TypeAlias = Callable[[], float]
+
+CARTPOLE, SINGLE, PLAIN = "CartPole of numpy, 1024", "single environment", "plain pymunk, 40 walls, six rays"
+LARGE, BELIEFS = "batch of 8192", "beliefs of 256"
+BURST = 0.02
+"""Length of a burst, s."""
+
+DEVICE_COUNTS = 4096, 65_536, 1_048_576
+_ROUNDS, _RUNS, _DEVICE_BURSTS = 40, 5, 7
+_STEPS = 200  # of a burst of one environment
+_FIRST = 400  # steps before batches are timed: in the first ones, far more is seen for the first time than later
+
+_FIRST_STEP = """
+import time
+import gymnasium as gym, limslam_env
+env = gym.make("LimSlam-Env1-v0")
+env.reset(seed=0)
+env.step(env.action_space.sample())
+print(time.process_time())
+"""
+
+
+def rates_in_turn(candidates: dict[str, Loop], rounds: int, clock: Clock = time.perf_counter) -> dict[str, FloatArray]:
+    """Steps a second of each candidate in each round (rounds,)."""
+    found: dict[str, list[float]] = {name: [] for name in candidates}
+    for loop in candidates.values():
+        loop()
+    for _ in range(rounds):
+        for name, loop in candidates.items():
+            begin, done = clock(), 0
+            while clock() - begin < BURST:
+                done += loop()
+            found[name].append(done / (clock() - begin))
+    return {name: np.array(rates) for name, rates in found.items()}
+
+
+def ratio(rates: dict[str, FloatArray], one: str, other: str) -> float:
+    """How many times as fast one candidate is as another: the median over the rounds."""
+    return float(np.median(rates[one] / rates[other]))
+
+
+def plain_loop() -> Loop:
+    """Pymunk alone: a body that moves among walls, and six rays a step."""
+    generator = np.random.default_rng(0)
+    space = pymunk.Space()
+    for _ in range(40):
+        start = generator.uniform(0.0, 7.0, 2)
+        wall = pymunk.Segment(
+            space.static_body, tuple(start.tolist()), tuple((start + generator.uniform(-1.0, 1.0, 2)).tolist()), 0.0
+        )
+        wall.filter = pymunk.ShapeFilter(categories=1)
+        space.add(wall)
+    body = pymunk.Body(1.0, 1.0)
+    body.position = (3.5, 3.5)
+    space.add(body, pymunk.Circle(body, 0.1))
+    rays = pymunk.ShapeFilter(mask=1)
+    angles = np.radians([90.0, 45.0, 15.0, -15.0, -45.0, -90.0]).tolist()
+
+    def run() -> int:
+        for _ in range(_STEPS):
+            body.velocity = (0.1 * math.cos(body.angle), 0.1 * math.sin(body.angle))
+            body.angular_velocity = 0.3
+            space.step(0.1)
+            x, y = body.position
+            for angle in angles:
+                ahead = body.angle + angle
+                space.segment_query_first((x, y), (x + 1.6 * math.cos(ahead), y + 1.6 * math.sin(ahead)), 0.0, rays)
+        return _STEPS
+
+    return run
+
+
+def single_loop() -> Loop:
+    """Steps of a single-robot environment, with autoreset."""
+    env = gym.make("LimSlam-Env1-v0", sensor_noise=0.02)
+    env.reset(seed=0)
+    actions = itertools.cycle(np.random.default_rng(0).uniform(-1.0, 1.0, (1000, 2)).astype(np.float32))
+
+    def run() -> int:
+        for _ in range(_STEPS):
+            _, _, terminated, truncated, _ = env.step(next(actions))
+            if terminated or truncated:
+                env.reset()
+        return _STEPS
+
+    return run
+
+
+def rooms(num_walls: int) -> World:
+    """Square rooms of 2.3 m with a door in each wall. The size of the building grows with the number of walls."""
+    # Each room adds two walls, below it and to its left; a door divides each of them into two pieces.
+    side = round(math.sqrt(num_walls / 4.0))
+    cell, jamb, walls = 2.3, 0.8, []
+    for i, j in itertools.product(range(side + 1), range(side)):
+        for x1, y1, x2, y2 in ((i, j, i, j + 1), (j, i, j + 1, i)):
+            start, end = np.array([x1, y1]) * cell, np.array([x2, y2]) * cell
+            along = (end - start) / cell
+            if i in {0, side}:
+                walls.append([*start, *end])
+            else:
+                walls.extend([[*start, *(start + jamb * along)], [*(end - jamb * along), *end]])
+    return World("rooms", (cell * side, cell * side), np.array(walls))
+
+
+def vector_loop(envs: gym.vector.VectorEnv[Any, Any, Any], steps: int) -> Loop:
+    """Steps of a batch, with autoreset, after its first ones. A call returns how many environment-steps it did."""
+    envs.reset(seed=0)
+    envs.action_space.seed(0)
+    actions = itertools.cycle([envs.action_space.sample() for _ in range(8)])
+
+    def run(number: int = steps) -> int:
+        for _ in range(number):
+            envs.step(next(actions))
+        return number * envs.num_envs
+
+    run(_FIRST)
+    return run
+
+
+def batch_loop(count: int, steps: int, **arguments: Any) -> Loop:
+    """Steps of a batch of our environments with 2 cm noise, in Env1 unless a world is given."""
+    name = "LimSlam-World-v0" if "world" in arguments else "LimSlam-Env1-v0"
+    return vector_loop(gym.make_vec(name, num_envs=count, sensor_noise=0.02, **arguments), steps)
+
+
+def team_loop(num_envs: int, steps: int) -> Loop:
+    """Robot-steps of two robots in each environment."""
+    envs = limslam_env.parallel_vector_env("env1", num_envs=num_envs, num_robots=2, sensor_noise=0.02)
+    envs.reset(seed=0)
+    rows = np.random.default_rng(0).uniform(-1.0, 1.0, (8, 2, num_envs, 2))
+    actions = itertools.cycle([dict(zip(envs.agents, row, strict=True)) for row in rows])
+
+    def run() -> int:
+        for _ in range(steps):
+            envs.step(next(actions))
+        return 2 * steps * num_envs
+
+    return run
+
+
+def belief_loop(num_envs: int, steps: int) -> Loop:
+    """Steps of a batch with beliefs as observations, after its first ones.
+
+    The robots drive ahead in a slight bend, and turn away from what is near: their maps grow as those of explorers do.
+    """
+    envs = SlamVectorObservation(gym.make_vec("LimSlam-Env1-v0", num_envs=num_envs, sensor_noise=0.02))
+    seen, _ = envs.reset(seed=0)
+
+    def run(number: int = steps) -> int:
+        nonlocal seen
+        for _ in range(number):
+            is_near = seen["ranges"][:, 1:5].min(axis=1, keepdims=True) < 0.4
+            seen = envs.step(np.where(is_near, (0.5, -0.5), (1.0, 0.9)))[0]
+        return number * num_envs
+
+    run(_FIRST)
+    return run
+
+
+def times_faster(world: str, runs: int, clock: Clock = time.process_time, max_time: float = 1800.0) -> float:
+    """Simulated time over the time of an exploring agent, as ``limslam run`` drives it: the median of some runs.
+
+    The start of the program, the final smoothing and the pictures are left out, and so is a first run, which loads
+    what is needed.
+    """
+    found = []
+    for seed in range(runs + 1):
+        begin = clock()
+        episode = run_episode(RunConfig(world, 0.02, seed=seed, max_time=max_time, until="walls"))
+        found.append(float(episode.time[-1]) / (clock() - begin))
+    return float(np.median(found[1:]))
+
+
+def first_step() -> float:
+    """Processor time from the start of a process to its first step in an environment, s: the best of three."""
+    command = [sys.executable, "-c", _FIRST_STEP]
+    return min(float(subprocess.run(command, check=True, capture_output=True).stdout) for _ in range(3))  # noqa: S603
+
+
+def print_rates(clock: Clock, rounds: int = _ROUNDS) -> None:
+    """Print Markdown tables: rates of all candidates, and what this version should reach and has reached."""
+    cartpole = gym.make_vec("CartPole-v1", num_envs=1024, vectorization_mode="vector_entry_point")
+    candidates = {
+        CARTPOLE: vector_loop(cartpole, 20), SINGLE: single_loop(), PLAIN: plain_loop(),
+        "batch of 1024": batch_loop(1024, 20), LARGE: batch_loop(8192, 4),
+        f"{LARGE}, one thread": batch_loop(8192, 4, num_threads=1),
+        f"{LARGE}, rooms of 2000 walls": batch_loop(8192, 4, world=rooms(2000)),
+        f"{LARGE}, 64 floor plans": batch_loop(8192, 4, world="random", plans=64),
+        "two robots each, batch of 4096, a robot-step": team_loop(4096, 4), BELIEFS: belief_loop(256, 2),
+    }  # fmt: skip
+    rates = rates_in_turn(candidates, rounds, clock)
+    references = {CARTPOLE: "CartPole", SINGLE: "single", PLAIN: "pymunk"}
+    print("| candidate | steps/s |" + "".join(f" x {short} |" for short in references.values()))
+    print("|---" * (2 + len(references)) + "|")
+    for name, each in rates.items():
+        ratios = "".join(f" {ratio(rates, name, reference):.3g} |" for reference in references)
+        print(f"| {name} | {np.median(each):,.0f} |{ratios}")
+    print("\n| bar | measured | wanted |\n|---|---|---|")
+    print(f"| {LARGE} / CartPole | {ratio(rates, LARGE, CARTPOLE):.3f} | >= 0.37 |")
+    print(f"| {BELIEFS}, a second | {np.median(rates[BELIEFS]):,.0f} | >= 100,000 |")
+    for world in ("env1", "env3"):
+        faster = times_faster(world, _RUNS, clock)
+        print(f"| `limslam run --world {world}`: simulated time / time | {faster:.0f} | >= 200 |")
+    print(f"| first step of a new process, processor time | {first_step():.2f} s | <= 0.4 s |")
+
+
+def print_device_rates() -> None:
+    """Print a Markdown table of batches of several sizes on a GPU."""
+    print("| batch on a GPU | million steps a second | slowest burst |")
+    print("|---|---|---|")
+    for count in DEVICE_COUNTS:
+        rates = np.array(_device_rates(count)) / 1e6
+        print(f"| {count} | {np.median(rates):.1f} | {rates.min():.1f} |", flush=True)
+
+
+def _device_rates(count: int) -> list[float]:
+    """Steps a second of a batch on a GPU in some bursts of half a second."""
+    envs: Any = gym.make_vec("LimSlam-Env1-v0", num_envs=count, sensor_noise=0.02, device="cuda")
+    generator = np.random.default_rng(0)
+    actions = [envs.to_device(generator.uniform(-1.0, 1.0, (count, 2)).astype(np.float32)) for _ in range(8)]
+    envs.reset(seed=0)
+
+    def rate(steps: int) -> float:
+        envs.synchronize()
+        start = time.perf_counter()
+        for step in range(steps):
+            envs.step(actions[step % len(actions)])
+        envs.synchronize()
+        return steps * count / (time.perf_counter() - start)
+
+    steps = max(int(0.5 * rate(_FIRST) / count), len(actions))
+    found = [rate(steps) for _ in range(_DEVICE_BURSTS)]
+    envs.close()
+    return found
