@@ -44,7 +44,7 @@ FORMAT = 1
 
 ENVIRONMENT = "LimSlam-Random-v0"
 FIRST_PLAN = 300_000
-"""First plan of a dataset. No suite, no training and no track of the arena uses plans from 300 000 to 999 999 999."""
+"""First plan of a dataset. No suite, no training and no plan of the arena uses plans from 300 000 to 999 999 999."""
 
 POLICIES = {
     "frontier": "The frontier explorer, which maps and plans, at 0.2 m/s.",

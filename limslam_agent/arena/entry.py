@@ -5,15 +5,14 @@ import os
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from limslam_agent.arena.tracks import EXPLORATION, MAPPING, TRACKS
 from limslam_agent.config import DEFAULT_PRESET
-from limslam_agent.config.presets import PRESETS, preset
+from limslam_agent.config.presets import PRESETS
 from limslam_agent.config.tables import SettingsError, read_toml, updated
 from limslam_agent.runs.oracle import POLICIES, is_privileged
 from limslam_agent.runs.policy_file import file_and_name
 
 MANIFEST = "entry.toml"
-KINDS = {EXPLORATION: ("shipped", "python", "model", "command"), MAPPING: ("estimator", "command")}
+KINDS = ("shipped", "python", "command")
 USES = ("belief", "readings", "truth")
 MOST_ROBOTS = 2
 _NOT_IN_DIGEST = "hidden files, __pycache__ and files outside of the folder are not part of the entry's digest"
@@ -30,13 +29,10 @@ class Manifest:
         Name of the entry on the leaderboard.
     authors
         Who made it.
-    track
-        ``exploration`` or ``mapping``.
     kind
-        What ``run`` is. Of the exploration track: a ``shipped`` policy, a ``python`` class, a ``model`` or a
-        ``command``. Of the mapping track: a shipped ``estimator`` or a ``command``.
+        What ``run`` is: a ``shipped`` policy, a ``python`` class or a ``command``.
     run
-        The name of the policy or of the estimator's preset, ``FILE.py:CLASS``, or the file of the model.
+        The name of the policy, or ``FILE.py:CLASS``.
     command
         The words of the command. ``{python}`` stands for the Python that runs the arena.
     uses
@@ -45,23 +41,19 @@ class Manifest:
     robots
         Largest number of robots that the entry drives. It loses plans with more robots.
     preset
-        The estimator that draws the map of an exploration.
-    algorithm
-        The class of Stable-Baselines3 that made a model: ``PPO`` and so on.
+        The estimator that draws the map.
     about
         What the entry is, in a sentence.
     """
 
     name: str = ""
     authors: tuple[str, ...] = ()
-    track: str = EXPLORATION
     kind: str = ""
     run: str = ""
     command: tuple[str, ...] = ()
     uses: str = ""
     robots: int = 1
     preset: str = DEFAULT_PRESET
-    algorithm: str = "PPO"
     about: str = ""
 
     def __post_init__(self) -> None:
@@ -69,8 +61,7 @@ class Manifest:
             raise ValueError(f"name: an entry has a name of 1 to {_LONGEST_NAME} characters, not {self.name[:80]!r}")
         if not self.authors:
             raise ValueError('authors: an entry has authors: authors = ["A. Person"]')
-        _check_choice("track", self.track, tuple(TRACKS))
-        _check_choice("kind", self.kind, KINDS[self.track])
+        _check_choice("kind", self.kind, KINDS)
         _check_choice("uses", self.uses, USES)
         _check_choice("preset", self.preset, tuple(PRESETS))
         if not 1 <= self.robots <= MOST_ROBOTS:
@@ -80,8 +71,8 @@ class Manifest:
         self._check_run()
         if (self.uses == "truth") != self.knows_truth:
             raise ValueError(f"uses: {self.run or self.kind} does {'' if self.knows_truth else 'not '}use the truth")
-        if self.uses == "belief" and self.kind not in {"shipped", "python"}:
-            raise ValueError(f"uses: an entry of the kind {self.kind} acts on readings")
+        if self.uses == "belief" and self.kind == "command":
+            raise ValueError("uses: a command acts on readings")
         if self.knows_truth and self.robots > 1:
             raise ValueError(f"robots: {self.run} is for one robot")
 
@@ -98,13 +89,9 @@ class Manifest:
     def _check_run(self) -> None:
         if self.kind == "shipped":
             _check_choice("run", self.run, tuple(name for name in POLICIES if name != "tour"))
-        if self.kind == "estimator":
-            preset(self.run)
-        if self.kind == "model" and Path(self.run).suffix != ".zip":
-            raise ValueError(f"run: a model of Stable-Baselines3 ends in .zip, not {self.run!r}")
-        if self.kind in {"model", "python"} and (Path(self.run).is_absolute() or ".." in Path(self.run).parts):
+        if self.kind == "python" and (Path(self.run).is_absolute() or ".." in Path(self.run).parts):
             raise ValueError(f"run: {self.run!r} is not in the folder of the entry")
-        if self.kind in {"model", "python"} and not _counts(Path(self.run)):
+        if self.kind == "python" and not _counts(Path(self.run)):
             raise ValueError(f"run: {self.run!r}: {_NOT_IN_DIGEST}")
 
 
@@ -129,8 +116,7 @@ class Entry:
     @property
     def run(self) -> str:
         """What is run: a name, or the path of a file in the folder."""
-        kind = self.manifest.kind
-        return str(self.folder / self.manifest.run) if kind in {"python", "model"} else self.manifest.run
+        return str(self.folder / self.manifest.run) if self.manifest.kind == "python" else self.manifest.run
 
 
 def read_entry(folder: Path) -> Entry:
@@ -156,8 +142,6 @@ def read_entry(folder: Path) -> Entry:
     entry = Entry(folder.absolute(), manifest, _digest(folder))
     if manifest.kind == "python":
         file_and_name(entry.run)
-    if manifest.kind == "model" and not Path(entry.run).is_file():
-        raise ValueError(f"{entry.run}: no such file")
     return entry
 
 

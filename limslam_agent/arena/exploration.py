@@ -1,4 +1,4 @@
-"""A plan of the exploration track: the entry drives, the arena's mapper draws the map, and both are scored."""
+"""A plan: the entry drives, the arena's mapper draws the map, and both are scored."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING, Any
 
 from limslam_agent.arena.command import CommandActor
 from limslam_agent.arena.entry import Entry
-from limslam_agent.arena.models import Model
 from limslam_agent.arena.scoring import correct_coverage, exploration_scores
 from limslam_agent.arena.tracks import Plan
 from limslam_agent.policies.policy import Policy
@@ -28,11 +27,11 @@ Keep = Callable[[Path, Episode], dict[str, Any]]
 def run_config(entry: Entry, plan: Plan) -> RunConfig:
     """What is run: the command ``limslam run`` with the same settings drives the same run for a shipped policy."""
     manifest = entry.manifest
-    is_named = manifest.kind in {"shipped", "python"}
+    is_named = manifest.kind != "command"
     return RunConfig(
         plan.world, plan.noise, manifest.preset, plan.seed, plan.max_time, robots=plan.robots,
         policy=entry.run if is_named else "frontier", true_noise=plan.true_noise,
-        driver="" if is_named else f"{manifest.kind} {manifest.name}",
+        driver="" if is_named else f"command {manifest.name}",
     )  # fmt: skip
 
 
@@ -77,8 +76,6 @@ def _policies(entry: Entry, config: RunConfig) -> list[Policy] | None:
         return None
     if manifest.kind == "command":
         return [ActorPolicy(CommandActor(manifest.command, entry.folder, config.robot)) for _ in robots]
-    if manifest.kind == "model":
-        return [ActorPolicy(Model(Path(entry.run), manifest.algorithm)) for _ in robots]
     made = made_by_file(entry.run, config.robot, config.agent.policy, robots=config.robots, seed=config.seed)
     with naming_lines_of(entry.run):
         return [_policy(each, manifest.uses) for each in made]

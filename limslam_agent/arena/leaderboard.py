@@ -7,17 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import rankdata
 
 from limslam_agent.arena.results import Row, Stamp, read_results
-from limslam_agent.arena.tracks import EXPLORATION, MAPPING, MAX_TIME
+from limslam_agent.arena.tracks import MAX_TIME
 from limslam_agent.measurements.statistics import Estimate, holm, mean, signed_rank
 from limslam_env.geometry import FloatArray
 
-SCORES = {EXPLORATION: "plan_time_to_95_s", MAPPING: "wall_f1_5cm"}
-"""The metric whose mean over the plans is the score of an entry in each track."""
+SCORE = "plan_time_to_95_s"
+"""The metric whose mean over the plans is the score of an entry."""
 
-_WORST = {EXPLORATION: MAX_TIME, MAPPING: 0.0}
 _DIGITS = 9  # scores that differ by rounding only are equal
 
 _FIGURES: dict[str, Any] = {
@@ -40,8 +38,6 @@ class Standing:
         Its score in each plan (n,). A row without a score has the worst one.
     score
         The mean of the values.
-    mean_rank
-        The mean of its ranks among the ranked entries, plan by plan. None without a place.
     figures
         Further means and medians by their names.
     """
@@ -52,7 +48,6 @@ class Standing:
     place: int | None
     values: FloatArray
     score: Estimate
-    mean_rank: float | None
     figures: dict[str, float | None]
 
     @property
@@ -90,8 +85,8 @@ class Board:
 
     Attributes
     ----------
-    track, is_secret
-        The track, and whether its plans come from a secret seed.
+    is_secret
+        Whether the plans come from a secret seed.
     plans
         Numbers of the plans that all entries have run, on which they are compared.
     standings
@@ -100,7 +95,6 @@ class Board:
         All pairs of ranked entries.
     """
 
-    track: str
     is_secret: bool
     plans: list[int]
     standings: list[Standing]
@@ -125,22 +119,17 @@ def board(folders: Sequence[Path]) -> Board:
     plans = sorted(set.intersection(*(set(rows) for *_, rows in entries)))
     if not plans:
         raise ValueError("the folders have no plan in common")
-    track = stamp.track
     scored = [(folder, each, [rows[plan] for plan in plans]) for folder, each, rows in entries]
-    values = {folder: _values(rows, track) for folder, _, rows in scored}
-    sign = -1.0 if track == MAPPING else 1.0
+    values = {folder: _values(rows) for folder, _, rows in scored}
     ranked = [folder for folder, each, _ in scored if each.entry.get("uses") != "truth"]
-    totals = {folder: round(sign * float(values[folder].mean()), _DIGITS) for folder in ranked}
-    ranks: Any = rankdata(np.round([sign * values[folder] for folder in ranked], _DIGITS), axis=0) if ranked else []
-    mean_ranks = dict(zip(ranked, (float(row.mean()) for row in ranks), strict=True))
+    totals = {folder: round(float(values[folder].mean()), _DIGITS) for folder in ranked}
     standings = [
         Standing(
-            folder, each, rows, _place(totals, folder), values[folder], _mean(values[folder]),
-            mean_ranks.get(folder), _figures(rows),
+            folder, each, rows, _place(totals, folder), values[folder], _mean(values[folder]), _figures(rows)
         )
         for folder, each, rows in sorted(scored, key=lambda entry: totals.get(entry[0], np.inf))
     ]  # fmt: skip
-    return Board(track, stamp.is_secret, plans, standings, _comparisons(standings))
+    return Board(stamp.is_secret, plans, standings, _comparisons(standings))
 
 
 def _place(totals: dict[Path, float], folder: Path) -> int | None:
@@ -158,8 +147,8 @@ def _numbers(rows: Sequence[Row], metric: str) -> list[float | None]:
     return [float(value) if isinstance(value, int | float) else None for value in found]
 
 
-def _values(rows: Sequence[Row], track: str) -> FloatArray:
-    return np.array([_WORST[track] if value is None else value for value in _numbers(rows, SCORES[track])])
+def _values(rows: Sequence[Row]) -> FloatArray:
+    return np.array([MAX_TIME if value is None else value for value in _numbers(rows, SCORE)])
 
 
 def _figures(rows: Sequence[Row]) -> dict[str, float | None]:

@@ -6,7 +6,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from limslam_agent.arena.leaderboard import SCORES, Board, Standing
+from limslam_agent.arena.leaderboard import Board, Standing
 from limslam_agent.arena.results import RUNS, Row
 from limslam_agent.arena.tracks import MAX_TIME
 from limslam_agent.inspect.page import filled, plotting_library
@@ -16,36 +16,26 @@ from limslam_agent.output.atomic_write import atomic_write
 INSPECTOR = "inspect.html"
 """The page that ``limslam inspect`` writes into the folder of a run."""
 
-_SHOWN = {
-    "exploration": (
-        "time_to_80_s", "plan_time_to_95_s", "correct_coverage", "ate_final_m", "wall_f1_5cm", "anees_final", "touches",
-    ),
-    "mapping": ("wall_f1_5cm", "wall_f1", "ate_final_m", "anees_final"),
-}  # fmt: skip
+_SHOWN = (
+    "time_to_80_s", "plan_time_to_95_s", "correct_coverage", "ate_final_m", "wall_f1_5cm", "anees_final", "touches",
+)  # fmt: skip
 """Metrics of a plan that the page shows."""
 
 # The columns of the text: heading, and name and decimals of a figure, or what is counted.
-_COLUMNS: dict[str, dict[str, tuple[str, int]]] = {
-    "exploration": {
-        "95 % after, s": ("score", 1), "80 %, s": ("plan_time_to_80_s", 1), "solved": ("solved", 0),
-        "false claims": ("claimed", 0), "ATE, m": ("ate_final_m", 3), "F1 5 cm": ("wall_f1_5cm", 3),
-        "NEES/3": ("anees_final", 2), "touches": ("touches", 2), "CPU, s": ("cpu_s", 1),
-    },
-    "mapping": {
-        "F1 5 cm": ("score", 3), "mapped": ("solved", 0), "ATE, m": ("ate_final_m", 3), "NEES/3": ("anees_final", 2),
-        "CPU, s": ("cpu_s", 1),
-    },
+_COLUMNS = {
+    "95 % after, s": ("score", 1), "80 %, s": ("plan_time_to_80_s", 1), "solved": ("solved", 0),
+    "false claims": ("claimed", 0), "ATE, m": ("ate_final_m", 3), "F1 5 cm": ("wall_f1_5cm", 3),
+    "NEES/3": ("anees_final", 2), "touches": ("touches", 2), "CPU, s": ("cpu_s", 1),
 }  # fmt: skip
 
 
 def table_rows(found: Board) -> list[tuple[str, ...]]:
     """The leaderboard as rows of text, with headings."""
-    columns = _COLUMNS[found.track]
     rows = [
-        (str(each.place or "-"), each.name, *(_cell(each, *column) for column in columns.values()))
+        (str(each.place or "-"), each.name, *(_cell(each, *column) for column in _COLUMNS.values()))
         for each in found.standings
     ]
-    return [("place", "entry", *columns), *rows]
+    return [("place", "entry", *_COLUMNS), *rows]
 
 
 def _cell(standing: Standing, name: str, decimals: int) -> str:
@@ -67,7 +57,7 @@ def write_board(path: Path, found: Board) -> int:
     library = plotting_library()
     told = json.dumps(_content(found, path.absolute().parent), allow_nan=False).replace("<", "\\u003c")
     parts = {
-        "TITLE": f"LimSLAM arena, {found.track}", "STYLE": library.style + _part("board.css"),
+        "TITLE": "LimSLAM arena", "STYLE": library.style + _part("board.css"),
         "LICENSE": library.license, "LIBRARY": library.script, "SCRIPT": _part("board.js"), "DATA": told,
     }  # fmt: skip
     content = filled(_part("board.html"), parts).encode()
@@ -83,9 +73,8 @@ def _part(name: str) -> str:
 def _content(found: Board, place: Path) -> dict[str, Any]:
     """What the program of the page shows. Its links are relative to the folder ``place``."""
     return {
-        "track": found.track, "score": SCORES[found.track], "secret": found.is_secret, "plans": found.plans,
-        "longest": MAX_TIME, "shown": _SHOWN[found.track],
-        "entries": [_entry(each, found, place) for each in found.standings],
+        "secret": found.is_secret, "plans": found.plans, "longest": MAX_TIME, "shown": _SHOWN,
+        "entries": [_entry(each, place) for each in found.standings],
         "comparisons": [
             {
                 "first": each.first, "second": each.second, "difference": vars(each.difference), "p": each.p_value,
@@ -96,27 +85,26 @@ def _content(found: Board, place: Path) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _entry(standing: Standing, found: Board, place: Path) -> dict[str, Any]:
+def _entry(standing: Standing, place: Path) -> dict[str, Any]:
     stamp, manifest = standing.stamp, standing.stamp.entry
     return {
         **{name: manifest.get(name, "") for name in ("name", "authors", "kind", "uses", "about", "preset")},
-        "place": standing.place, "score": vars(standing.score), "meanRank": standing.mean_rank,
-        "solved": standing.solved, "claimed": standing.claimed,
+        "place": standing.place, "score": vars(standing.score), "solved": standing.solved, "claimed": standing.claimed,
         "failed": sum(row.error is not None for row in standing.rows), "figures": standing.figures,
         "commit": stamp.commit, "version": stamp.versions.get("limslam", ""), "digest": stamp.digest[:12],
         "values": standing.values.tolist(),
-        "rows": [_row(row, standing.folder, found, place) for row in standing.rows],
+        "rows": [_row(row, standing.folder, place) for row in standing.rows],
     }  # fmt: skip
 
 
-def _row(row: Row, folder: Path, found: Board, place: Path) -> dict[str, Any]:
+def _row(row: Row, folder: Path, place: Path) -> dict[str, Any]:
     run = folder / RUNS / f"{row.plan:03d}"
     inspector = run / INSPECTOR
     return {
         "plan": row.plan, "world": row.setting.get("world", ""), "noise": row.setting.get("noise"),
         "robots": row.setting.get("robots"), "fault": row.setting.get("fault", ""),
         "lost": row.metrics.get("lost") or "",
-        **{name: row.metrics.get(name) for name in _SHOWN[found.track]},
+        **{name: row.metrics.get(name) for name in _SHOWN},
         "link": Path(os.path.relpath(inspector.absolute(), place)).as_posix() if inspector.is_file() else "",
         "folder": str(run) if run.is_dir() else "",
     }  # fmt: skip

@@ -52,7 +52,7 @@ class Stamp:
     Attributes
     ----------
     arena
-        Version of the tracks and the scores.
+        Version of the plans and the scores.
     entry
         The manifest of the entry.
     folder
@@ -82,11 +82,6 @@ class Stamp:
         manifest_of(self.entry, "entry")
 
     @property
-    def track(self) -> str:
-        """The track of the entry."""
-        return str(self.entry.get("track", ""))
-
-    @property
     def identity(self) -> Mapping[str, Hashable]:
         """What must be equal for results to go on."""
         return {"other plans": self.plans, "another entry, or of this one before it was changed": self.digest}
@@ -99,13 +94,13 @@ def stamp_of(entry: Entry, seed: int, *, is_secret: bool, versions: dict[str, st
     """The stamp of an entry's results on the plans of a seed."""
     return Stamp(
         VERSION, manifest_table(entry.manifest), str(entry.folder), entry.digest,
-        plans_digest(entry.manifest.track, seed), is_secret, versions, commit,
+        plans_digest(seed), is_secret, versions, commit,
     )  # fmt: skip
 
 
-def plans_digest(track: str, seed: int) -> str:
-    """Digest of the plans of a track."""
-    return digest_of([plan.setting for plan in plans_of(track, seed)])
+def plans_digest(seed: int) -> str:
+    """Digest of the plans of a seed."""
+    return digest_of([plan.setting for plan in plans_of(seed)])
 
 
 def digest_of(content: Any) -> str:

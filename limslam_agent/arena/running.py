@@ -11,10 +11,9 @@ from typing import Any
 from limslam_agent.arena.command import without_folders
 from limslam_agent.arena.entry import Entry
 from limslam_agent.arena.exploration import Keep, explore
-from limslam_agent.arena.mapping import map_drive
 from limslam_agent.arena.results import FORMAT, RUNS, Row, digest_of, stamp_of
 from limslam_agent.arena.scoring import lost_scores
-from limslam_agent.arena.tracks import MAPPING, Plan
+from limslam_agent.arena.tracks import Plan
 from limslam_agent.measurements.processes import Failure, Processes
 from limslam_agent.measurements.store import open_store
 from limslam_agent.output.export import plain
@@ -41,7 +40,7 @@ class Job:
     versions, commit
         Provenance of the row.
     keep
-        Writes the folder of an exploration.
+        Writes the folder of the run.
     """
 
     entry: Entry
@@ -77,7 +76,7 @@ def run_entry(
     jobs
         Number of processes.
     keep
-        Writes the folders of explorations. None keeps no folders, of the mapping track neither.
+        Writes the folders of runs. None keeps none.
     retry_failed
         Run the plans again in which the entry failed.
     report
@@ -138,10 +137,7 @@ def run_job(job: Job) -> Row:
     try:
         if plan.robots > manifest.robots:
             raise ValueError(f"the entry drives one robot, and the plan has {plan.robots}")  # noqa: TRY301
-        if manifest.track == MAPPING:
-            metrics = map_drive(job.entry, plan, job.folder)
-        else:
-            metrics, cost = explore(job.entry, plan, job.folder, job.keep)
+        metrics, cost = explore(job.entry, plan, job.folder, job.keep)
     except OSError:  # no space, or no permission: not the entry's failure
         raise
     except (Exception, SystemExit) as failure:
@@ -149,7 +145,7 @@ def run_job(job: Job) -> Row:
             raise
         error = f"{failure}" if isinstance(failure, ValueError) else f"{type(failure).__name__}: {failure}"
         error = one_line(without_folders(error, (job.entry.folder,)))
-        metrics = lost_scores(plan, manifest.track, f"failed: {error}")
+        metrics = lost_scores(plan, f"failed: {error}")
     cost = {**cost, "cpu_s": _cpu_s() - cpu, "wall_clock_s": time.perf_counter() - begin}
     return Row(plan.number, plan.setting, plain(metrics), plain(cost), **provenance, error=error)
 

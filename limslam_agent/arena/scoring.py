@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from limslam_agent.arena.tracks import MAPPING, Plan
+from limslam_agent.arena.tracks import Plan
 from limslam_agent.grid.occupancy import GridView
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.simulation.coverage import CELL, CoverageGrid
@@ -80,10 +80,8 @@ def loss(correct: float, *, is_finished: bool) -> str:
     return "claims to be done and is not" if is_finished else "not explored in time"
 
 
-def lost_scores(plan: Plan, track: str, reason: str) -> dict[str, Any]:
+def lost_scores(plan: Plan, reason: str) -> dict[str, Any]:
     """Scores of a plan that an entry has lost without a run."""
-    if track == MAPPING:
-        return {"lost": reason, "wall_f1_5cm": 0.0}
     return {
         "lost": reason, "correct_coverage": 0.0, "claims_done": False,
         **{f"plan_time_to_{share}_s": plan.max_time for share in _TIMES},

@@ -1,4 +1,4 @@
-"""The tracks: lists of plans that follow from a seed. Each plan has one setting of noise, robots and faults."""
+"""The plans that follow from a seed. Each has one setting of noise, robots and faults."""
 
 from dataclasses import asdict, dataclass
 from typing import Any
@@ -8,14 +8,13 @@ import numpy as np
 from limslam_env.config import NoiseConfig
 
 VERSION = 1
-"""Version of the tracks and the scores. Results of different versions cannot be compared."""
+"""Version of the plans and the scores. Results of different versions cannot be compared."""
 
 PUBLIC_SEED = 0
 """Seed of the published plans. Judges choose a secret seed for plans that nobody has seen."""
 
-EXPLORATION, MAPPING = "exploration", "mapping"
-TRACKS = {EXPLORATION: 100, MAPPING: 20}
-"""Names of the tracks, and their numbers of plans."""
+COUNT = 100
+"""Number of plans."""
 
 MAX_TIME = 240.0
 """Longest simulated time of a plan, s."""
@@ -30,12 +29,12 @@ _WHEELS, _DROPOUT, _LEAST_SHARP_NOISE = 0.02, 0.1, 0.02
 
 @dataclass(frozen=True)
 class Plan:
-    """One task of a track.
+    """One task.
 
     Attributes
     ----------
     number
-        Place in the track, from 0.
+        Place in the list, from 0.
     world
         Floor plan, by its seed and size.
     noise
@@ -76,29 +75,18 @@ class Plan:
         return asdict(self)
 
 
-def plans_of(track: str, seed: int = PUBLIC_SEED) -> list[Plan]:
-    """The plans of a track. The same seed gives the same plans.
-
-    Raises
-    ------
-    ValueError
-        If there is no such track, or the seed is negative.
-    """
-    if track not in TRACKS:
-        raise ValueError(f"there is no track {track!r}; there are {', '.join(TRACKS)}")
-    if seed < 0:
-        raise ValueError(f"a seed is 0 or more, not {seed}")
-    count, generator = TRACKS[track], np.random.default_rng([VERSION, list(TRACKS).index(track), seed])
+def plans_of(seed: int = PUBLIC_SEED) -> list[Plan]:
+    """The plans of a seed of 0 or more. The same seed gives the same plans."""
+    generator = np.random.default_rng([VERSION, 0, seed])
 
     def spread(values: tuple[Any, ...]) -> list[Any]:
         """The values in their shares of the plans, in a random order."""
-        return [values[index % len(values)] for index in generator.permutation(count)]
+        return [values[index % len(values)] for index in generator.permutation(COUNT)]
 
-    worlds = generator.integers(*_FLOOR_PLANS, count)
-    sides = generator.integers(*_SIDES_DM, (count, 2)) / 10.0
-    noises, faults = spread(_NOISES), spread(_FAULTS)
-    robots = spread(_ROBOTS) if track == EXPLORATION else [1] * count
-    signs, seeds = generator.choice((-1.0, 1.0), count), generator.integers(0, 10**6, count)
+    worlds = generator.integers(*_FLOOR_PLANS, COUNT)
+    sides = generator.integers(*_SIDES_DM, (COUNT, 2)) / 10.0
+    noises, faults, robots = spread(_NOISES), spread(_FAULTS), spread(_ROBOTS)
+    signs, seeds = generator.choice((-1.0, 1.0), COUNT), generator.integers(0, 10**6, COUNT)
     return [
         Plan(
             number, f"random:{worlds[number]}:{sides[number, 0]:g}x{sides[number, 1]:g}",
@@ -106,7 +94,7 @@ def plans_of(track: str, seed: int = PUBLIC_SEED) -> list[Plan]:
             faults[number], float(signs[number]) * _WHEELS if faults[number] == "wheels" else 0.0,
             int(seeds[number]),
         )
-        for number in range(count)
+        for number in range(COUNT)
     ]  # fmt: skip
 
 
@@ -116,7 +104,7 @@ def chosen(plans: list[Plan], words: str | None) -> list[Plan]:
     Raises
     ------
     ValueError
-        If the text names no plan of the track.
+        If the text names no plan.
     """
     if words is None:
         return plans
@@ -127,7 +115,7 @@ def chosen(plans: list[Plan], words: str | None) -> list[Plan]:
             f"--plans: {words!r} names no plans: 8 are the first eight, 3-10 and 0,5,7 are numbers"
         ) from error
     if not numbers or min(numbers) < 0 or max(numbers) >= len(plans):
-        raise ValueError(f"--plans: {words!r}: the track has the plans 0 to {len(plans) - 1}")
+        raise ValueError(f"--plans: {words!r}: there are the plans 0 to {len(plans) - 1}")
     return [plans[number] for number in sorted(set(numbers))]
 
 

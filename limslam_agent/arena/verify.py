@@ -40,12 +40,12 @@ def opened(folder: Path, entry_folder: Path | None, seed: int | None) -> tuple[E
         raise ValueError(f"{entry.folder}: is not the entry of {folder}, or was changed since")
     if stamp.entry != manifest_table(entry.manifest):
         raise ValueError(f"{folder}: its manifest is not that of {entry.folder}")
-    track, seed = entry.manifest.track, PUBLIC_SEED if seed is None else seed
-    if plans_digest(track, seed) != stamp.plans:
+    seed = PUBLIC_SEED if seed is None else seed
+    if plans_digest(seed) != stamp.plans:
         raise ValueError(f"{folder}: its plans are not those of this seed")
-    if stamp.is_secret == (stamp.plans == plans_digest(track, PUBLIC_SEED)):
+    if stamp.is_secret == (stamp.plans == plans_digest(PUBLIC_SEED)):
         raise ValueError(f"{folder}: is_secret is {stamp.is_secret}, and its plans say otherwise")
-    return entry, stamp, plans_of(track, seed)
+    return entry, stamp, plans_of(seed)
 
 
 def verify(
@@ -58,7 +58,7 @@ def verify(
     folder
         The results.
     entry, plans
-        The entry and all plans of the track.
+        The entry and all plans.
     count
         Number of rows. None runs all.
     jobs

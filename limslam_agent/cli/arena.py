@@ -58,7 +58,7 @@ def run(
     keep: Annotated[bool, typer.Option("--keep", help="Keep the folder of each run, for limslam inspect.")] = False,
     retry_failed: Annotated[bool, typer.Option("--retry-failed", help="Run plans again that failed.")] = False,
 ) -> None:
-    """Run an entry on the plans of its track. A run that was stopped goes on where it was."""
+    """Run an entry on the plans. A run that was stopped goes on where it was."""
     from limslam_agent.arena.entry import read_entry
     from limslam_agent.arena.leaderboard import board
     from limslam_agent.arena.running import run_entry
@@ -67,7 +67,7 @@ def run(
 
     found = read_entry(entry)
     seed = _read_seed() if secret_seed else PUBLIC_SEED
-    wanted = chosen(plans_of(found.manifest.track, seed), plans)
+    wanted = chosen(plans_of(seed), plans)
     with progress_bar("arena", len(wanted)) as advance:
         rows = run_entry(
             found, wanted, out, seed=seed, is_secret=seed != PUBLIC_SEED, jobs=jobs,
@@ -111,7 +111,7 @@ def verify(
 
 @arena.command()
 def page(
-    folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders of results of one track.")],
+    folders: Annotated[list[Path], typer.Argument(metavar="DIR...", help="Folders of results.")],
     out: Annotated[Path, typer.Option(help="Write this file (.html).")],
     *,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
@@ -132,7 +132,7 @@ def page(
 def write_kept_run(folder: Path, episode: "Episode") -> dict[str, Any]:
     """Write the folder of a run, as ``limslam run`` does, and return its metrics.
 
-    The policies of models and commands have no name that ``limslam run`` knows, so their folders have no ``run.toml``.
+    A command has no name that ``limslam run`` knows, so its folders have no ``run.toml``.
     """
     from limslam_agent.cli.options import RunOptions
     from limslam_agent.cli.settings import write_run_settings
@@ -155,5 +155,5 @@ def _print_board(found: "Board") -> None:
     from limslam_agent.arena.page import table_rows
     from limslam_env.messages import counted
 
-    typer.echo(f"track       {found.track}, {counted(len(found.plans), 'plan')}")
+    typer.echo(f"compared    {counted(len(found.plans), 'plan')}")
     print_table(table_rows(found))

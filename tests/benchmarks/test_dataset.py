@@ -95,7 +95,7 @@ def test_a_policy_that_stops_cuts_the_episode_short(monkeypatch):
 
 def test_no_plan_of_a_dataset_is_used_elsewhere():
     plans = range(DatasetConfig().first_plan, DatasetConfig().first_plan + 1_000_000)
-    others = [plan.world for plan in plans_of("exploration")] + [job.world for job in load_suite("explore").jobs]
+    others = [plan.world for plan in plans_of()] + [job.world for job in load_suite("explore").jobs]
     assert not {int(world.split(":")[1]) for world in others} & set(plans)
 
 

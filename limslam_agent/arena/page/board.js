@@ -2,7 +2,6 @@
 
 const board = JSON.parse(document.getElementById('data').textContent);
 const byId = (id) => document.getElementById(id);
-const isMapping = board.track === 'mapping';
 const COLOURS = ['#2667b2', '#c4530f', '#288c5c', '#8454aa', '#a88a00', '#14808e', '#a83e6e', '#6b7280'];
 const DASHES = [[], [8, 4], [2, 3], [10, 3, 2, 3]];
 
@@ -60,11 +59,9 @@ function entryColumns() {
     column('By', (row) => row.authors.join(', '), (row) => row.authors.join(', '), true),
   ];
   const place = column('Place', (row) => row.place, (row) => row.place ?? '-');
-  const score = (title, digits) => column(title, (row) => row.score.value, (row) => interval(row.score, digits));
-  const rank = plain('Mean rank', (row) => row.meanRank, 2);
-  if (isMapping) return [place, name, score('F1 at 5 cm', 3), rank, plain('Mapped', (row) => row.solved, 0), ...common];
+  const score = column('95 % after, s', (row) => row.score.value, (row) => interval(row.score, 1));
   return [
-    place, name, score('95 % after, s', 1), plain('80 % after, s', (row) => row.figures.plan_time_to_80_s, 1), rank,
+    place, name, score, plain('80 % after, s', (row) => row.figures.plan_time_to_80_s, 1),
     plain('Solved', (row) => row.solved, 0), plain('False claims', (row) => row.claimed, 0),
     plain('Correct coverage', (row) => row.figures.correct_coverage, 3),
     plain('F1 at 5 cm', (row) => row.figures.wall_f1_5cm, 3), plain('Touches', (row) => row.figures.touches, 2), ...common,
@@ -74,7 +71,7 @@ function entryColumns() {
 const DIGITS = {time_to_80_s: 1, plan_time_to_95_s: 1, touches: 0};
 
 function runColumns() {
-  const result = column('Result', (row) => row.lost, (row) => (row.lost ? element('span', `lost: ${row.lost}`, {class: 'lost'}) : isMapping ? 'mapped' : 'explored'), true);
+  const result = column('Result', (row) => row.lost, (row) => (row.lost ? element('span', `lost: ${row.lost}`, {class: 'lost'}) : 'explored'), true);
   const look = column('Inspector', (row) => row.link || row.folder, (row) => {
     if (row.link) return element('a', 'open', {href: row.link});
     return row.folder ? element('code', `limslam inspect ${row.folder}`) : '-';
@@ -91,17 +88,17 @@ let chosen = null;
 function show(entry) {
   chosen = entry;
   byId('runs-title').textContent = `Runs of ${entry.name}`;
-  byId('about').textContent = `${entry.about ? `${entry.about} ` : ''}Map: ${isMapping ? 'its own' : entry.preset}. Version ${entry.version}, commit ${entry.commit.slice(0, 12)}, files ${entry.digest}.`;
+  byId('about').textContent = `${entry.about ? `${entry.about} ` : ''}Map: ${entry.preset}. Version ${entry.version}, commit ${entry.commit.slice(0, 12)}, files ${entry.digest}.`;
   fill(byId('runs'), runColumns(), entry.rows);
   fill(byId('entries'), entryColumns(), board.entries, {rowClass: (row) => (row === chosen ? 'chosen' : '')});
 }
 
-// For times: the share of plans that were solved by then. For scores from 0 to 1: the share of plans above a score.
+// The share of plans that were solved by each time.
 function curves() {
-  const count = 121, top = isMapping ? 1 : board.longest;
-  const axis = Array.from({length: count}, (_, index) => (index * top) / (count - 1));
+  const count = 121;
+  const axis = Array.from({length: count}, (_, index) => (index * board.longest) / (count - 1));
   const share = (entry) => axis.map((value) => {
-    const passed = entry.values.filter((each, index) => (isMapping ? each >= value : each <= value && !entry.rows[index].lost));
+    const passed = entry.values.filter((each, index) => each <= value && !entry.rows[index].lost);
     return passed.length / entry.values.length;
   });
   return [axis, ...board.entries.map(share)];
@@ -117,7 +114,7 @@ function draw() {
   const options = {
     width: Math.max(byId('plot').clientWidth, 240), height: 300, legend: {show: false}, cursor: {show: false},
     scales: {x: {time: false}, y: {range: [0, 1.02]}},
-    axes: [{...axis, label: isMapping ? 'F1 at 5 cm' : 'Simulated time, s', labelSize: 22}, {...axis, size: 50, values: (_, values) => values.map((value) => `${Math.round(100 * value)} %`)}],
+    axes: [{...axis, label: 'Simulated time, s', labelSize: 22}, {...axis, size: 50, values: (_, values) => values.map((value) => `${Math.round(100 * value)} %`)}],
     series: [{}, ...board.entries.map((entry, index) => ({label: entry.name, stroke: colour(index), dash: dash(index), width: 2, points: {show: false}}))],
   };
   plot = new uPlot(options, curves(), byId('plot'));
@@ -126,16 +123,15 @@ function draw() {
 }
 
 function begin() {
-  const words = isMapping ? 'mean F1 of walls at 5 cm (more is better)' : 'mean time to 95 % coverage, where a lost plan counts as the longest time (less is better)';
+  const words = 'mean time to 95 % coverage, where a lost plan counts as the longest time (less is better)';
   byId('summary').textContent = `${board.plans.length} plans${board.secret ? ' from a secret seed' : ''}, the same for all entries. Order: ${words}. Intervals are 95 % bootstrap intervals of the mean. An entry without a place knows the truth.`;
-  byId('plot-title').textContent = isMapping ? 'Share of plans above a score' : 'Share of plans solved over time';
-  byId('plot-hint').textContent = isMapping ? 'A curve that is further to the upper right is better.' : 'A plan is solved at the time of 95 % true coverage, if at least 95 % are correct at the end. A curve that is further to the upper left is better.';
+  byId('plot-title').textContent = 'Share of plans solved over time';
+  byId('plot-hint').textContent = 'A plan is solved at the time of 95 % true coverage, if at least 95 % are correct at the end. A curve that is further to the upper left is better.';
   byId('legend').replaceChildren(...board.entries.map((entry, index) => element('li', [element('span', [], {style: `border-color: ${colour(index)}; border-top-style: ${dash(index).length ? 'dashed' : 'solid'}`}), entry.name])));
-  byId('pairs-hint').textContent = `Ranked entries on the same plans: the ${isMapping ? 'F1' : 'time'} of the second minus that of the first, and the p-value of Wilcoxon's signed-rank test, corrected for the number of pairs (Holm).`;
-  const digits = isMapping ? 3 : 1;
+  byId('pairs-hint').textContent = `Ranked entries on the same plans: the time of the second minus that of the first, and the p-value of Wilcoxon's signed-rank test, corrected for the number of pairs (Holm).`;
   fill(byId('pairs'), [
     column('First', (row) => row.first, (row) => row.first, true), column('Second', (row) => row.second, (row) => row.second, true),
-    column('Mean difference', (row) => row.difference.value, (row) => interval(row.difference, digits)),
+    column('Mean difference', (row) => row.difference.value, (row) => interval(row.difference, 1)),
     column('p', (row) => row.p, (row) => (row.p === null ? '-' : row.p < 0.001 ? '< 0.001' : row.p.toFixed(3))), plain('Plans', (row) => row.plans, 0),
   ], board.comparisons);
   show(board.entries[0]);

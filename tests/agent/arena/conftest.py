@@ -21,7 +21,7 @@ def examples() -> Path:
 @pytest.fixture
 def short_plans():
     """Plans of two seconds."""
-    return [replace(plan, max_time=2.0) for plan in plans_of("exploration")[:3]]
+    return [replace(plan, max_time=2.0) for plan in plans_of()[:3]]
 
 
 @pytest.fixture

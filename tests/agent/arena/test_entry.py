@@ -14,9 +14,8 @@ GOOD = MANIFEST.format(name="Mine")
 
 def test_the_shipped_entries_can_be_read(examples):
     found = {folder.name: read_entry(folder).manifest for folder in sorted(examples.iterdir())}
-    assert {"random", "wall_follower", "frontier", "learned", "oracle", "paper", "consistent", "graph"} <= set(found)
+    assert {"random", "wall_follower", "frontier", "learned", "oracle"} <= set(found)
     assert [name for name, manifest in found.items() if manifest.knows_truth] == ["oracle"]
-    assert found["graph"].track == "mapping"
 
 
 def test_learned_explorers_that_share_nothing_have_a_map_each(examples):
@@ -35,17 +34,12 @@ def test_learned_explorers_that_share_nothing_have_a_map_each(examples):
     ("old", "new", "message"),
     [
         ('name = "Mine"\n', "", "entry.toml: name is missing"),
-        ('kind = "shipped"', 'kind = "magic"', "shipped, python, model, command can be chosen, not 'magic'"),
+        ('kind = "shipped"', 'kind = "magic"', "shipped, python, command can be chosen, not 'magic'"),
         ('uses = "belief"', 'uses = "truth"', "random does not use the truth"),
         ('run = "random"', 'run = "oracle"', "oracle does use the truth"),
         ("robots = 2", "speed = 2", "speed"),
         ('run = "random"', 'command = ["drive"]', "a command has the key command"),
         ('kind = "shipped"\nrun = "random"', 'kind = "python"\nrun = "../mine.py:Mine"', "not in the folder"),
-        (
-            'kind = "shipped"\nrun = "random"\nuses = "belief"',
-            'kind = "model"\nrun = "m.h5"\nuses = "readings"',
-            "ends in .zip",
-        ),
         ('name = "Mine"', "name = ", "is not TOML"),
     ],
 )

@@ -10,8 +10,6 @@ import pytest
 from support.arena import MANIFEST, made_entry
 from support.command_line import call
 
-from limslam_agent.arena.entry import read_entry
-from limslam_agent.arena.mapping import map_drive
 from limslam_agent.arena.results import FORMAT, RUNS, STAMP, read_results
 from limslam_agent.arena.running import Job, run_entry, run_job
 from limslam_agent.arena.verify import differences, opened, verify
@@ -20,10 +18,6 @@ from limslam_agent.cli.main import main
 from limslam_agent.measurements.store import RESULTS, open_store, read_stamp
 
 PYTHON = MANIFEST.replace('kind = "shipped"\nrun = "random"', 'kind = "python"\nrun = "mine.py:Mine"')
-MAPPING = (
-    MANIFEST.format(name="Empty").replace('kind = "shipped"\nrun = "random"', 'kind = "command"')
-    .replace('"belief"', '"readings"') + 'track = "mapping"\ncommand = ["{python}", "empty.py", "{log}"]\n'
-)  # fmt: skip
 POLICY = """
 import numpy as np
 
@@ -121,39 +115,6 @@ def test_a_failure_of_the_entry_is_its_loss(tmp_path, short_plans, body, reason)
     assert row.metrics["plan_time_to_95_s"] == 2.0
 
 
-def test_a_command_and_an_estimator_map_a_recorded_drive(examples, tmp_path, short_plans):
-    # A world with a loop needs no planning of a tour, which takes seconds.
-    plan = replace(short_plans[0], world="square")
-    dead_reckoning = read_entry(examples / "dead_reckoning")
-    metrics = map_drive(dead_reckoning, plan, tmp_path / "out")
-    assert 0.0 < metrics["ate_final_m"] < 0.1
-    assert metrics["poses"] == 21
-    assert (tmp_path / "out" / "map.json").is_file()
-    paper = map_drive(read_entry(examples / "paper"), plan)
-    assert paper["ate_final_m"] < 0.1
-    assert paper["poses"] == 21
-
-
-@pytest.mark.parametrize(
-    ("program", "reason"),
-    [
-        ("", "the entry has written no trajectory.tum"),
-        ("import sys; sys.exit('no walls')", "{python}: ended with exit code 1: no walls"),
-        # The program gets no truth: its folder has the recording and its own folder only.
-        (
-            "import os, sys; sys.exit(' '.join(sorted(os.listdir(os.path.dirname(sys.argv[1])))))",
-            "{python}: ended with exit code 1: log.csv log.npz out",
-        ),
-        ("import sys; sys.exit(sys.argv[1])", "{python}: ended with exit code 1: log.npz"),
-    ],
-)
-def test_a_command_that_maps_nothing_has_lost(tmp_path, short_plans, program, reason):
-    entry = made_entry(tmp_path / "empty", MAPPING, empty=program)
-    row = run_job(Job(entry, replace(short_plans[0], world="square"), None, {}, ""))
-    assert row.error == reason
-    assert row.metrics["wall_f1_5cm"] == 0.0
-
-
 def test_results_of_something_else_are_not_continued(tmp_path, entry, short_plans):
     folder = tmp_path / "out"
     run_all(entry, [], folder)
@@ -226,8 +187,8 @@ def test_a_stamp_that_was_changed_is_noticed(tmp_path, entry):
     rewrite(is_secret=True)
     with pytest.raises(ValueError, match="is_secret is True, and its plans say otherwise"):
         opened(folder, None, 0)
-    rewrite(entry={**stamp["entry"], "track": "\n"})
-    with pytest.raises(ValueError, match=r"arena\.json: is damaged: entry: track: ") as refusal:
+    rewrite(entry={**stamp["entry"], "kind": "\n"})
+    with pytest.raises(ValueError, match=r"arena\.json: is damaged: entry: kind: ") as refusal:
         opened(folder, None, None)
     assert "\n" not in str(refusal.value)
 

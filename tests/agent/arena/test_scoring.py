@@ -9,7 +9,7 @@ import pytest
 from limslam_agent.arena.scoring import correct_coverage, exploration_scores, loss
 from limslam_agent.arena.tracks import plans_of
 
-PLAN = replace(plans_of("exploration")[0], max_time=100.0)
+PLAN = replace(plans_of()[0], max_time=100.0)
 TIME, COVERAGE = np.array([0.0, 10.0, 20.0, 30.0]), np.array([0.1, 0.8, 0.96, 0.99])
 
 

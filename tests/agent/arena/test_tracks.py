@@ -1,30 +1,29 @@
-"""The plans of a track: made from a seed, in fixed shares, and each a world that a robot can drive in."""
+"""Plans: made from a seed, in fixed shares, and each a world that a robot can drive in."""
 
 from collections import Counter
 
 import pytest
 
-from limslam_agent.arena.tracks import TRACKS, chosen, plans_of
+from limslam_agent.arena.tracks import COUNT, chosen, plans_of
 from limslam_env.worlds.formats.loading import load_world
 
 
-@pytest.mark.parametrize("track", TRACKS)
-def test_a_seed_gives_its_own_plans_every_time(track):
-    assert plans_of(track, 7) == plans_of(track, 7)
-    assert len(plans_of(track, 7)) == TRACKS[track]
-    assert not {plan.world for plan in plans_of(track, 7)} & {plan.world for plan in plans_of(track)}
+def test_a_seed_gives_its_own_plans_every_time():
+    assert plans_of(7) == plans_of(7)
+    assert len(plans_of(7)) == COUNT
+    assert not {plan.world for plan in plans_of(7)} & {plan.world for plan in plans_of()}
 
 
 @pytest.mark.parametrize("seed", [0, 12345])
 def test_settings_have_their_shares(seed):
-    plans = plans_of("exploration", seed)
+    plans = plans_of(seed)
     assert Counter(plan.robots for plan in plans) == {1: 70, 2: 30}
     assert Counter(plan.fault for plan in plans) == {"none": 55, "wheels": 15, "sharp": 15, "dropout": 15}
     assert {plan.noise for plan in plans} == {0.0, 0.02, 0.04}
 
 
 def test_faults_are_in_the_simulator_and_not_in_what_is_told():
-    plans = {plan.fault: plan for plan in plans_of("exploration")}
+    plans = {plan.fault: plan for plan in plans_of()}
     assert abs(plans["wheels"].true_noise.wheel_mismatch) == 0.02
     assert plans["dropout"].true_noise.dropout == 0.1
     assert plans["sharp"].true_noise.fold_back > 0.0
@@ -32,23 +31,16 @@ def test_faults_are_in_the_simulator_and_not_in_what_is_told():
 
 
 def test_worlds_can_be_driven_in():
-    for plan in plans_of("exploration", 3)[:5]:
+    for plan in plans_of(3)[:5]:
         load_world(plan.world).check(0.10)
 
 
 @pytest.mark.parametrize(("words", "numbers"), [("3", [0, 1, 2]), ("5-7", [5, 6, 7]), ("9,0, 4-5", [0, 4, 5, 9])])
 def test_plans_are_chosen(words, numbers):
-    assert [plan.number for plan in chosen(plans_of("exploration"), words)] == numbers
+    assert [plan.number for plan in chosen(plans_of(), words)] == numbers
 
 
 @pytest.mark.parametrize("words", ["", "0", "101", "95-100", "-3", "a", "5-3", "1.5"])
 def test_plans_that_do_not_exist_are_refused(words):
     with pytest.raises(ValueError, match="--plans: "):
-        chosen(plans_of("exploration"), words)
-
-
-def test_unknown_tracks_and_seeds_are_refused():
-    with pytest.raises(ValueError, match="there is no track 'racing'"):
-        plans_of("racing")
-    with pytest.raises(ValueError, match="a seed is 0 or more"):
-        plans_of("mapping", -1)
+        chosen(plans_of(), words)
