@@ -30,7 +30,7 @@ from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.mapping.team import LimSlamTeam
 from limslam_agent.measurements.processes import Processes
 from limslam_agent.output.atomic_write import replace_content
-from limslam_agent.runs.oracle import policies_by_belief
+from limslam_agent.runs.policies import policies_by_belief
 from limslam_agent.runs.results import drive_scores
 from limslam_agent.safe_files import load_arrays
 from limslam_agent.status.status import LEVELS

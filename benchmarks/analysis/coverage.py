@@ -18,7 +18,6 @@ LABELS = {
     "frontier": "frontier, 0.2 m/s",
     "frontier_fast": "frontier, 0.3 m/s",
     "learned": "PPO on belief",
-    "learned_true_pose": "PPO on true pose (oracle)",
 }
 """The displayed names of the policies, in the order of the table."""
 

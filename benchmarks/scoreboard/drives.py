@@ -3,23 +3,20 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import cast
 
 import numpy as np
 
 from benchmarks.scoreboard.rows import Row
 from benchmarks.suite.faults import DRIVE_FAULTS, Fault, drawn_slips, with_fault
 from benchmarks.suite.work import world_source
-from limslam_agent.belief import Belief
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.policies.controller import TURN_RATE, wheel_speeds
 from limslam_agent.policies.simple_policies import LAP_SPEED
-from limslam_agent.runs.oracle import Oracle
+from limslam_agent.runs.policies import Tour
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.bounds.roadmap import Roadmap
-from limslam_env.bounds.tours import Speeds
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
-from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
@@ -101,8 +98,7 @@ def _from_place_to_place(env: LimSlamParallelEnv, start: FloatArray, generator: 
     """Drive to a place far from all where the robot has been, or to one that it may have seen before, and so on."""
     roads, been = Roadmap(env.world, env.robot.radius, start[:2]), [start[:2]]
 
-    def plan(pose: FloatArray, seen: BoolArray | None) -> FloatArray:
-        del seen
+    def plan(pose: FloatArray) -> FloatArray:
         while True:
             goal, _ = next_place(roads, been, generator)
             way = roads.way(pose[:2], goal) if np.hypot(*(goal - pose[:2])) > LEAST_WAY else None
@@ -110,12 +106,12 @@ def _from_place_to_place(env: LimSlamParallelEnv, start: FloatArray, generator: 
                 been.extend(way)
                 return way
 
-    oracle = Oracle(env.robot, Speeds(LAP_SPEED, TURN_RATE), plan, tours=1_000_000)
+    tour = Tour(env.robot, plan, tours=1_000_000)
 
     def drive(pose: FloatArray, is_touching: bool) -> FloatArray:
         del is_touching
-        oracle.observe_truth(env, pose, 0.0)
-        return oracle.act(cast("Belief", None))
+        tour.observe_truth(pose)
+        return tour.act(None)
 
     return drive
 

@@ -8,12 +8,12 @@ from pathlib import Path
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import PRESETS
 from limslam_agent.config.tables import SettingsError, read_toml, updated
-from limslam_agent.runs.oracle import POLICIES, is_privileged
+from limslam_agent.runs.policies import BELIEF_POLICIES
 from limslam_agent.runs.policy_file import file_and_name
 
 MANIFEST = "entry.toml"
 KINDS = ("shipped", "python", "command")
-USES = ("belief", "readings", "truth")
+USES = ("belief", "readings")
 MOST_ROBOTS = 2
 _NOT_IN_DIGEST = "hidden files, __pycache__ and files outside of the folder are not part of the entry's digest"
 _LONGEST_NAME, _MOST_FILES, _MOST_BYTES = 60, 1000, 500_000_000
@@ -36,8 +36,7 @@ class Manifest:
     command
         The words of the command. ``{python}`` stands for the Python that runs the arena.
     uses
-        What the entry acts on: ``belief`` (map and pose by the arena's mapper), ``readings`` or ``truth``. An entry
-        that uses the truth is not ranked.
+        What the entry acts on: ``belief`` (map and pose by the arena's mapper) or ``readings``.
     robots
         Largest number of robots that the entry drives. It loses plans with more robots.
     preset
@@ -69,17 +68,8 @@ class Manifest:
         if (self.kind == "command") != bool(self.command) or (self.kind == "command") == bool(self.run):
             raise ValueError("a command has the key command, and every other kind has the key run")
         self._check_run()
-        if (self.uses == "truth") != self.knows_truth:
-            raise ValueError(f"uses: {self.run or self.kind} does {'' if self.knows_truth else 'not '}use the truth")
         if self.uses == "belief" and self.kind == "command":
             raise ValueError("uses: a command acts on readings")
-        if self.knows_truth and self.robots > 1:
-            raise ValueError(f"robots: {self.run} is for one robot")
-
-    @property
-    def knows_truth(self) -> bool:
-        """Whether the entry knows the true pose or the true map."""
-        return self.kind == "shipped" and is_privileged(self.run)
 
     @property
     def is_process(self) -> bool:
@@ -88,7 +78,7 @@ class Manifest:
 
     def _check_run(self) -> None:
         if self.kind == "shipped":
-            _check_choice("run", self.run, tuple(name for name in POLICIES if name != "tour"))
+            _check_choice("run", self.run, BELIEF_POLICIES)
         if self.kind == "python" and (Path(self.run).is_absolute() or ".." in Path(self.run).parts):
             raise ValueError(f"run: {self.run!r} is not in the folder of the entry")
         if self.kind == "python" and not _counts(Path(self.run)):

@@ -33,7 +33,7 @@ class Standing:
     folder, stamp, rows
         The folder of its results, whose they are, and the rows of the plans.
     place
-        Its place from 1, which entries with equal scores share; None for an entry that knows the truth.
+        Its place from 1, which entries with equal scores share.
     values
         Its score in each plan (n,). A row without a score has the worst one.
     score
@@ -45,7 +45,7 @@ class Standing:
     folder: Path
     stamp: Stamp
     rows: list[Row]
-    place: int | None
+    place: int
     values: FloatArray
     score: Estimate
     figures: dict[str, float | None]
@@ -68,7 +68,7 @@ class Standing:
 
 @dataclass(frozen=True)
 class Comparison:
-    """Two ranked entries: the mean score of the second minus that of the first.
+    """Two entries: the mean score of the second minus that of the first.
 
     The p-value is that of a signed-rank test, corrected for the number of pairs; None if all values are equal.
     """
@@ -90,9 +90,9 @@ class Board:
     plans
         Numbers of the plans that all entries have run, on which they are compared.
     standings
-        The entries, best first. Entries that know the truth come last.
+        The entries, best first.
     comparisons
-        All pairs of ranked entries.
+        All pairs of entries.
     """
 
     is_secret: bool
@@ -121,19 +121,15 @@ def board(folders: Sequence[Path]) -> Board:
         raise ValueError("the folders have no plan in common")
     scored = [(folder, each, [rows[plan] for plan in plans]) for folder, each, rows in entries]
     values = {folder: _values(rows) for folder, _, rows in scored}
-    ranked = [folder for folder, each, _ in scored if each.entry.get("uses") != "truth"]
-    totals = {folder: round(float(values[folder].mean()), _DIGITS) for folder in ranked}
+    totals = {folder: round(float(each.mean()), _DIGITS) for folder, each in values.items()}
     standings = [
         Standing(
-            folder, each, rows, _place(totals, folder), values[folder], _mean(values[folder]), _figures(rows)
+            folder, each, rows, 1 + sum(total < totals[folder] for total in totals.values()), values[folder],
+            _mean(values[folder]), _figures(rows),
         )
-        for folder, each, rows in sorted(scored, key=lambda entry: totals.get(entry[0], np.inf))
+        for folder, each, rows in sorted(scored, key=lambda entry: totals[entry[0]])
     ]  # fmt: skip
     return Board(stamp.is_secret, plans, standings, _comparisons(standings))
-
-
-def _place(totals: dict[Path, float], folder: Path) -> int | None:
-    return 1 + sum(each < totals[folder] for each in totals.values()) if folder in totals else None
 
 
 def _mean(values: FloatArray) -> Estimate:
@@ -158,8 +154,8 @@ def _figures(rows: Sequence[Row]) -> dict[str, float | None]:
 
 
 def _comparisons(standings: Sequence[Standing]) -> list[Comparison]:
-    """All pairs of ranked entries, with p-values that are corrected for their number."""
-    pairs = list(combinations([each for each in standings if each.place is not None], 2))
+    """All pairs of entries, with p-values that are corrected for their number."""
+    pairs = list(combinations(standings, 2))
     # Differences by rounding only are none, and equal ones have equal ranks.
     differences = [np.round(second.values - first.values, _DIGITS) for first, second in pairs]
     p_values = holm([signed_rank(each) for each in differences])

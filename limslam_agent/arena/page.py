@@ -32,7 +32,7 @@ _COLUMNS = {
 def table_rows(found: Board) -> list[tuple[str, ...]]:
     """The leaderboard as rows of text, with headings."""
     rows = [
-        (str(each.place or "-"), each.name, *(_cell(each, *column) for column in _COLUMNS.values()))
+        (str(each.place), each.name, *(_cell(each, *column) for column in _COLUMNS.values()))
         for each in found.standings
     ]
     return [("place", "entry", *_COLUMNS), *rows]

@@ -28,7 +28,7 @@ def live(
     **told: Any,
 ) -> None:
     """Explore with a live robot, and draw its map. Ctrl-C stops the robot and draws the map of what it has seen."""
-    from limslam_agent.runs.oracle import check_belief_policy
+    from limslam_agent.runs.policies import check_belief_policy
 
     given = Given.read(config, {**told, "robot": robot})
     options = given.merged(LiveOptions(), ("agent", "robot"))
@@ -137,7 +137,7 @@ def _robot_of(hello: "Hello", described: "RobotSpec | None") -> "RobotSpec":
 
 def _agent(options: LiveOptions, config: "AgentConfig", robot: "RobotSpec", wired: "Wired") -> "LimSlamAgent":
     from limslam_agent.mapping.agent import LimSlamAgent
-    from limslam_agent.runs.oracle import policies_by_belief
+    from limslam_agent.runs.policies import policies_by_belief
 
     policies = policies_by_belief(options.policy, robot, config, robots=1, seed=0)
     return LimSlamAgent(robot, config, wired.policy(policies[0] if policies else None, config, robot))

@@ -153,7 +153,7 @@ class RunOptions(Bounded):
         str,
         told(
             _AGENT,
-            f"{_POLICIES} These policies use the true pose or the true map: learned_true_pose, tour, oracle.",
+            f"{_POLICIES} tour drives around the world's loop by the true pose.",
         ),
     ] = "frontier"
     until: _Until = "walls"

@@ -11,7 +11,7 @@ from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.mapping.team import LimSlamTeam
 from limslam_agent.runs.actor_checks import first_argument, is_policy
-from limslam_agent.runs.oracle import policies_by_belief
+from limslam_agent.runs.policies import policies_by_belief
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import NominalNoise, RobotSpec
 

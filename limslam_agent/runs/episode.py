@@ -18,7 +18,7 @@ from limslam_agent.places.saved_map import read_saved_map
 from limslam_agent.policies.policy import NOT_EXPLORED, Policy
 from limslam_agent.runs.actor_policy import ActorPolicy
 from limslam_agent.runs.kidnapping import another_place
-from limslam_agent.runs.oracle import Oracle, TruePoseExplorer, policies_for
+from limslam_agent.runs.policies import Tour, policies_for
 from limslam_agent.runs.policy_file import naming_lines_of
 from limslam_agent.runs.record import Episode
 from limslam_agent.runs.run_config import RunConfig
@@ -178,7 +178,7 @@ def _drive(
         told = [observed[name] for name in team.names]
         if alter is not None:
             told = [alter(each, infos[team.names[0]]["time"]) for each in told]
-        row = _decide(env, team, told, [infos[name] for name in team.names])
+        row = _decide(team, told, [infos[name] for name in team.names])
         rows.append(row)
         if watch is not None:
             watch(team, env, row["time"], row["coverage"])
@@ -191,12 +191,10 @@ def _drive(
         observed, _, _, _, infos = env.step(dict(zip(team.names, row["actions"], strict=True)))
 
 
-def _decide(
-    env: LimSlamParallelEnv, team: LimSlamTeam, observations: list[Observation], infos: list[dict[str, Any]]
-) -> _Row:
+def _decide(team: LimSlamTeam, observations: list[Observation], infos: list[dict[str, Any]]) -> _Row:
     """Let the robots observe and choose their actions; the record of the step."""
     truth, mapper = infos[0], team.mapper
-    _inform(team.policies, observations, env, truth)
+    _inform(team.policies, observations, truth)
     begin = time.perf_counter()
     team.observe(observations)
     actions = team.decide()
@@ -220,12 +218,10 @@ def _decide(
     }
 
 
-def _inform(
-    policies: Sequence[Policy], observations: Sequence[Observation], env: LimSlamParallelEnv, truth: dict[str, Any]
-) -> None:
-    """Tell what no belief holds: the truth to oracles, and the readings to actors."""
+def _inform(policies: Sequence[Policy], observations: Sequence[Observation], truth: dict[str, Any]) -> None:
+    """Tell what no belief holds: the true pose to a tour, and the readings to actors."""
     for policy, observation in zip(policies, observations, strict=True):
-        if isinstance(policy, Oracle | TruePoseExplorer):
-            policy.observe_truth(env, truth["pose"], truth["coverage"])
+        if isinstance(policy, Tour):
+            policy.observe_truth(truth["pose"])
         if isinstance(policy, ActorPolicy):
             policy.observe(observation)

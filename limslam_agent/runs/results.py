@@ -19,7 +19,7 @@ from limslam_agent.output.summary import calibration_record, place_records, reco
 from limslam_agent.output.tum import write_paths
 from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.optimum import offline_optimum
-from limslam_agent.runs.oracle import explores
+from limslam_agent.runs.policies import explores
 from limslam_agent.runs.policy_file import short_name
 from limslam_agent.runs.record import Episode, FinalMap
 from limslam_agent.runs.run_config import RunConfig

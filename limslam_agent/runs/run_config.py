@@ -9,7 +9,7 @@ from limslam_agent.config.presets import AgentConfig, preset, with_until
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.places.saved_map import read_saved_map
 from limslam_agent.policies.frontier_policy import least_reach, short_reach
-from limslam_agent.runs.oracle import check_policy
+from limslam_agent.runs.policies import TOUR, check_policy
 from limslam_env.config import NoiseConfig
 from limslam_env.envs.adapter import MAX_ROBOTS
 from limslam_env.interface import NominalNoise, RobotSpec
@@ -39,7 +39,7 @@ class RunConfig:
         Longest simulated time, s.
     laps
         Number of laps of the world's loop to drive instead of exploring. 0 explores. With the policy ``tour``, the
-        number of times that the tour is driven.
+        number of rounds.
     robot
         Body and beams of each robot.
     robots
@@ -47,9 +47,8 @@ class RunConfig:
     ablation
         Part of the method that is switched off. None switches off nothing.
     policy
-        Name of the policy, as ``limslam run --policy`` takes it. ``tour`` drives around the world's loop, or without a
-        loop past everything that can be seen and back, and ``oracle`` past everything as fast as possible: both know
-        the truth, while the estimators listen.
+        Name of the policy, as ``limslam run --policy`` takes it. ``tour`` drives around the world's loop by the true
+        pose, while the estimators listen.
     limit
         Whether to also compare the run with the offline optimum of its log.
     settings
@@ -110,7 +109,7 @@ class RunConfig:
         if self.seed < 0:
             raise ValueError(f"a seed is 0 or more, not {self.seed}")
         world = load_world(self.world)
-        if self.laps and self.policy == "frontier" and len(world.loop) < 3:
+        if (self.laps or self.policy == TOUR) and len(world.loop) < 3:
             raise WorldError(f"world {world.name!r} has no loop to drive laps on")
         world.check(self.robot.radius)
 

@@ -1,38 +1,14 @@
-"""Exploration tours that are planned with the true map: a bound for the exploration time.
+"""Tours for a driver that knows the true map."""
 
-The shortest path from which everything is visible is the watchman route problem, which is NP-hard with obstacles (Chin
-and Ntafos, 1988). Therefore a greedy tour, which prefers near places that show many cells, is built and then improved.
-"""
-
-import functools
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from limslam_env.bounds.roadmap import Roadmap
-from limslam_env.bounds.tour_search import Worth, improved
-from limslam_env.geometry import BoolArray, FloatArray, IntArray, no_rows
+from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
-from limslam_env.simulation.coverage import BeamSweep, coverage_grid
 from limslam_env.worlds.world import World, WorldError
-
-GOAL = 0.99
-"""Fraction of the coverable cells that a tour has to see, as in the environments."""
-
-EVALUATIONS = 2000
-"""Number of changes that are tried to improve a tour."""
-
-MOST_CELLS = 300_000
-"""Coverable cells (3000 m^2) of the largest buildings that tours are planned for: planning takes minutes there."""
-
-# Exponents of the number of new cells, which is weighed against the travel time.
-_POWERS = (0.5, 0.75, 1.0, 1.5)
-_CANDIDATES, _NEIGHBOURHOOD, _MOST_VISITS = 12, 400, 2
-_PRICE = 0.25  # s for a cell that a tour leaves out: more than seeing one cell takes
-_VIEW = 0.05  # rad between the headings of a robot that turns around
-_MOST_POSES = 5_000_000  # that all evaluations may drive through together
 
 
 class Speeds(NamedTuple):
@@ -40,14 +16,6 @@ class Speeds(NamedTuple):
 
     drive: float
     turn: float
-
-
-def top_speeds(robot: RobotSpec) -> Speeds:
-    """The largest speeds that the wheels allow. Straight lines and turns on the spot are then time-optimal.
-
-    Balkcom and Mason, "Time optimal trajectories for bounded velocity differential drive vehicles" (2002).
-    """
-    return Speeds(robot.max_wheel_speed, 2.0 * robot.max_wheel_speed / robot.axle)
 
 
 def poses_along(start: FloatArray, way: FloatArray, robot: RobotSpec, speeds: Speeds) -> FloatArray:
@@ -72,58 +40,14 @@ def poses_along(start: FloatArray, way: FloatArray, robot: RobotSpec, speeds: Sp
     return np.column_stack((x, y, np.interp(steps, times, np.repeat(headings, 3)[2:])))
 
 
-def coverage_tour(
-    world: World,
-    robot: RobotSpec,
-    start: FloatArray,
-    *,
-    seen: BoolArray | None = None,
-    evaluations: int = EVALUATIONS,
-) -> FloatArray:
-    """A short tour at top speed from which the beams see ``GOAL``: a bound for the exploration time.
-
-    Parameters
-    ----------
-    world
-        The map.
-    robot
-        Body and beams.
-    start
-        Pose that the tour begins at (3,), m and rad.
-    seen
-        Cells that have been covered already (rows, columns); none if left out.
-    evaluations
-        Changes that are tried to improve it.
-
-    Returns
-    -------
-    waypoints
-        (k, 2), m: the robot turns on the spot towards each and drives there straight, at least
-        ``roadmap.LEAST_GAP`` off every wall. Empty where nothing is left to see. Where beams can see
-        what this robot cannot drive to safely, the tour may end before the goal. The same for the same arguments.
+def loop_tour(world: World, robot: RobotSpec, start: FloatArray, laps: int = 1) -> FloatArray:
+    """Waypoints (k, 2), m, of ``laps`` rounds of the world's loop from a pose (3,).
 
     Raises
     ------
     WorldError
-        If there is no room to drive at the start, or the building is too large.
+        If there is no room to drive at the start or along the loop.
     """
-    if seen is None:
-        return _tour(world, robot, _tuple(start), evaluations)
-    return Tours(world, robot, start, seen).best(evaluations)
-
-
-def closed_tour(
-    world: World, robot: RobotSpec, start: FloatArray, laps: int = 1, *, evaluations: int = EVALUATIONS
-) -> FloatArray:
-    """Waypoints (k, 2), m, of ``laps`` rounds: of the world's loop, or of a coverage tour that leads back to its start.
-
-    Raises
-    ------
-    WorldError
-        If there is no room to drive at the start or along the loop, or the building is too large.
-    """
-    if not len(world.loop):
-        return np.tile(_tour(world, robot, _tuple(start), evaluations, is_closed=True), (laps, 1))
     place = np.asarray(start, dtype=float)[:2]
     first = (int(np.argmin(np.hypot(*(world.loop - place).T))) + 1) % len(world.loop)
     corners = np.tile(np.roll(world.loop, -first, axis=0), (laps, 1))
@@ -132,127 +56,3 @@ def closed_tour(
     if any(way is None for way in ways):
         raise WorldError(f"world {world.name!r}: a robot of {robot.radius:g} m radius cannot drive along its loop")
     return np.vstack([way for way in ways if way is not None])
-
-
-@functools.lru_cache(maxsize=64)
-def _tour(
-    world: World, robot: RobotSpec, start: tuple[float, ...], evaluations: int, *, is_closed: bool = False
-) -> FloatArray:
-    way = Tours(world, robot, np.array(start), is_closed=is_closed).best(evaluations)
-    way.setflags(write=False)
-    return way
-
-
-def _tuple(start: FloatArray) -> tuple[float, ...]:
-    return tuple(np.asarray(start, dtype=float).tolist())
-
-
-class Tours:
-    """The tours of one robot from one start, and what they are worth.
-
-    Parameters
-    ----------
-    world, robot, start, seen
-        As :func:`coverage_tour` takes them.
-    is_closed
-        Whether tours lead back to the start.
-    """
-
-    def __init__(
-        self,
-        world: World,
-        robot: RobotSpec,
-        start: FloatArray,
-        seen: BoolArray | None = None,
-        *,
-        is_closed: bool = False,
-    ) -> None:
-        self._robot, self._speeds, self._is_closed = robot, top_speeds(robot), is_closed
-        self.start = np.asarray(start, dtype=float)
-        self._grid = coverage_grid(world, robot, self.start[None])
-        if self._grid.total > MOST_CELLS:
-            raise WorldError(f"world {world.name!r}: {self._grid.total} cells are too many for a tour ({MOST_CELLS})")
-        self.roads = Roadmap(world, robot.radius, self.start[:2])
-        self._sweep = BeamSweep(world, robot, self._grid)
-        self._seen = np.zeros_like(self._grid.coverable) if seen is None else seen
-        wanted = math.ceil(GOAL * self._grid.total - 1e-9)
-        self._needed = max(wanted - int(np.count_nonzero(self._seen & self._grid.coverable)), 0)
-        self._views = np.array([self._view(place) for place in self.roads.places])
-
-    def best(self, evaluations: int) -> FloatArray:
-        """The best tour (k, 2) that is found, m."""
-        ways = [self._greedy(power) for power in _POWERS]
-        way = min(ways, key=lambda tour: self.worth(tour).cost)
-        if not len(way):
-            return way
-        # Large buildings have long tours, and fewer changes are tried.
-        length = len(poses_along(self.start, way, self._robot, self._speeds))
-        return self.whole(improved(self, way, min(evaluations, _MOST_POSES // length), np.random.default_rng(0)))
-
-    def worth(self, way: FloatArray) -> Worth:
-        """What a tour (k, 2), m, costs, s, and what it misses."""
-        seen = self._seen.copy()
-        way = self.whole(way)
-        covered = np.cumsum(self._sweep.mark(poses_along(self.start, way, self._robot, self._speeds), seen))
-        missing = max(self._needed - int(covered[-1]), 0)
-        # An open tour is over as soon as enough has been seen.
-        last = len(covered) - 1 if missing or self._is_closed else int(np.searchsorted(covered, self._needed))
-        left = np.flatnonzero((self._grid.coverable & ~seen).ravel())
-        return Worth(last * self._robot.control_period + _PRICE * missing, missing, left)
-
-    def whole(self, way: FloatArray) -> FloatArray:
-        """A tour (k, 2), m, with the way back to the start if it is to be closed."""
-        if not self._is_closed or not len(way):
-            return way
-        back = self.roads.way(way[-1], self.start[:2])
-        return way if back is None else np.vstack((way, back))
-
-    def places_that_see(self, cell: int) -> IntArray:
-        """Numbers of the places from which a cell, by its number in the coverage grid, can be seen."""
-        return np.flatnonzero(self._views[:, cell >> 3] >> (7 - (cell & 7)) & 1)
-
-    def _view(self, place: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.uint8]]:
-        """The coverable cells that a robot sees when it turns around, one bit each."""
-        headings = np.arange(0.0, 2.0 * math.pi, _VIEW)
-        seen = np.zeros_like(self._grid.coverable)
-        self._sweep.mark(np.column_stack((np.broadcast_to(place, (len(headings), 2)), headings)), seen)
-        return np.packbits(seen & self._grid.coverable)
-
-    def _greedy(self, power: float) -> FloatArray:
-        """Go again and again to where the most new cells are seen in the least time: nearest neighbours first."""
-        at, pose, seen, way = 0, self.start, self._seen.copy(), [no_rows(2)]
-        covered = int(self._sweep.mark(pose[None], seen).sum())
-        visits = np.zeros(len(self.roads.places), dtype=np.intp)
-        while covered < self._needed:
-            best, best_score = None, -1.0
-            for place in self._worth_a_visit(at, seen, visits, power):
-                leg = self.roads.way(self.roads.places[at], self.roads.places[place])
-                if leg is None:
-                    continue
-                poses, then = poses_along(pose, leg, self._robot, self._speeds), seen.copy()
-                new = int(self._sweep.mark(poses, then).sum())
-                # If no path shows a new cell, go to the nearest place.
-                score = (new**power + 1e-9) / len(poses)
-                if score > best_score:
-                    best, best_score = (int(place), leg, poses[-1], then, new), score
-            if best is None:
-                break
-            at, leg, pose, seen, new = best
-            covered += new
-            visits[at] += 1
-            way.append(leg)
-        return np.vstack(way)
-
-    def _worth_a_visit(self, at: int, seen: BoolArray, visits: IntArray, power: float) -> IntArray:
-        """Places with something new to see: the nearest, and those with the most of it for their distance."""
-        lengths = np.where(visits < _MOST_VISITS, self.roads.lengths_from(at), np.inf)
-        lengths[at] = np.inf
-        near, unseen = np.argsort(lengths, kind="stable"), np.packbits(~seen)
-        for some in (near[:_NEIGHBOURHOOD], near):
-            places = some[lengths[some] < np.inf]
-            new = np.bitwise_count(self._views[places] & unseen).sum(axis=1)
-            places, new = places[new > 0], new[new > 0]
-            if len(places):
-                rich = np.argsort(-(new**power) / (lengths[places] + 0.3), kind="stable")
-                return np.union1d(places[:_CANDIDATES], places[rich[:_CANDIDATES]])
-        return np.zeros(0, dtype=np.intp)

@@ -6,11 +6,9 @@ grid's lower left corner x, y and its cell side, m.
 
 import math
 
-from limslam_env.compilation import inlined, lean_entry, merged
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.kernels.rays import crossings, first_wall, is_due, turned
-from limslam_env.kernels.tables import FROM_X, FROM_Y, LONGEST_RANGE, OFFSET, TOWARDS_X, TOWARDS_Y
-from limslam_env.kernels.wall_cells import scene_walls
+from limslam_env.compilation import inlined, merged
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.kernels.rays import crossings
 
 # A body may overlap a wall by this much, m, and must not count as seeing the cells behind the wall.
 BODY_MARGIN = 1e-3
@@ -72,39 +70,3 @@ def mark_disc(seen: BoolArray, coverable: BoolArray, area: FloatArray, x: float,
                 seen[row, column] = True
                 new += coverable[row, column]
     return new
-
-
-@lean_entry
-def sweep(
-    poses: FloatArray,
-    step: int,
-    radius: float,
-    beams: FloatArray,
-    edges: FloatArray,
-    cell_starts: IntArray,
-    cell_edges: IntArray,
-    grid: FloatArray,
-    seen: BoolArray,
-    coverable: BoolArray,
-    area: FloatArray,
-    new_cells: IntArray,
-) -> None:
-    """Mark what one robot covers at poses (n, 3), m and rad, one after the other from ``step`` on, and alone there.
-
-    Beams, walls and grid are those of :func:`~limslam_env.kernels.observation.drive_and_observe`. ``new_cells`` (n,) is
-    set to how many cells each pose adds.
-    """
-    walls = scene_walls(edges, cell_starts, cell_edges, grid)
-    for number in range(len(poses)):
-        body_x, body_y, heading = poses[number, 0], poses[number, 1], poses[number, 2]
-        cos, sin = math.cos(heading), math.sin(heading)
-        new = mark_disc(seen, coverable, area, body_x, body_y, radius)
-        for beam in range(len(beams)):
-            if is_due(beams, beam, step + number):
-                offset = beams[beam, OFFSET]
-                dx, dy = turned(beams[beam, TOWARDS_X], beams[beam, TOWARDS_Y], cos, sin)
-                x, y = turned(beams[beam, FROM_X], beams[beam, FROM_Y], cos, sin)
-                x, y, reach = body_x + x - offset * dx, body_y + y - offset * dy, beams[beam, LONGEST_RANGE] + offset
-                distance, _ = first_wall(x, y, dx, dy, reach, walls)
-                new += mark_ray(seen, coverable, area, x, y, dx, dy, distance)
-        new_cells[number] = new

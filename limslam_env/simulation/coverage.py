@@ -5,11 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
-from limslam_env.kernels.coverage import sweep
 from limslam_env.kernels.floor import look_out
-from limslam_env.simulation.sensors import beam_table, build_wall_index
+from limslam_env.simulation.sensors import build_wall_index
 from limslam_env.worlds.world import World
 
 CELL = 0.10
@@ -85,35 +84,3 @@ def coverage_grid(world: World, robot: RobotSpec, starts: FloatArray) -> Coverag
     # A robot may stand where the grid of free space is too coarse to hold it.
     loose = tuple((float(x), float(y)) for (x, y, _), label in zip(starts, labels, strict=True) if label == 0)
     return _coverage_grid(world, robot, frozenset(labels) - {0}, loose)
-
-
-class BeamSweep:
-    """The coverage of a robot along a given path, counted as in a simulation.
-
-    Parameters
-    ----------
-    world, robot
-        Whose walls and whose beams.
-    grid
-        The cells that count.
-    """
-
-    def __init__(self, world: World, robot: RobotSpec, grid: CoverageGrid) -> None:
-        self.grid = grid
-        self._scene, self._beams = build_wall_index(world.edges).scene, beam_table(robot)
-        self._radius = robot.radius
-
-    def mark(self, poses: FloatArray, seen: BoolArray, step: int = 0) -> IntArray:
-        """Set in ``seen`` (rows, columns) the cells covered at poses (n, 3), m and rad, the first of them at ``step``.
-
-        Returns
-        -------
-        new_cells
-            (n,), how many coverable cells each pose was the first to cover.
-        """
-        new_cells = np.zeros(len(poses), dtype=np.int64)
-        sweep(
-            np.ascontiguousarray(poses), step, self._radius, self._beams, *self._scene,
-            seen, self.grid.coverable, self.grid.area, new_cells,
-        )  # fmt: skip
-        return new_cells

@@ -166,7 +166,7 @@ def test_a_drive_that_fails_is_named(tmp_path, monkeypatch):
     ("arguments", "message"),
     [
         (["--plans", "0"], "a dataset has 1 to 1000000 plans, not 0"),
-        (["--policies", "oracle"], "no policy 'oracle' can drive for a dataset"),
+        (["--policies", "tour"], "no policy 'tour' can drive for a dataset"),
         (["--policies", "random,random"], "each policy is named once"),
         (["--max-time", "0"], "a drive takes at most"),
     ],

@@ -58,7 +58,7 @@ function entryColumns() {
     column('Acts on', (row) => row.uses, (row) => row.uses, true),
     column('By', (row) => row.authors.join(', '), (row) => row.authors.join(', '), true),
   ];
-  const place = column('Place', (row) => row.place, (row) => row.place ?? '-');
+  const place = column('Place', (row) => row.place, (row) => row.place);
   const score = column('95 % after, s', (row) => row.score.value, (row) => interval(row.score, 1));
   return [
     place, name, score, plain('80 % after, s', (row) => row.figures.plan_time_to_80_s, 1),
@@ -124,11 +124,11 @@ function draw() {
 
 function begin() {
   const words = 'mean time to 95 % coverage, where a lost plan counts as the longest time (less is better)';
-  byId('summary').textContent = `${board.plans.length} plans${board.secret ? ' from a secret seed' : ''}, the same for all entries. Order: ${words}. Intervals are 95 % bootstrap intervals of the mean. An entry without a place knows the truth.`;
+  byId('summary').textContent = `${board.plans.length} plans${board.secret ? ' from a secret seed' : ''}, the same for all entries. Order: ${words}. Intervals are 95 % bootstrap intervals of the mean.`;
   byId('plot-title').textContent = 'Share of plans solved over time';
   byId('plot-hint').textContent = 'A plan is solved at the time of 95 % true coverage, if at least 95 % are correct at the end. A curve that is further to the upper left is better.';
   byId('legend').replaceChildren(...board.entries.map((entry, index) => element('li', [element('span', [], {style: `border-color: ${colour(index)}; border-top-style: ${dash(index).length ? 'dashed' : 'solid'}`}), entry.name])));
-  byId('pairs-hint').textContent = `Ranked entries on the same plans: the time of the second minus that of the first, and the p-value of Wilcoxon's signed-rank test, corrected for the number of pairs (Holm).`;
+  byId('pairs-hint').textContent = `Entries on the same plans: the time of the second minus that of the first, and the p-value of Wilcoxon's signed-rank test, corrected for the number of pairs (Holm).`;
   fill(byId('pairs'), [
     column('First', (row) => row.first, (row) => row.first, true), column('Second', (row) => row.second, (row) => row.second, true),
     column('Mean difference', (row) => row.difference.value, (row) => interval(row.difference, 1)),

@@ -23,17 +23,15 @@ def folders(tmp_path):
     for name, times in TIMES.items():
         entry = made_entry(tmp_path / "entries" / name[:4], MANIFEST.format(name=name))
         made.append(made_results(tmp_path / name[:4], entry, times, claims=(7,)))
-    oracle = MANIFEST.replace("random", "oracle").replace("belief", "truth").replace("robots = 2", "robots = 1")
-    entry = made_entry(tmp_path / "entries" / "oracle", oracle.format(name="Oracle"))
-    return [*made, made_results(tmp_path / "oracle", entry, dict.fromkeys(range(8), 50.0))]
+    return made
 
 
 def test_the_mean_time_decides_and_lost_plans_cost_the_longest_time(folders):
     found = board(folders)
     assert [(each.name, each.place) for each in found.standings] == [
-        ("Fast", 1), ("Wrong <b>", 2), ("Slow", 3), ("Oracle", None),
+        ("Fast", 1), ("Wrong <b>", 2), ("Slow", 3),
     ]  # fmt: skip
-    fast, wrong, slow, _ = found.standings
+    fast, wrong, slow = found.standings
     assert wrong.score.value == pytest.approx((6 * 90.0 + 2 * 240.0) / 8)
     assert (wrong.solved, wrong.claimed) == (6, 1)
     assert slow.score.low == slow.score.high == 200.0
@@ -113,11 +111,11 @@ def column_of(opened, table, number):
 
 
 def test_the_page_shows_entries_runs_and_curves(opened):
-    assert column_of(opened, "entries", 1) == ["Fast", "Wrong <b>", "Slow", "Oracle"]
-    assert column_of(opened, "entries", 0) == ["1", "2", "3", "-"]
+    assert column_of(opened, "entries", 1) == ["Fast", "Wrong <b>", "Slow"]
+    assert column_of(opened, "entries", 0) == ["1", "2", "3"]
     assert column_of(opened, "pairs", 0) == ["Fast", "Fast", "Wrong <b>"]
     assert column_of(opened, "pairs", 1) == ["Wrong <b>", "Slow", "Slow"]
-    assert opened.run("plot.series.length") == 5
+    assert opened.run("plot.series.length") == 4
     drawn = "new Set(new Uint32Array(plot.ctx.getImageData(0, 0, plot.ctx.canvas.width, 300).data.buffer)).size"
     assert opened.run(drawn) > 20
     # Wrong has solved six of its eight plans after 90 s, and no more at the end.

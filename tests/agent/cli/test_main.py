@@ -148,7 +148,7 @@ def test_laps_drive_round_the_square(tmp_path):
         (("run", "--world", "atlantis"), "atlantis"),
         (("run", "--max-time", "0"), "--max-time must be a number from 0.001 to 1e+06, not 0.0"),
         (("run", "--policy", "magic"), "no policy is called 'magic'"),
-        (("run", "--policy", "oracle", "--robots", "2"), "for one robot"),
+        (("run", "--policy", "tour", "--robots", "2"), "for one robot"),
         (("fly",), "fly"),
         (("replay", "missing.log"), "missing.log"),
         (("replay", "{log}", "--beams", "90,120"), "120"),

@@ -119,7 +119,7 @@ def test_a_robot_behind_a_serial_port_is_driven_and_stopped(emulator, tmp_path):
     [
         ((), "either --serial PORT, --udp PORT or --ros2 is needed"),
         (("--udp", 9, "--serial", "x"), "--serial and --udp are different places: the robot is at one of them only"),
-        (("--udp", 0, "--policy", "oracle"), "the policy 'oracle' knows the truth"),
+        (("--udp", 0, "--policy", "tour"), "the policy 'tour' knows the truth"),
         (("--udp", 70000), "a UDP port is a number up to 65535, not 70000"),
         (("--serial", "/dev/there-is-none"), "there-is-none: cannot be opened"),
         (("--udp", 0, "--patience", 0.1), "no robot has answered within 0.1 s"),

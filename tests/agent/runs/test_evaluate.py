@@ -166,7 +166,7 @@ def test_a_wrapped_environment_shows_the_actor_what_it_was_made_for():
         ({"robot_0": spin, "robot_1": LimSlamAgent(FAST)}, "limslam/Env1-v0", {}, "LimSlamAgent was made for another"),
         (Trained(FLAT), "LimSlam-Env1-v0", {}, r"shape \(8,\)\).*\(ranges \(6,\), wheels \(2,\)\).*by wrap="),
         ("fronteer", "LimSlam-Env1-v0", {}, "no policy is called 'fronteer'; there are frontier, "),
-        ("oracle", "LimSlam-Env1-v0", {}, "the policy 'oracle' knows the truth: use limslam run --policy oracle"),
+        ("tour", "LimSlam-Env1-v0", {}, "the policy 'tour' knows the truth: use limslam run --policy tour"),
     ],
 )
 def test_what_cannot_act_is_refused_in_one_line(actor, env_id, arguments, words):
