@@ -15,7 +15,7 @@ FRAMES, SECONDS = 90, 12.0
 WIDTH = 960
 LAST = 75  # frames of a video that show its end
 STILL = 0.55  # share of the video after which ``film.png`` is taken
-ROWS = slice(110, 600)  # of a frame of Env2, which show the two pictures
+ROWS = slice(118, 556)  # of a frame of Env2, which show the two pictures
 
 
 def main(video: Path) -> None:

@@ -10,9 +10,7 @@ def export(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a finished run or replay.")],
     *,
     csv: Annotated[bool, typer.Option("--csv", help="Tables: trajectories, walls, and the log of readings.")] = False,
-    dxf: Annotated[bool, typer.Option("--dxf", help="Walls and paths for a CAD program: map.dxf.")] = False,
-    bag: Annotated[bool, typer.Option("--bag", help="A ROS 2 bag: the folder bag.")] = False,
-    mcap: Annotated[bool, typer.Option("--mcap", help="The same messages for Foxglove: run.mcap.")] = False,
+    bag: Annotated[bool, typer.Option("--bag", help="A ROS 2 bag, whose file Foxglove opens, too: the folder bag.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for the files.", show_default="DIR/export")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace existing files.")] = False,
 ) -> None:
@@ -20,9 +18,9 @@ def export(
     from limslam_agent.output.formats.export import export_run
     from limslam_env.messages import printable
 
-    wanted = {"csv": csv, "dxf": dxf, "bag": bag, "mcap": mcap}
+    wanted = {"csv": csv, "bag": bag}
     formats = [name for name, is_wanted in wanted.items() if is_wanted]
     if not formats:
-        raise ValueError("a format is needed: --csv, --dxf, --bag or --mcap")
+        raise ValueError("a format is needed: --csv or --bag")
     for path in export_run(folder, out or folder / "export", formats, force=force):
         typer.echo(printable(f"written     {path}"))

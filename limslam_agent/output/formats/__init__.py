@@ -1,1 +1,1 @@
-"""A finished run in the formats of other programs: tables, drawings for CAD, ROS 2 bags and MCAP."""
+"""A finished run in the formats of other programs: tables and ROS 2 bags."""

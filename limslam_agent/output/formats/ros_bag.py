@@ -1,7 +1,6 @@
-"""Writes a run as messages of ROS 2: a bag, or an MCAP file for Foxglove. rosbags is an extra; ROS is not needed."""
+"""Writes a run as messages of ROS 2: a bag, whose file Foxglove opens, too. rosbags is an extra; ROS is not needed."""
 
 import math
-import shutil
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -31,41 +30,20 @@ class _Told:
 
 
 def write_bag(folder: Path, exported: ExportedRun) -> list[Path]:
-    """Write the folder ``bag``, a ROS 2 bag with SQLite.
+    """Write the folder ``bag``, a ROS 2 bag in the format MCAP, whose file has the schemas of its messages.
 
     Raises
     ------
     ValueError
         If rosbags is not installed.
     """
-    _write(folder / "bag", exported, mcap=False)
-    return [folder / "bag"]
-
-
-def write_mcap(folder: Path, exported: ExportedRun) -> list[Path]:
-    """Write ``run.mcap`` with the same messages and their schemas.
-
-    Raises
-    ------
-    ValueError
-        If rosbags is not installed.
-    """
-    target, beside = folder / "run.mcap", folder / "mcap"
-    _write(beside, exported, mcap=True)
-    next(beside.glob("*.mcap")).replace(target)
-    shutil.rmtree(beside)
-    return [target]
-
-
-def _write(folder: Path, exported: ExportedRun, *, mcap: bool) -> None:
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
         from rosbags.typesys import Stores, get_typestore
     except ImportError as error:
         raise ValueError("bags are written with rosbags: pip install 'limslam[ros]'") from error
     types = get_typestore(Stores.ROS2_HUMBLE)
-    plugin = StoragePlugin.MCAP if mcap else StoragePlugin.SQLITE3
-    with Writer(folder, version=9, storage_plugin=plugin) as writer:
+    with Writer(folder / "bag", version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connections: dict[str, Any] = {}
         for told in sorted(_Messages(types, exported).all(), key=lambda told: told.time):
             kind = told.content.__msgtype__
@@ -73,6 +51,7 @@ def _write(folder: Path, exported: ExportedRun, *, mcap: bool) -> None:
                 connections[told.topic] = writer.add_connection(told.topic, kind, typestore=types)
             stamp = round(told.time * 1e9)
             writer.write(connections[told.topic], stamp, types.serialize_cdr(told.content, kind))
+    return [folder / "bag"]
 
 
 class _Messages:
