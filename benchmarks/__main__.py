@@ -1,4 +1,4 @@
-"""``python -m benchmarks``: suites of runs (``run``), their tables, training and datasets.
+"""``python -m benchmarks``: suites of runs (``run``), their tables, and training.
 
 What takes long to import is imported inside the commands, so that help comes at once.
 """
@@ -26,7 +26,7 @@ app = typer.Typer(
 )
 
 # The commands that keep what is done, and go on with it.
-_GO_ON = "run", "dataset", "scoreboard", "baselines"
+_GO_ON = "run", "scoreboard"
 
 Folders = Annotated[list[Path], typer.Argument(help="Folders of results that `run` has made.")]
 Workers = Annotated[int | None, typer.Option(min=1, help="Jobs at once.", show_default="one a core")]
@@ -101,42 +101,6 @@ def train(
 
 
 @app.command()
-def baselines(
-    out: Annotated[Path, typer.Option(help="Folder of the results.")] = Path("runs/baselines"),
-    steps: Annotated[int, typer.Option(help="Decisions of training for each learner and seed.")] = 100_000,
-    seeds: Annotated[int, typer.Option(help="Number of seeds.")] = 5,
-) -> None:
-    """Train PPO without a map and PPO on the belief, and print their sample efficiency (extra rl)."""
-    try:
-        from benchmarks.baselines import BaselineConfig, efficiency_table, train_baselines
-    except ModuleNotFoundError as error:
-        raise ValueError(f"training needs {error.name}: pip install -e '.[rl]'") from error
-    train_baselines(BaselineConfig(steps, seeds), out, typer.echo)
-    typer.echo(efficiency_table(out).rstrip("\n"))
-
-
-@app.command()
-def dataset(
-    out: Annotated[Path, typer.Option(help="Folder of the datasets.")] = Path("runs/dataset"),
-    plans: Annotated[int, typer.Option(help="Number of random floor plans.")] = 1000,
-    policies: Annotated[str, typer.Option(help="Names of the policies, with commas.")] = "frontier,learned,random",
-    max_time: Annotated[float, typer.Option(help="Longest simulated time of a drive, s.")] = 300.0,
-    workers: Workers = None,
-    retry_failed: Retry = False,
-) -> int:
-    """Record drives as Minari datasets (extra datasets). The same command goes on after a kill."""
-    from benchmarks.dataset import DatasetConfig, make_dataset, require_minari
-
-    require_minari()
-    config = DatasetConfig(plans, policies=_names(policies), max_time=max_time)
-    summary = make_dataset(config, out, _processes(workers), retry_failed=retry_failed)
-    if summary is None:
-        typer.echo(f"complete    {out}")
-        return 0
-    return _end(summary, [f"drives: {summary.words}", f"dataset     {out}"])
-
-
-@app.command()
 def scoreboard(
     out: Annotated[Path, typer.Argument(help="Folder of the results.")],
     rows: Annotated[str, typer.Option(help='Names of rows, with commas; "drive*" for all that begin so.')] = "",
@@ -175,14 +139,6 @@ def table(folders: Folders) -> None:
     from benchmarks.suite.store import read_rows
 
     typer.echo(tabulate(read_rows(*folders)).rstrip("\n"))
-
-
-@app.command()
-def curves(folders: Folders) -> None:
-    """Print how soon explorers see the same floor plans."""
-    from benchmarks.analysis.coverage import curve_table, read_curves
-
-    typer.echo(curve_table(read_curves(folders)).rstrip("\n"))
 
 
 @app.command()

@@ -131,23 +131,19 @@ COMPOSITION = {
     "limslam_agent.cli",
     "limslam_agent.live.emulator",
 }
-# Benchmarks may use all of the simulator and the agent. Among themselves: suite <- analysis, training, dataset,
-# scoreboard; baselines and speed beside.
+# Benchmarks may use all of the simulator and the agent. Among themselves: suite <- analysis, training,
+# scoreboard; speed beside.
 BENCHMARKS = {
     "benchmarks": set(),
     "benchmarks.suite": set(),
     "benchmarks.analysis": {"benchmarks.suite"},
     "benchmarks.training": {"benchmarks.suite"},
-    "benchmarks.baselines": set(),
-    "benchmarks.dataset": {"benchmarks.suite"},
     "benchmarks.scoreboard": {"benchmarks.suite"},
     "benchmarks.speed": set(),
     "benchmarks.__main__": {
         "benchmarks.suite",
         "benchmarks.analysis",
         "benchmarks.training",
-        "benchmarks.baselines",
-        "benchmarks.dataset",
         "benchmarks.scoreboard",
         "benchmarks.speed",
     },

@@ -44,7 +44,7 @@ def measure(rows: Mapping[str, Row], jitter: float, job: Job) -> Outcome:
     warm_up()
     scores = _KINDS[row.kind](row, job, jitter)
     cost: dict[str, float] = {name: scores.pop(name) for name in CPU if name in scores}
-    return Outcome(plain(scores), cost, {}, "")
+    return Outcome(plain(scores), cost, "")
 
 
 @functools.cache

@@ -5,7 +5,6 @@ import json
 from dataclasses import asdict, dataclass
 from typing import Any, TypeAlias
 
-from limslam_env.geometry import FloatArray
 from limslam_env.messages import counted
 
 LAPS_POLICY = "laps"
@@ -102,15 +101,12 @@ class Outcome:
     metrics, cost
         As in a run's ``result.json``. :mod:`benchmarks.suite.runner` adds ``job_s`` and ``job_cpu_s`` to ``cost``, of
         the whole job with its scores.
-    series
-        Arrays for the plots, by name; see ``docs/benchmark.md``.
     config
         Digest of the agent's settings, the robot, and the world.
     """
 
     metrics: dict[str, Metric]
     cost: dict[str, float]
-    series: dict[str, FloatArray]
     config: str
 
 

@@ -11,7 +11,7 @@ from typing import TypeAlias
 from unittest.mock import patch
 
 from benchmarks.suite.jobs import Job, Outcome
-from benchmarks.suite.store import FORMAT, Row, Stamp, has_series, row_of
+from benchmarks.suite.store import FORMAT, Row, Stamp, row_of
 from benchmarks.suite.suite import Suite
 from benchmarks.suite.work import run_job
 from limslam_agent.cli.terminal import progress_bar
@@ -80,7 +80,7 @@ def run_suite(
     stamp = Stamp(suite.name, suite.digest, len(suite.jobs), package_versions(), commit())
 
     def keep(row: Row) -> bool:
-        return has_series(folder, row) and not (retry_failed and row.error)
+        return not (retry_failed and row.error)
 
     with open_store(FORMAT, folder, stamp, keep) as store, patch.dict(os.environ, ONE_THREAD):
         missing = [job for job in suite.jobs if job.key not in store.rows]
@@ -88,7 +88,7 @@ def run_suite(
         running = closing(processes.run(missing, partial(timed, work)))
         with progress_bar(suite.name, len(suite.jobs)) as advance, running as results:
             for job, result in results:
-                row = row_of(folder, stamp, job, result)
+                row = row_of(stamp, job, result)
                 store.append(row)
                 failed += row.error is not None
                 advance(len(store.rows), f"{failed} failed")

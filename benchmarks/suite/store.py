@@ -1,21 +1,14 @@
-"""The results of a suite in a folder: one line of JSON for each job, and the series of each job in a file.
+"""The results of a suite in a folder: one line of JSON for each job."""
 
-The series of a job are written before its line.
-"""
-
-import zipfile
 from collections.abc import Hashable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-import numpy as np
-
 from benchmarks.suite.jobs import Job, Metric, Outcome
 from limslam_agent.measurements import store
 from limslam_agent.measurements.processes import Failure
-from limslam_agent.output.atomic_write import atomic_write
 
-STAMP, SERIES = "suite.json", "series"
+STAMP = "suite.json"
 
 
 @dataclass(frozen=True)
@@ -33,8 +26,6 @@ class Row:
     versions, commit, config
         Origin of the result: versions of packages, the commit of the checkout, and a digest of the agent's settings and
         world.
-    series
-        File of the arrays for the plots, relative to the folder; None if the job failed.
     key
         Digest of the job.
     error
@@ -54,7 +45,6 @@ class Row:
     versions: dict[str, str] = field(default_factory=dict)
     commit: str = "unknown"
     config: str = ""
-    series: str | None = field(default=None, compare=False)
     key: str = ""
     error: str | None = None
 
@@ -88,37 +78,15 @@ def _job(row: Row) -> Hashable:
     return row.key or words
 
 
-FORMAT = store.Format("benchmark's results", STAMP, Stamp, Row, _job, SERIES)
+FORMAT = store.Format("benchmark's results", STAMP, Stamp, Row, _job)
 
 
-def row_of(folder: Path, stamp: Stamp, job: Job, result: Outcome | Failure) -> Row:
-    """The row of a job. Its series are written into the folder."""
+def row_of(stamp: Stamp, job: Job, result: Outcome | Failure) -> Row:
+    """The row of a job."""
     made_by = {**job.identity, "versions": stamp.versions, "commit": stamp.commit}
     if isinstance(result, Failure):
         return Row(**made_by, metrics={}, error=result.reason)
-    name = f"{SERIES}/{job.key}.npz"
-    with atomic_write(folder / name) as beside:
-        np.savez_compressed(beside, **result.series)  # type: ignore[arg-type] # numpy takes a name for its own option
-    return Row(**made_by, metrics=result.metrics, cost=result.cost, config=result.config, series=name)
-
-
-def has_series(folder: Path, row: Row) -> bool:
-    """Whether the series of a row exists, if the row should have a series."""
-    return row.series is None or zipfile.is_zipfile(series_path(folder, row.series))
-
-
-def series_path(folder: Path, name: str) -> Path:
-    """The path of a row's series in a folder of results.
-
-    Raises
-    ------
-    ValueError
-        If the name refers to a path outside the folder.
-    """
-    path = folder / name
-    if not path.resolve().is_relative_to(folder.resolve()):
-        raise ValueError(f"{folder}: the series {name!r} lead out of the folder")
-    return path
+    return Row(**made_by, metrics=result.metrics, cost=result.cost, config=result.config)
 
 
 def read_rows(*paths: Path) -> list[Row]:

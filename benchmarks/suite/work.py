@@ -1,12 +1,10 @@
-"""The execution of a job: its world, its scores, and the course of its coverage."""
+"""The execution of a job: its world and its scores."""
 
 import functools
 import os
 from collections.abc import Iterable
 from dataclasses import asdict, replace
 from pathlib import Path
-
-import numpy as np
 
 from benchmarks.suite.faults import Fault, fault_begins, fault_scores
 from benchmarks.suite.jobs import KIDNAPPED, PLAN, RANDOM, Job, Outcome, digest
@@ -15,7 +13,6 @@ from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.record import Episode
 from limslam_agent.runs.results import cost, score
 from limslam_agent.runs.run_config import RunConfig
-from limslam_env.geometry import FloatArray
 from limslam_env.worlds.formats.loading import WorldSource, load_world
 
 
@@ -114,11 +111,4 @@ def run_job(job: Job) -> Outcome:
 def _scored(episode: Episode) -> Outcome:
     config = episode.config
     made_from = {"agent": asdict(config.agent), "robot": asdict(config.robot), "world": episode.world.digest}
-    return Outcome(plain(score(episode)), cost(episode), _series(episode), digest(made_from))
-
-
-def _series(episode: Episode) -> dict[str, FloatArray]:
-    """The course of the coverage, with the first step of each second and the last step."""
-    _, first = np.unique(np.floor(episode.time + 1e-9), return_index=True)
-    rows = np.union1d(first, [len(episode.time) - 1])
-    return {"time": episode.time[rows], "coverage": episode.coverage[rows]}
+    return Outcome(plain(score(episode)), cost(episode), digest(made_from))

@@ -87,7 +87,7 @@ class Stamp:
         return {"other plans": self.plans, "another entry, or of this one before it was changed": self.digest}
 
 
-FORMAT = store.Format("results of the arena", STAMP, Stamp, Row, lambda row: row.plan, RUNS)
+FORMAT = store.Format("results of the arena", STAMP, Stamp, Row, lambda row: row.plan)
 
 
 def stamp_of(entry: Entry, seed: int, *, is_secret: bool, versions: dict[str, str], commit: str) -> Stamp:

@@ -10,7 +10,7 @@ def export(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a finished run or replay.")],
     *,
     csv: Annotated[bool, typer.Option("--csv", help="Tables: trajectories, walls, and the log of readings.")] = False,
-    bag: Annotated[bool, typer.Option("--bag", help="A ROS 2 bag, whose file Foxglove opens, too: the folder bag.")] = False,
+    bag: Annotated[bool, typer.Option("--bag", help="A ROS 2 bag, which Foxglove opens, too: the folder bag.")] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for the files.", show_default="DIR/export")] = None,
     force: Annotated[bool, typer.Option("--force", help="Replace existing files.")] = False,
 ) -> None:

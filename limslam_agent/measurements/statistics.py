@@ -169,36 +169,6 @@ def two_errors(values: FloatArray, least: float) -> float:
     return 2.0 * max(scatter, least) / math.sqrt(len(values))
 
 
-def interquartile_mean(scores: FloatArray) -> Estimate:
-    """The mean of all scores (seeds, plans) without the lowest and the highest quarter, with its interval.
-
-    As :func:`probability_of_improvement`, it is of Agarwal et al., Deep Reinforcement Learning at the Edge of the
-    Statistical Precipice, NeurIPS 2021. Seeds are resampled as wholes: the plans of a seed share one trained network.
-    """
-    return _known(estimate(lambda drawn: stats.trim_mean(drawn.reshape(len(drawn), -1), 0.25, axis=-1), scores))
-
-
-def probability_of_improvement(first: FloatArray, second: FloatArray) -> Estimate:
-    """The probability that the first learner is better than the second, of scores (seeds, plans), with its interval.
-
-    The mean over plans of the Mann-Whitney statistic, in which a tie counts as one half. A second learner of one seed
-    is not resampled.
-    """
-
-    def share(mine: FloatArray, other: FloatArray) -> FloatArray:
-        pairs = mine[:, :, None] - other[:, None, :]
-        return np.asarray(((pairs > 0.0) + 0.5 * (pairs == 0.0)).mean(axis=(1, 2, 3)))
-
-    if len(second) == 1:
-        return _known(estimate(lambda mine: share(mine, second[None]), first))
-    return _known(estimate(share, first, second))
-
-
-def _known(found: Estimate | None) -> Estimate:
-    assert found is not None  # noqa: S101 (each learner has a seed)
-    return found
-
-
 def signed_rank(differences: FloatArray) -> float | None:
     """The p-value of Wilcoxon's signed-rank test, two-sided; None if all differences (n,) are zero."""
     if not np.any(differences != 0.0):

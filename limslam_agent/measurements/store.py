@@ -46,8 +46,6 @@ class Format(Generic[S, R]):
     row, key
         The dataclass of a row, whose fields with ``compare=False`` may differ when a job is repeated; and what tells
         its job from others.
-    folder
-        Name of the folder of the files that belong to rows.
     """
 
     name: str
@@ -55,7 +53,6 @@ class Format(Generic[S, R]):
     stamp: type[S]
     row: type[R]
     key: Callable[[R], Hashable]
-    folder: str
 
 
 class Store(Generic[R]):
@@ -120,7 +117,6 @@ def open_store(
             replace_content(folder / form.stamp_file, json.dumps(_table(stamp), indent=2).encode() + b"\n")
         mend_lines(folder / RESULTS)
         clear_up(folder)
-        clear_up(folder / form.folder)
         rows = read_rows(form, folder)
         kept = [row for row in rows_once(form, rows) if keep(row)]
         if len(kept) < len(rows):

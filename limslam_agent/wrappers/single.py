@@ -93,6 +93,11 @@ class SlamObservation(gym.Wrapper[Observation, Any, Observation, Any], gym.utils
         observation, reward, terminated, truncated, info = self.env.step(action)
         return self._believed(observation), reward, terminated, truncated, self._with_status(info)
 
+    @property
+    def belief(self) -> Belief:
+        """What the SLAM believes now, for a policy."""
+        return self._mapper.belief
+
     def _believed(self, observation: Observation) -> Observation:
         self._mapper.step({"ranges": observation["ranges"], "wheels": observation["wheels"]})
         return observed_belief(self._mapper.belief, self._start, observation["ranges"], self._size)

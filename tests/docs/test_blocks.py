@@ -37,7 +37,7 @@ DIAGRAMS = {
 NOT_RUN = {
     "import torch\nimport gymnasium": "needs a GPU",
     "from rl_sb3 import wrapped": "needs a model that was saved; test_rl_examples runs the same comparison",
-    "import minari\n": "needs a recorded dataset; tests/benchmarks/dataset reads one",
+    "import minari\n": "needs what Minari needs to write datasets, and records for some minutes",
     "from pathlib import Path\nfrom benchmarks.suite.store": "needs the results of a suite, which takes minutes",
 }
 # Commands that are not the project's own, by their first words.

@@ -33,7 +33,7 @@ def row(
 
 def failed(made, reason="RuntimeError: <boom> & 100% | over_there"):
     """The same job, failed."""
-    return replace(made, metrics={}, cost={}, series=None, error=reason)
+    return replace(made, metrics={}, cost={}, error=reason)
 
 
 def grid(seeds=3, worlds=("env1", "env2"), noises=(0.0, 0.02), robots=(1, 2)):

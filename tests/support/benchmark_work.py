@@ -5,8 +5,6 @@ import signal
 import sys
 import time
 
-import numpy as np
-
 from benchmarks.suite.jobs import Job, Outcome
 from benchmarks.suite.runner import ONE_THREAD
 
@@ -15,8 +13,7 @@ RAISES, KILLED, EXITS, HANGS = 1, 2, 3, 1000
 
 
 def outcome(job: Job) -> Outcome:
-    series = {"time": np.arange(3.0), "coverage": np.full(3, 0.1 * job.seed)}
-    return Outcome({"ate_m": job.noise + job.seed, "doors_open": None}, {"job_s": 0.1}, series, "c0ffee")
+    return Outcome({"ate_m": job.noise + job.seed, "doors_open": None}, {"job_s": 0.1}, "c0ffee")
 
 
 def troubled(job: Job) -> Outcome:
@@ -28,7 +25,7 @@ def troubled(job: Job) -> Outcome:
         sys.exit(7)
     if job.seed == HANGS:
         time.sleep(1000.0)
-    return Outcome({"seed": job.seed, **threads()}, {}, {}, "c0ffee")
+    return Outcome({"seed": job.seed, **threads()}, {}, "c0ffee")
 
 
 def threads() -> dict[str, str | int | None]:

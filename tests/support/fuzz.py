@@ -160,7 +160,7 @@ def targets() -> list[Target]:
     table = b"t,x,y,theta,r_-90,r_0,r_90\n" + b"".join(b"%d,0.1,0.2,0.3,1,,2.5\n" % at for at in range(6))
     row = {
         "world": "env1", "noise": 0.02, "robots": 1, "preset": "paper", "policy": "frontier", "ablation": None,
-        "laps": 0, "seed": 1, "metrics": {"coverage": 0.5}, "series": "series/a.npz", "key": "k",
+        "laps": 0, "seed": 1, "metrics": {"coverage": 0.5}, "key": "k",
     }  # fmt: skip
     walls = [[0, 0, 4, 0], [4, 0, 4, 4], [4, 4, 0, 4], [0, 4, 0, 0]]
     png = io.BytesIO()

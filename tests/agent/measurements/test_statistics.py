@@ -11,12 +11,10 @@ from limslam_agent.measurements.statistics import (
     estimate,
     geometric_ratio,
     holm,
-    interquartile_mean,
     mean,
     median,
     number,
     paired,
-    probability_of_improvement,
     signed_rank,
 )
 
@@ -95,36 +93,3 @@ def test_p_values_are_corrected_for_the_number_of_tests():
     assert holm([0.01, None, 0.04, 0.03]) == pytest.approx([0.03, None, 0.06, 0.06])
     assert holm([0.9, 0.8]) == [1.0, 1.0]
     assert holm([]) == []
-
-
-def test_the_interquartile_mean_is_that_of_all_scores():
-    scores = np.random.default_rng(1).random((4, 6))
-    found = interquartile_mean(scores)
-    assert found.value == pytest.approx(np.sort(scores.ravel())[6:18].mean())
-    assert scores.min() < found.low < found.value < found.high < scores.max()
-    assert found == interquartile_mean(scores)
-
-
-def test_seeds_are_resampled_as_wholes():
-    """Plans that differ among themselves say nothing about other seeds."""
-    found = interquartile_mean(np.tile(np.linspace(0.0, 1.0, 9), (3, 1)))
-    assert found.low == found.value == found.high
-
-
-def test_the_probability_of_improvement_is_the_mean_statistic_of_mann_and_whitney():
-    draws = np.random.default_rng(2)
-    first, second = draws.random((5, 3)).round(1), draws.random((4, 3)).round(1)
-    expected = np.mean([stats.mannwhitneyu(first[:, k], second[:, k]).statistic / 20.0 for k in range(3)])
-    assert probability_of_improvement(first, second).value == pytest.approx(expected)
-    assert probability_of_improvement(first, first).value == pytest.approx(0.5)
-    certain = probability_of_improvement(first + 2.0, second)
-    assert (certain.value, certain.low, certain.high) == (1.0, 1.0, 1.0)
-
-
-def test_a_policy_that_does_not_learn_is_known():
-    """Only the seeds of the learner are resampled."""
-    learner, known = np.array([[0.2], [0.4], [0.6], [0.8]]), np.array([[0.5]])
-    found = probability_of_improvement(learner, known)
-    assert found.value == 0.5
-    assert found.low < 0.5 < found.high
-    assert probability_of_improvement(known, learner).low is None
