@@ -128,8 +128,8 @@ def compare(
     """Compare finished runs or replays: their metrics, their maps, and their errors over time."""
     from limslam_agent.cli.terminal import print_table
     from limslam_agent.output.atomic_write import check_target
-    from limslam_agent.output.comparison_picture import MOST_RUNS, draw_comparison, sheet_size, table_of
     from limslam_agent.output.finished_run import read_run
+    from limslam_agent.output.run_picture import MOST_RUNS, draw_comparison, sheet_size, table_of
 
     if not 2 <= len(folders) <= MOST_RUNS:
         raise ValueError(f"2 to {MOST_RUNS} folders can be compared, not {len(folders)}")

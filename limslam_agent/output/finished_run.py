@@ -14,7 +14,6 @@ from limslam_agent.output.run_folder import RESULT_FILE
 from limslam_agent.output.tum import TrajectoryError, read_tum
 from limslam_agent.safe_files import load_arrays, read_limited
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.messages import counted, one_line
 
 MOST_WALLS = 20_000
@@ -183,26 +182,6 @@ def _check_finished(folder: Path) -> None:
         has_map = (folder / MAP).is_file() and (folder / PICTURE).is_file()
         picture = f"; it holds the map of a live robot, which is drawn in {PICTURE}" if has_map else ""
         raise FolderError(f"{folder}: does not hold a finished run: there is no {RESULT_FILE}{picture}")
-
-
-def position_error(poses: FloatArray, reference: FloatArray) -> FloatArray:
-    """Distance between the positions of poses (n, 3) and reference poses (n, 3), (n,), m."""
-    return np.hypot(poses[:, 0] - reference[:, 0], poses[:, 1] - reference[:, 1])
-
-
-def heading_error(poses: FloatArray, reference: FloatArray) -> FloatArray:
-    """Difference of the headings of poses (n, 3) and reference poses (n, 3), (n,), rad, with its sign."""
-    return np.asarray(wrap_angle(poses[:, 2] - reference[:, 2]))
-
-
-def position_std(covariances: FloatArray) -> FloatArray:
-    """Root of the expected squared distance from the true position, (n,), m, by covariances (n, 3, 3)."""
-    return np.asarray(np.sqrt(np.maximum(covariances[:, 0, 0] + covariances[:, 1, 1], 0.0)))
-
-
-def heading_std(covariances: FloatArray) -> FloatArray:
-    """Standard deviation of the heading by covariances (n, 3, 3), (n,), rad."""
-    return np.asarray(np.sqrt(np.maximum(covariances[:, 2, 2], 0.0)))
 
 
 def _read_json(path: Path) -> dict[str, Any]:

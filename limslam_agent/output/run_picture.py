@@ -1,29 +1,79 @@
-"""Draws a finished run on one sheet: its map, and its errors over time."""
+"""Draws finished runs on a sheet: one with its map, its errors and what is said of it, or several beside each other."""
 
+import math
 import textwrap
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
 from matplotlib.typing import LineStyleType
 
 from limslam_agent.output.drawing import MapPicture, finish_errors, legend, paint_map, path_colours
-from limslam_agent.output.finished_run import FinishedRun, heading_error, heading_std, position_error, position_std
+from limslam_agent.output.finished_run import FinishedRun
 from limslam_env.geometry import FloatArray
+from limslam_env.geometry.se2 import wrap_angle
 
 SIZE = (12.0, 6.8)
-"""Size of the sheet, inches."""
+"""Size of the sheet of one run, inches."""
 
-_COLUMNS = 78  # letters beside each other in the text of a sheet
-_MOST_PATHS_NAMED = 2  # robots up to which the legend of the plots names each path of each robot
-_ANY_ROBOT = "0.45"  # colour of what a legend says of all robots
-_BANDS = ("online", 0.15), ("smoothed", 0.3)  # names and opacity
+MOST_RUNS = 8
+"""Most runs that one sheet can show."""
+
+COLOURS = ("#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#7f4f24", "#4d4d4d")
+"""A colour for each run. People with any kind of colour blindness can tell them apart (Okabe and Ito, 2008)."""
+
+TABLE = (
+    ("exploration_time_s", "exploration time, s"), ("path_m", "path, m"), ("coverage_true", "coverage"),
+    ("collisions", "collisions"), ("ate_m", "position error online, m"),
+    ("ate_smoothed_m", "position error smoothed, m"), ("odometry_ate_m", "position error of odometry, m"),
+    ("heading_rmse_deg", "heading error online, deg"), ("heading_smoothed_rmse_deg", "heading error smoothed, deg"),
+    ("anees", "NEES / 3 online"), ("anees_smoothed", "NEES / 3 smoothed"), ("wall_recall", "wall recall"),
+    ("wall_f1_aligned", "wall F1 aligned"), ("wall_f1_aligned_5cm", "wall F1 aligned at 5 cm"),
+    ("spurious_walls", "spurious walls"), ("relation_error_m", "relation error online, m"),
+    ("smoothed_relation_error_m", "relation error smoothed, m"),
+    ("smoothed_relation_error_deg", "relation error smoothed, deg"), ("status", "status"),
+)  # fmt: skip
+"""Metrics that are compared, and how they are called."""
+
+_COLUMNS = 4
+_LETTERS = 78  # beside each other in the text of a sheet
 
 _DASHES: LineStyleType = (0, (4, 2))
 _DOTS: LineStyleType = (0, (1, 1))
+
+
+def names_of(runs: Sequence[FinishedRun]) -> list[str]:
+    """A short name of each run: the settings in which it differs from the others, else its folder."""
+    parts = [run.title.split(", ") for run in runs]
+    common = set.intersection(*map(set, parts))
+    names = [", ".join(part for part in each if part not in common) for each in parts]
+    is_clear = len(set(names)) == len(names) and all(names)
+    return names if is_clear else [run.folder.absolute().name for run in runs]
+
+
+def common_title(runs: Sequence[FinishedRun]) -> str:
+    """The settings that all runs have in common."""
+    parts = [run.title.split(", ") for run in runs]
+    return ", ".join(part for part in parts[0] if all(part in each for each in parts))
+
+
+def table_of(runs: Sequence[FinishedRun]) -> list[tuple[str, ...]]:
+    """Rows of a table: the names of the runs, then each metric that one of the runs has."""
+    found = [run.result.get("metrics") for run in runs]
+    metrics = [each if isinstance(each, dict) else {} for each in found]
+    rows = [("", *names_of(runs))]
+    for key, words in TABLE:
+        if any(each.get(key) is not None for each in metrics):
+            rows.append((words, *(_text(each.get(key)) for each in metrics)))
+    return rows
+
+
+def sheet_size(count: int) -> tuple[float, float]:
+    """Size of the sheet for a number of runs, inches."""
+    columns = min(count, _COLUMNS)
+    return max(4.2 * columns, 8.0), 4.4 * math.ceil(count / columns) + 4.0
 
 
 def draw_run(figure: Figure, run: FinishedRun, lines: Sequence[str], true_edges: FloatArray | None = None) -> None:
@@ -41,117 +91,125 @@ def draw_run(figure: Figure, run: FinishedRun, lines: Sequence[str], true_edges:
         Walls of the world (k, 4), m. None if they are unknown.
     """
     grid = figure.add_gridspec(3, 2, width_ratios=(1.25, 1.0), height_ratios=(1.0, 1.0, 0.55))
-    online, odometry, true, smoothed = (
-        [poses[:, :2] for poses in kind] for kind in (run.estimated, run.odometry, run.true, run.smoothed)
-    )
-    picture = MapPicture(
-        run.title, run.segments, smoothed or online, odometry, true_edges, true, online=online if smoothed else ()
-    )
-    axes = figure.add_subplot(grid[:, 0])
-    paint_map(axes, picture)
+    picture = _map_of(run, true_edges, [poses[:, :2] for poses in run.odometry])
+    paint_map(figure.add_subplot(grid[:, 0]), picture)
     figure.suptitle(run.title, fontsize=12, parse_math=False)
     handles = legend(picture)
     figure.legend(handles=handles, loc="outside lower left", ncols=min(len(handles), 5), frameon=False, fontsize=8.5)
     upper = figure.add_subplot(grid[0, 1])
     lower = figure.add_subplot(grid[1, 1], sharex=upper)
-    _draw_errors(upper, lower, run)
-    words = figure.add_subplot(grid[2, 1])
-    words.set_axis_off()
-    words.text(
-        0.0, 1.0, "\n".join(_wrapped(lines)), va="top", fontsize=8, family="monospace", transform=words.transAxes,
-        parse_math=False,
-    )  # fmt: skip
-
-
-def _wrapped(lines: Sequence[str]) -> list[str]:
-    """The lines, with long ones continued below their second column."""
-    return [part for line in lines for part in textwrap.wrap(line, _COLUMNS, subsequent_indent=12 * " ") or [""]]
-
-
-def _draw_errors(upper: Axes, lower: Axes, run: FinishedRun) -> None:
-    """Plot the errors against the truth. Without truth, plot the distance of the estimate from odometry."""
+    colours = [estimated for estimated, _ in path_colours(len(run.estimated))]
     reference, compared = (run.true, "error") if run.true else (run.odometry, "off odometry")
-    colours = path_colours(len(run.estimated))
-    for kind, which, style, name in _compared_paths(run):
-        for number, (poses, other) in enumerate(zip(kind, reference, strict=False)):
-            of_whom = f"robot {number + 1}, {name}" if len(kind) > 1 else name
-            colour = colours[number][which]
-            upper.plot(
-                run.elapsed(number),
-                position_error(poses, other),
-                color=colour,
-                linestyle=style,
-                linewidth=1.2,
-                label=of_whom,
-            )
-            turned = np.degrees(heading_error(poses, other))
-            lower.plot(run.elapsed(number), _without_jumps(turned), color=colour, linestyle=style, linewidth=1.2)
+    # The styles are those of the map beside the plots: the best estimate has a line without gaps.
+    online = _DOTS if run.smoothed else "-"
+    _plot((upper, lower), run, run.estimated, reference, colours, "estimated online", style=online)
+    _plot((upper, lower), run, run.smoothed, reference, colours, "smoothed")
     if run.true:
-        _draw_bands(upper, lower, run)
-    upper.set_ylabel(f"position {compared}, m", fontsize=9)
-    lower.set_ylabel(f"heading {compared}, deg", fontsize=9)
-    lower.set_xlabel("time, s", fontsize=9)
-    upper.set_ylim(bottom=0.0)
+        by_odometry = [odometry for _, odometry in path_colours(len(run.estimated))]
+        _plot((upper, lower), run, run.odometry, reference, by_odometry, "odometry alone", style=_DASHES)
+        _shade((upper, lower), run, run.covariances, colours, 0.15, "2 sigma, online")
+        _shade((upper, lower), run, run.smoothed_covariances, colours, 0.3, "2 sigma, smoothed")
+    _finish(upper, lower, compared)
     upper.tick_params(labelbottom=False)
-    finish_errors(upper, lower)
+    upper.set_xlabel("")
     if upper.lines:
         # Between the plots, where it hides no curve.
-        handles = _kinds(run) if len(colours) > _MOST_PATHS_NAMED else None
-        upper.legend(handles=handles, fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.03), ncols=3)
+        upper.legend(fontsize=8, frameon=False, loc="upper left", bbox_to_anchor=(0.0, -0.03), ncols=3)
     else:
         upper.text(0.5, 0.5, "neither truth nor odometry is known", ha="center", transform=upper.transAxes, fontsize=9)
+    words = figure.add_subplot(grid[2, 1])
+    words.set_axis_off()
+    told = [part for line in lines for part in textwrap.wrap(line, _LETTERS, subsequent_indent=12 * " ") or [""]]
+    words.text(
+        0.0, 1.0, "\n".join(told), va="top", fontsize=8, family="monospace", transform=words.transAxes, parse_math=False
+    )
 
 
-def _kinds(run: FinishedRun) -> list[Line2D | Patch]:
-    """Entries of a legend for the kinds of paths and bands of many robots; the map's legend has the robots' colours."""
-    handles: list[Line2D | Patch] = [
-        Line2D([], [], color=_ANY_ROBOT, linestyle=style, linewidth=1.2, label=name)
-        for kind, _, style, name in _compared_paths(run)
-        if kind
-    ]
-    if run.true:
-        handles += [
-            Patch(facecolor=_ANY_ROBOT, alpha=alpha, linewidth=0.0, label=_band_name(name))
-            for kind, (name, alpha) in zip((run.covariances, run.smoothed_covariances), _BANDS, strict=True)
-            if kind
-        ]
-    return handles
+def draw_comparison(figure: Figure, runs: Sequence[FinishedRun], edges: Sequence[FloatArray | None]) -> None:
+    """Draw runs into an empty figure with a constrained layout.
 
-
-def _compared_paths(run: FinishedRun) -> list[tuple[list[FloatArray], int, LineStyleType, str]]:
-    """The paths whose errors are plotted, with the number of their colour, their style and their name.
-
-    Their styles are those of the map beside the plots: the best estimate has a line without gaps.
+    Parameters
+    ----------
+    figure
+        The figure.
+    runs
+        The runs, at most ``MOST_RUNS``.
+    edges
+        The walls (k, 4), m, of the world of each run. None where they are unknown.
     """
-    online: LineStyleType = _DOTS if run.smoothed else "-"
-    paths: list[tuple[list[FloatArray], int, LineStyleType, str]] = [(run.estimated, 0, online, "estimated online")]
-    if run.smoothed:
-        paths.append((run.smoothed, 0, "-", "smoothed"))
-    if run.true:
-        paths.append((run.odometry, 1, _DASHES, "odometry alone"))
-    return paths
+    columns = min(len(runs), _COLUMNS)
+    rows = math.ceil(len(runs) / columns)
+    has_truth = all(run.true for run in runs)
+    grid = figure.add_gridspec(rows + has_truth, 2 * columns, height_ratios=[1.0] * rows + [0.75] * has_truth)
+    pictures = [_map_of(run, walls) for run, walls in zip(runs, edges, strict=True)]
+    for number, (picture, name) in enumerate(zip(pictures, names_of(runs), strict=True)):
+        column = 2 * (number % columns)
+        axes = figure.add_subplot(grid[number // columns, column : column + 2])
+        paint_map(axes, picture)
+        axes.set_title(name, fontsize=11, color=COLOURS[number], fontweight="bold", parse_math=False)
+    if has_truth:
+        left, right = figure.add_subplot(grid[-1, :columns]), figure.add_subplot(grid[-1, columns:])
+        for run, name, colour in zip(runs, names_of(runs), COLOURS, strict=False):
+            colours = [colour] * len(run.estimated)
+            _plot((left, right), run, run.smoothed or run.estimated, run.true, colours, name)
+            _shade((left, right), run, run.smoothed_covariances or run.covariances, colours, 0.12)
+        _finish(left, right, "error", " (shaded: 2 standard deviations)")
+        # Above the plot, where it hides no curve.
+        left.legend(fontsize=8, frameon=False, loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=2)
+    handles = legend(max(pictures, key=lambda picture: len(legend(picture))))
+    figure.legend(handles=handles, loc="outside lower center", ncols=min(len(handles), 4), frameon=False, fontsize=9)
+    figure.suptitle(common_title(runs), fontsize=12, parse_math=False)
 
 
-def _draw_bands(upper: Axes, lower: Axes, run: FinishedRun) -> None:
-    """Shade what the estimate says of its own error: two standard deviations, online and smoothed.
+def _map_of(run: FinishedRun, edges: FloatArray | None, odometry: Sequence[FloatArray] = ()) -> MapPicture:
+    online, true, smoothed = ([poses[:, :2] for poses in kind] for kind in (run.estimated, run.true, run.smoothed))
+    return MapPicture(
+        run.title, run.segments, smoothed or online, odometry, edges, true, online=online if smoothed else ()
+    )
+
+
+def _plot(
+    plots: tuple[Axes, Axes], run: FinishedRun, each: Sequence[FloatArray], reference: Sequence[FloatArray],
+    colours: Sequence[str], name: str, *, style: LineStyleType = "-",
+) -> None:  # fmt: skip
+    """Plot the distance and the difference of heading between each robot's poses (n, 3) and the reference's."""
+    for number, (poses, other) in enumerate(zip(each, reference, strict=False)):
+        turned = np.degrees(wrap_angle(poses[:, 2] - other[:, 2]))
+        # Where angles pass 180 degrees, no line is drawn across the plot.
+        turned = np.where(np.abs(np.diff(turned, prepend=turned[:1])) > 180.0, np.nan, turned)
+        label = name if number == 0 else None
+        for axes, off in zip(plots, (np.hypot(*(poses - other)[:, :2].T), turned), strict=True):
+            axes.plot(run.elapsed(number), off, color=colours[number], linestyle=style, linewidth=1.2, label=label)
+
+
+def _shade(
+    plots: tuple[Axes, Axes], run: FinishedRun, each: Sequence[FloatArray], colours: Sequence[str], alpha: float,
+    name: str | None = None,
+) -> None:  # fmt: skip
+    """Shade what the estimate says of its own error: two standard deviations, by covariances (n, 3, 3) of each robot.
 
     An estimate that knows its error stays inside of its band most of the time.
     """
-    time = run.time - run.time[0]
-    colours = path_colours(len(run.estimated))
-    for kind, (name, alpha) in zip((run.covariances, run.smoothed_covariances), _BANDS, strict=True):
-        for number, covariances in enumerate(kind):
-            colour, label = colours[number][0], _band_name(name) if number == 0 else None
-            of_place, of_heading = 2.0 * position_std(covariances), 2.0 * np.degrees(heading_std(covariances))
-            upper.fill_between(time, 0.0, of_place, color=colour, alpha=alpha, linewidth=0.0, label=label)
-            lower.fill_between(time, -of_heading, of_heading, color=colour, alpha=alpha, linewidth=0.0)
+    upper, lower = plots
+    for number, covariances in enumerate(each):
+        label = name if number == 0 else None
+        style: dict[str, Any] = {"color": colours[number], "alpha": alpha, "linewidth": 0.0}
+        place = 2.0 * np.sqrt(np.maximum(covariances[:, 0, 0] + covariances[:, 1, 1], 0.0))
+        heading = 2.0 * np.degrees(np.sqrt(np.maximum(covariances[:, 2, 2], 0.0)))
+        upper.fill_between(run.elapsed(number), 0.0, place, label=label, **style)
+        lower.fill_between(run.elapsed(number), -heading, heading, **style)
 
 
-def _band_name(name: str) -> str:
-    return f"2 sigma, {name}"
+def _finish(upper: Axes, lower: Axes, compared: str, remark: str = "") -> None:
+    upper.set_ylabel(f"position {compared}, m", fontsize=9)
+    lower.set_ylabel(f"heading {compared}, deg", fontsize=9)
+    for axes in (upper, lower):
+        axes.set_xlabel(f"time, s{remark}", fontsize=9)
+    upper.set_ylim(bottom=0.0)
+    finish_errors(upper, lower)
 
 
-def _without_jumps(degrees: FloatArray) -> FloatArray:
-    """Angles with a gap where they pass 180 degrees, so that no line is drawn across the plot."""
-    jumps = np.abs(np.diff(degrees, prepend=degrees[:1])) > 180.0
-    return np.where(jumps, np.nan, degrees)
+def _text(value: object) -> str:
+    if isinstance(value, float):
+        return f"{value:.3g}"
+    return "-" if value is None else str(value)
