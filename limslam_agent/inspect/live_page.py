@@ -2,9 +2,10 @@
 
 import threading
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -26,9 +27,6 @@ LEAST_PAUSE = 1.0
 SHARE = 0.05
 """Largest share of the time of a run that goes into the states of its recording."""
 
-_PATIENCE = 10.0
-"""Seconds after which the page is told that nothing new has come, so that a closed page is noticed."""
-
 
 class LivePage:
     """The latest state of a recording, for any number of pages that show it.
@@ -37,15 +35,16 @@ class LivePage:
     ----------
     address
         Where the page is.
+    is_over
+        Whether no other state will come.
     """
 
     def __init__(self, title: str, address: str, edges: FloatArray | None = None) -> None:
-        self.title, self.address = title, address
+        self.title, self.address, self.is_over = title, address, False
         self._fixed = {} if edges is None else {"edges": edges.astype(np.float32)}
-        self._changed = threading.Condition()
+        self._lock = threading.Lock()
         self._state: tuple[dict[str, NDArray[Any]], dict[str, Any]] | None = None
-        self._version, self._is_over = 0, False
-        self._text, self._text_version = "", 0
+        self._version, self._text, self._text_version = 0, "", 0
         self._due = 0.0
 
     def update(self, recorder: Recorder) -> None:
@@ -61,30 +60,22 @@ class LivePage:
         """Offer the last state, and say that no other will come."""
         if recorder is not None:
             self._offer(recorder)
-        with self._changed:
-            self._is_over = True
-            self._changed.notify_all()
+        self.is_over = True
 
     def _offer(self, recorder: Recorder) -> None:
-        arrays, meta = recorder.arrays(), recorder.meta()
-        with self._changed:
-            self._state, self._version = (self._fixed | arrays, {**meta, "check": ""}), self._version + 1
-            self._changed.notify_all()
+        state = self._fixed | recorder.arrays(), {**recorder.meta(), "check": ""}
+        with self._lock:
+            self._state, self._version = state, self._version + 1
 
-    def wait(self, version: int) -> tuple[int, bool]:
-        """Wait for a state after a version; the number of the latest one, and whether the run is over."""
-        with self._changed:
-            self._changed.wait_for(lambda: self._version > version or self._is_over, _PATIENCE)
-            return self._version, self._is_over
-
-    def text(self) -> str:
-        """The latest state as the page reads it; empty before the first."""
-        with self._changed:
-            state, version = self._state, self._version
-        if state is not None and version != self._text_version:
-            arrays, meta = state
-            self._text, self._text_version = packed(arrays, told_to_page(self.title, meta), level=1), version
-        return self._text
+    def newest(self, version: int) -> tuple[int, str]:
+        """The number of the latest state, and the state as the page reads it; empty if its number is ``version``."""
+        with self._lock:
+            if self._state is None or self._version == version:
+                return self._version, ""
+            if self._version != self._text_version:
+                arrays, meta = self._state
+                self._text, self._text_version = packed(arrays, told_to_page(self.title, meta), level=1), self._version
+            return self._version, self._text
 
 
 class Follower:
@@ -155,57 +146,31 @@ def live_page(title: str, edges: FloatArray | None = None) -> Iterator[LivePage]
 
 
 class _Handler(BaseHTTPRequestHandler):
-    """Answers the page: the page itself, the latest state, and the numbers of new states as they come."""
-
-    protocol_version = "HTTP/1.1"
-
-    @property
-    def _page(self) -> LivePage:
-        page: LivePage = self.server.page  # type: ignore[attr-defined]
-        return page
+    """Answers the page: the page itself, and ``/recording?N``, the latest state unless its number is N."""
 
     def do_GET(self) -> None:
         """Answer a request."""
-        page = self._page
+        page: LivePage = self.server.page  # type: ignore[attr-defined]
+        path, _, known = self.path.partition("?")
         if f"http://{self.headers.get('Host', '')}/" != page.address:  # a name of somebody else that leads here
             self.send_error(403)
-        elif self.path.split("#")[0] == "/":
+        elif path == "/":
             self._send(empty_page(page.title), "text/html; charset=utf-8")
-        elif self.path == "/recording":
-            self._send(page.text(), "text/plain; charset=ascii")
-        elif self.path == "/changes":
-            self._tell_changes(page)
+        elif path == "/recording":
+            is_over = page.is_over  # asked before the state: what comes after the last one is nothing
+            version, text = page.newest(int(known) if known.isdecimal() else 0)
+            self._send(text, "text/plain; charset=ascii", {"X-State": str(version), "X-Over": str(int(is_over))})
         else:
             self.send_error(404)
 
     def log_message(self, format: str, *args: Any) -> None:  # noqa: A002 (the name of the base class)
         """Say nothing on the screen."""
 
-    def _send(self, text: str, kind: str) -> None:
+    def _send(self, text: str, kind: str, told: Mapping[str, str] = MappingProxyType({})) -> None:
         content = text.encode()
         self.send_response(200)
-        self.send_header("Content-Type", kind)
-        self.send_header("Content-Length", str(len(content)))
+        for name, value in {"Content-Type": kind, "Content-Length": str(len(content)), **told}.items():
+            self.send_header(name, value)
         self.send_header("Cache-Control", "no-store")
         self.end_headers()
         self.wfile.write(content)
-
-    def _tell_changes(self, page: LivePage) -> None:
-        """Send an event for each new state (server-sent events), and one at the end."""
-        self.send_response(200)
-        self.send_header("Content-Type", "text/event-stream")
-        self.send_header("Cache-Control", "no-store")
-        self.send_header("Connection", "close")
-        self.end_headers()
-        version, is_over = 0, False
-        try:
-            while not is_over:
-                newest, is_over = page.wait(version)
-                event = "recording" if newest > version else "nothing"
-                self.wfile.write(f"event: {'end' if is_over else event}\ndata: {newest}\n\n".encode())
-                self.wfile.flush()
-                version = newest
-        except OSError:  # the page was closed
-            return
-        finally:
-            self.close_connection = True

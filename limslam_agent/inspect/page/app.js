@@ -343,51 +343,55 @@ async function start() {
   try { stored = localStorage.getItem('limslam-theme'); } catch { /* a file may not read anything */ }
   applyTheme(stored);
   if (!('DecompressionStream' in window)) throw new Error('This browser is too old: it cannot decompress the recording.');
-  const text = byId('data').textContent.trim(), isLive = !text;
-  const recording = await unpack(text || await firstState());
+  const written = byId('data').textContent.trim(), isLive = !written;
+  const {number, text} = isLive ? await firstState() : {number: 0, text: written};
+  const recording = await unpack(text);
   byId('loading').remove();
   document.body.dataset.state = 'shown';
   window.player = new Player(recording);
   window.player.recolour();
   document.body.dataset.state = 'ready';
   document.body.dataset.loaded = String(Math.round(performance.now()));
-  if (isLive) watch(window.player);
+  if (isLive) watch(window.player, number);
 }
 
-const newestState = async () => (await fetch('/recording')).text();
+const pause = (milliseconds) => new Promise((done) => { setTimeout(done, milliseconds); });
 
-// The first state of a run that goes on now, which may not have begun.
+// The latest state of a run that goes on now: its number, whether it is the last one, and its text, which is empty if
+// the number is known already.
+async function newestState(known) {
+  const answer = await fetch(`/recording?${known}`);
+  return {number: Number(answer.headers.get('X-State')), isOver: answer.headers.get('X-Over') === '1', text: await answer.text()};
+}
+
+// The first state, which may not have come yet.
 async function firstState() {
   for (;;) {
-    const text = await newestState();
-    if (text) return text;
+    const {number, text} = await newestState(0);
+    if (text) return {number, text};
     byId('loading').textContent = 'Waiting for the first step of the run ...';
-    await new Promise((done) => { setTimeout(done, 300); });
+    await pause(300);
   }
 }
 
-// Follow a run that goes on now: each new state has everything until then.
-function watch(player) {
-  const changes = new EventSource('/changes');
+// Follow a run: each new state has everything until then.
+async function watch(player, first) {
   const say = (words) => { byId('check').textContent = words; };
-  let running = null, isWanted = false;
-  const catchUp = async () => {
-    try {
-      while (isWanted) { isWanted = false; player.replace(await unpack(await newestState())); }
-    } finally { running = null; }
-  };
-  // Changes that come while a state is being read are read together, after it.
-  const update = () => { isWanted = true; running = running || catchUp(); return running; };
   say('The run goes on now. Stay at the end to follow it.');
   player.stopAt(player.recording.frames - 1);
-  changes.addEventListener('recording', update);
-  changes.addEventListener('end', async () => {
-    changes.close();
-    await update();
+  let known = first, isOver = false;
+  try {
+    while (!isOver) {
+      await pause(500);
+      const state = await newestState(known);
+      if (state.text) player.replace(await unpack(state.text));
+      ({number: known, isOver} = state);
+    }
     say('The run is over.');
-    document.body.dataset.state = 'over';
-  });
-  changes.addEventListener('error', () => { changes.close(); say('The run is over, or the connection is lost.'); document.body.dataset.state = 'over'; });
+  } catch {
+    say('The run is over, or the connection is lost.');
+  }
+  document.body.dataset.state = 'over';
 }
 
 start().catch((error) => {

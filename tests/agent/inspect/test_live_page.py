@@ -42,9 +42,9 @@ def asked(page, path, host=None):
     connection = http.client.HTTPConnection(place, timeout=30)
     connection.request("GET", path, headers={"Host": host or place})
     answer = connection.getresponse()
-    status, content = answer.status, answer.read()
+    status, content, is_over = answer.status, answer.read(), answer.headers.get("X-Over") == "1"
     connection.close()
-    return status, content.decode()
+    return (status, content.decode(), is_over) if path.startswith("/recording") else (status, content.decode())
 
 
 def test_the_server_answers_its_own_page_alone():
@@ -53,7 +53,7 @@ def test_the_server_answers_its_own_page_alone():
         status, text = asked(page, "/")
         assert status == 200
         assert "a &lt;run&gt;" in text
-        assert asked(page, "/recording") == (200, "")
+        assert asked(page, "/recording?0") == (200, "", False)
         assert asked(page, "/etc/passwd")[0] == 404
         assert asked(page, "/", host="evil.example:80")[0] == 403
 
@@ -64,7 +64,7 @@ def test_the_recording_grows():
         drive = Drive(page)
         for frames in (20, 60):
             drive.on(frames - drive.done)
-            arrays, meta = unpacked(asked(page, "/recording")[1])
+            arrays, meta = unpacked(asked(page, "/recording?0")[1])
             assert len(arrays["time"]) == frames
             assert meta["title"] == "run"
             assert np.allclose(arrays["pose"][-1, 0], drive.mapper.poses[0], atol=1e-5)
@@ -72,11 +72,11 @@ def test_the_recording_grows():
         drive.on(140)
         drive.mapper.finish()
         drive.follower.end()
-        _, meta = unpacked(asked(page, "/recording")[1])
+        _, text, is_over = asked(page, "/recording?3")
+        _, meta = unpacked(text)
+        assert is_over
         assert all("why" in event for event in meta["events"] if event["kind"] == "waits")
-        status, changes = asked(page, "/changes")
-        assert status == 200
-        assert changes.rstrip().split("\n\n")[-1].startswith("event: end")
+        assert asked(page, f"/recording?{page.newest(0)[0]}") == (200, "", True)
 
 
 def test_a_run_is_not_changed_by_watching_it(tmp_path, run_folder):
