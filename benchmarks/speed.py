@@ -5,7 +5,6 @@ makes a round, ratios are taken within a round, and the median of the rounds cou
 """
 
 import itertools
-import math
 import subprocess
 import sys
 import time
@@ -14,21 +13,19 @@ from typing import Any, TypeAlias
 
 import gymnasium as gym
 import numpy as np
-import pymunk
 
-import limslam_env
+import limslam_env  # noqa: F401 (registers the environments)
 from limslam_agent import SlamVectorObservation
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_env.geometry import FloatArray
-from limslam_env.worlds.world import World
 
 Loop: TypeAlias = Callable[[], int]
 """Does some steps, and returns how many."""
 
 Clock: TypeAlias = Callable[[], float]
 
-CARTPOLE, SINGLE, PLAIN = "CartPole of numpy, 1024", "single environment", "plain pymunk, 40 walls, six rays"
+CARTPOLE, SINGLE = "CartPole of numpy, 1024", "single environment"
 LARGE, BELIEFS = "batch of 8192", "beliefs of 256"
 BURST = 0.02
 """Length of a burst, s."""
@@ -67,37 +64,6 @@ def ratio(rates: dict[str, FloatArray], one: str, other: str) -> float:
     return float(np.median(rates[one] / rates[other]))
 
 
-def plain_loop() -> Loop:
-    """Pymunk alone: a body that moves among walls, and six rays a step."""
-    generator = np.random.default_rng(0)
-    space = pymunk.Space()
-    for _ in range(40):
-        start = generator.uniform(0.0, 7.0, 2)
-        wall = pymunk.Segment(
-            space.static_body, tuple(start.tolist()), tuple((start + generator.uniform(-1.0, 1.0, 2)).tolist()), 0.0
-        )
-        wall.filter = pymunk.ShapeFilter(categories=1)
-        space.add(wall)
-    body = pymunk.Body(1.0, 1.0)
-    body.position = (3.5, 3.5)
-    space.add(body, pymunk.Circle(body, 0.1))
-    rays = pymunk.ShapeFilter(mask=1)
-    angles = np.radians([90.0, 45.0, 15.0, -15.0, -45.0, -90.0]).tolist()
-
-    def run() -> int:
-        for _ in range(_STEPS):
-            body.velocity = (0.1 * math.cos(body.angle), 0.1 * math.sin(body.angle))
-            body.angular_velocity = 0.3
-            space.step(0.1)
-            x, y = body.position
-            for angle in angles:
-                ahead = body.angle + angle
-                space.segment_query_first((x, y), (x + 1.6 * math.cos(ahead), y + 1.6 * math.sin(ahead)), 0.0, rays)
-        return _STEPS
-
-    return run
-
-
 def single_loop() -> Loop:
     """Steps of a single-robot environment, with autoreset."""
     env = gym.make("LimSlam-Env1-v0", sensor_noise=0.02)
@@ -112,22 +78,6 @@ def single_loop() -> Loop:
         return _STEPS
 
     return run
-
-
-def rooms(num_walls: int) -> World:
-    """Square rooms of 2.3 m with a door in each wall. The size of the building grows with the number of walls."""
-    # Each room adds two walls, below it and to its left; a door divides each of them into two pieces.
-    side = round(math.sqrt(num_walls / 4.0))
-    cell, jamb, walls = 2.3, 0.8, []
-    for i, j in itertools.product(range(side + 1), range(side)):
-        for x1, y1, x2, y2 in ((i, j, i, j + 1), (j, i, j + 1, i)):
-            start, end = np.array([x1, y1]) * cell, np.array([x2, y2]) * cell
-            along = (end - start) / cell
-            if i in {0, side}:
-                walls.append([*start, *end])
-            else:
-                walls.extend([[*start, *(start + jamb * along)], [*(end - jamb * along), *end]])
-    return World("rooms", (cell * side, cell * side), np.array(walls))
 
 
 def vector_loop(envs: gym.vector.VectorEnv[Any, Any, Any], steps: int) -> Loop:
@@ -146,24 +96,8 @@ def vector_loop(envs: gym.vector.VectorEnv[Any, Any, Any], steps: int) -> Loop:
 
 
 def batch_loop(count: int, steps: int, **arguments: Any) -> Loop:
-    """Steps of a batch of our environments with 2 cm noise, in Env1 unless a world is given."""
-    name = "LimSlam-World-v0" if "world" in arguments else "LimSlam-Env1-v0"
-    return vector_loop(gym.make_vec(name, num_envs=count, sensor_noise=0.02, **arguments), steps)
-
-
-def team_loop(num_envs: int, steps: int) -> Loop:
-    """Robot-steps of two robots in each environment."""
-    envs = limslam_env.parallel_vector_env("env1", num_envs=num_envs, num_robots=2, sensor_noise=0.02)
-    envs.reset(seed=0)
-    rows = np.random.default_rng(0).uniform(-1.0, 1.0, (8, 2, num_envs, 2))
-    actions = itertools.cycle([dict(zip(envs.agents, row, strict=True)) for row in rows])
-
-    def run() -> int:
-        for _ in range(steps):
-            envs.step(next(actions))
-        return 2 * steps * num_envs
-
-    return run
+    """Steps of a batch of our environments with 2 cm noise."""
+    return vector_loop(gym.make_vec("LimSlam-Env1-v0", num_envs=count, sensor_noise=0.02, **arguments), steps)
 
 
 def belief_loop(num_envs: int, steps: int) -> Loop:
@@ -209,15 +143,12 @@ def print_rates(clock: Clock, rounds: int = _ROUNDS) -> None:
     """Print Markdown tables: rates of all candidates, and what this version should reach and has reached."""
     cartpole = gym.make_vec("CartPole-v1", num_envs=1024, vectorization_mode="vector_entry_point")
     candidates = {
-        CARTPOLE: vector_loop(cartpole, 20), SINGLE: single_loop(), PLAIN: plain_loop(),
+        CARTPOLE: vector_loop(cartpole, 20), SINGLE: single_loop(),
         "batch of 1024": batch_loop(1024, 20), LARGE: batch_loop(8192, 4),
-        f"{LARGE}, one thread": batch_loop(8192, 4, num_threads=1),
-        f"{LARGE}, rooms of 2000 walls": batch_loop(8192, 4, world=rooms(2000)),
-        f"{LARGE}, 64 floor plans": batch_loop(8192, 4, world="random", plans=64),
-        "two robots each, batch of 4096, a robot-step": team_loop(4096, 4), BELIEFS: belief_loop(256, 2),
+        f"{LARGE}, one thread": batch_loop(8192, 4, num_threads=1), BELIEFS: belief_loop(256, 2),
     }  # fmt: skip
     rates = rates_in_turn(candidates, rounds, clock)
-    references = {CARTPOLE: "CartPole", SINGLE: "single", PLAIN: "pymunk"}
+    references = {CARTPOLE: "CartPole", SINGLE: "single"}
     print("| candidate | steps/s |" + "".join(f" x {short} |" for short in references.values()))
     print("|---" * (2 + len(references)) + "|")
     for name, each in rates.items():

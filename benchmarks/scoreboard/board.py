@@ -174,7 +174,6 @@ def _rounded(value: Any) -> Any:
 
 def _has_data() -> bool:
     try:
-        data_folder()
+        return data_folder().is_dir()
     except ValueError:
         return False
-    return True

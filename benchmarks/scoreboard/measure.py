@@ -158,7 +158,9 @@ def _exploration(row: Row, job: Job, jitter: float) -> Scores:
     else:
         # Of a lost robot, the filter's path is in another frame, and covariances say nothing.
         paths = {} if smoothed is None else path_scores(true, smoothed.poses, None, "_smoothed")
-        paths |= _kidnapped(fault_scores(episode, kidnap_at))
+        found_again = fault_scores(episode, kidnap_at)
+        paths |= {"placed": int(found_again["fault_placed_s"] is not None)}
+        paths |= {name: found_again[f"fault_{name}"] for name in ("placed_s", "wrong_place_s")}
     return {
         **paths,
         **while_driving(episode.time, true, estimated, episode.levels[:, placed]),
@@ -167,14 +169,6 @@ def _exploration(row: Row, job: Job, jitter: float) -> Scores:
         "explored": int(episode.is_finished), "driven_s": float(episode.time[-1]),
         "drive_cpu_s": driven - begin, "smoothing_cpu_s": spent,
     }  # fmt: skip
-
-
-def _kidnapped(found: Mapping[str, Any]) -> Scores:
-    return {
-        "placed": int(found["fault_placed_s"] is not None),
-        "placed_s": found["fault_placed_s"],
-        "wrong_place_s": found["fault_wrong_place_s"],
-    }
 
 
 def _log(row: Row, job: Job, jitter: float) -> Scores:

@@ -10,7 +10,7 @@ from typing import Literal
 from benchmarks.suite.faults import DRIVE_FAULTS
 from benchmarks.suite.jobs import Job
 from limslam_agent.config import DEFAULT_PRESET
-from limslam_agent.config.tables import SettingsError, built, read_toml
+from limslam_agent.config.tables import built, read_toml
 from limslam_env.config import NoiseConfig
 
 SHIPPED = Path(__file__).parent / "rows.toml"
@@ -145,7 +145,4 @@ def read_rows(path: Path = SHIPPED) -> Rows:
     ValueError
         If the file cannot be used; the message is one line that names file and key.
     """
-    try:
-        return built(Rows, read_toml(path), path.name)
-    except SettingsError as error:
-        raise ValueError(str(error)) from error
+    return built(Rows, read_toml(path), path.name)

@@ -1,4 +1,4 @@
-"""How large the estimator is: its lines, its constants, and its largest file and function, counted from its sources."""
+"""How large the estimator is: its lines and its constants, counted from its sources."""
 
 import ast
 from hashlib import sha256
@@ -23,39 +23,17 @@ def estimator_files() -> list[Path]:
     return sorted(file for path in found for file in ([path] if path.suffix else path.rglob("*.py")) if file.is_file())
 
 
-def size_of(files: list[Path]) -> dict[str, int | str]:
-    """Lines, files, assignments at module level whose value has a number in it, and the largest file and function.
-
-    The lines of a function are those of its body: signatures and docstrings are not counted.
-    """
-    lines, functions, constants = dict[str, int](), {"none": 0}, 0
-    for file in files:
-        text, name = file.read_text(encoding="utf-8"), f"{file.parent.name}/{file.name}"
-        tree = ast.parse(text)
-        lines[name] = len(text.splitlines())
-        constants += sum(_has_number(node.value) for node in tree.body if isinstance(node, ast.Assign | ast.AnnAssign))
-        for node in ast.walk(tree):
-            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
-                functions[f"{name}:{node.name}"] = _length(node)
-    return {
-        "lines": sum(lines.values()), "files": len(files), "constants": constants, "largest_file": _largest(lines),
-        "largest_function": _largest(functions),
-    }  # fmt: skip
+def size_of(files: list[Path]) -> dict[str, int]:
+    """Lines, files, and assignments at module level whose value has a number in it."""
+    texts = [file.read_text(encoding="utf-8") for file in files]
+    nodes = [node for text in texts for node in ast.parse(text).body]
+    constants = sum(_has_number(node.value) for node in nodes if isinstance(node, ast.Assign | ast.AnnAssign))
+    return {"lines": sum(len(text.splitlines()) for text in texts), "files": len(files), "constants": constants}
 
 
 def digest_of(files: list[Path]) -> str:
     """Digest of the content of files: 16 hexadecimal digits."""
     return sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
-
-
-def _largest(lengths: dict[str, int]) -> str:
-    name = max(lengths, key=lambda each: lengths[each])
-    return f"{name} ({lengths[name]})"
-
-
-def _length(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
-    body = function.body[1:] if ast.get_docstring(function) is not None else function.body
-    return (body[-1].end_lineno or 0) - body[0].lineno + 1 if body else 0
 
 
 def _has_number(value: ast.expr | None) -> bool:

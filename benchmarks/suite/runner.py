@@ -77,7 +77,7 @@ def run_suite(
         If the folder cannot be used: see :func:`limslam_agent.measurements.store.open_store`.
     """
     begin = time.monotonic()
-    stamp = Stamp(suite.name, suite.digest, len(suite.jobs), package_versions(), commit())
+    stamp = Stamp(versions(), commit(), suite.name, suite.digest, len(suite.jobs))
 
     def keep(row: Row) -> bool:
         return not (retry_failed and row.error)
@@ -104,8 +104,3 @@ def timed(work: Work, job: Job) -> Outcome:
     outcome = work(job)
     spent = {"job_s": time.perf_counter() - begin, "job_cpu_s": time.process_time() - begin_cpu}
     return replace(outcome, cost={**outcome.cost, **spent})
-
-
-def package_versions() -> dict[str, str]:
-    """Versions of all packages that a metric depends on."""
-    return versions()

@@ -50,22 +50,12 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Stamp:
-    """The properties that all results of a folder have in common.
-
-    Attributes
-    ----------
-    suite, digest, jobs
-        The name of the suite, its digest, and its number of jobs.
-    versions, commit
-        Versions of packages and commit of the checkout.
-    """
+class Stamp(store.BaseStamp):
+    """What all results of a suite have in common: also its name, its digest, and its number of jobs."""
 
     suite: str
     digest: str
     jobs: int
-    versions: dict[str, str]
-    commit: str
 
     @property
     def identity(self) -> Mapping[str, Hashable]:

@@ -17,12 +17,12 @@ from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
 
 import limslam_env  # noqa: F401 (registers the environments)
-from benchmarks.suite.runner import package_versions
 from benchmarks.training.explore_env import VIEW, ExploreVectorEnv
 from benchmarks.training.network import DirectionPolicy
 from limslam_agent.output.provenance import commit
 from limslam_agent.policies.learned.learned import HOLD, TEMPERATURE
 from limslam_agent.policies.learned.network import DirectionNetwork, save_network
+from limslam_agent.runs.results import versions
 from limslam_env.config import RewardConfig
 from limslam_env.envs.sb3 import Sb3VecEnv
 from limslam_env.geometry import FloatArray
@@ -103,7 +103,7 @@ def train(config: TrainConfig, folder: Path) -> Path:
         raise ValueError(f"{folder}: holds a training: choose another folder")
     folder.mkdir(parents=True, exist_ok=True)
     settings = {**asdict(config), "plans": list(config.plans), "held_out": list(config.held_out)}
-    text = json.dumps({"config": settings, "commit": commit(), "versions": package_versions()}, indent=1)
+    text = json.dumps({"config": settings, "commit": commit(), "versions": versions()}, indent=1)
     (folder / CONFIG).write_text(text + "\n", encoding="utf-8")
     torch.set_num_threads(1)
     batch = gym.make_vec(

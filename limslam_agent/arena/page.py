@@ -9,7 +9,7 @@ from typing import Any
 from limslam_agent.arena.leaderboard import Board, Standing
 from limslam_agent.arena.results import RUNS, Row
 from limslam_agent.arena.tracks import MAX_TIME
-from limslam_agent.inspect.page import filled, plotting_library
+from limslam_agent.inspect.page import filled, parts_of_pages
 from limslam_agent.measurements.statistics import number
 from limslam_agent.output.atomic_write import atomic_write
 
@@ -54,12 +54,9 @@ def write_board(path: Path, found: Board) -> int:
     OSError
         If it cannot be written there.
     """
-    library = plotting_library()
     told = json.dumps(_content(found, path.absolute().parent), allow_nan=False).replace("<", "\\u003c")
-    parts = {
-        "TITLE": "LimSLAM arena", "STYLE": library.style + _part("board.css"),
-        "LICENSE": library.license, "LIBRARY": library.script, "SCRIPT": _part("board.js"), "DATA": told,
-    }  # fmt: skip
+    own = {"TITLE": "LimSLAM arena", "SCRIPT": _part("board.js"), "DATA": told}
+    parts = parts_of_pages(_part("board.css")) | own
     content = filled(_part("board.html"), parts).encode()
     with atomic_write(path) as beside:
         beside.write_bytes(content)

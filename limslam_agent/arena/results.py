@@ -46,7 +46,7 @@ class Row:
 
 
 @dataclass(frozen=True)
-class Stamp:
+class Stamp(store.BaseStamp):
     """What all results of a folder have in common.
 
     Attributes
@@ -63,8 +63,6 @@ class Stamp:
         Digest of the plans. It says whether two folders have the same plans, and nothing about a secret seed.
     is_secret
         Whether the plans come from a secret seed.
-    versions, commit
-        Versions of packages and commit of the checkout.
     """
 
     arena: int
@@ -73,8 +71,6 @@ class Stamp:
     digest: str
     plans: str
     is_secret: bool
-    versions: dict[str, str]
-    commit: str
 
     def __post_init__(self) -> None:
         if self.arena != VERSION:
@@ -93,8 +89,8 @@ FORMAT = store.Format("results of the arena", STAMP, Stamp, Row, lambda row: row
 def stamp_of(entry: Entry, seed: int, *, is_secret: bool, versions: dict[str, str], commit: str) -> Stamp:
     """The stamp of an entry's results on the plans of a seed."""
     return Stamp(
-        VERSION, manifest_table(entry.manifest), str(entry.folder), entry.digest,
-        plans_digest(seed), is_secret, versions, commit,
+        versions, commit, VERSION, manifest_table(entry.manifest), str(entry.folder), entry.digest,
+        plans_digest(seed), is_secret,
     )  # fmt: skip
 
 

@@ -119,8 +119,7 @@ def results_of(todo: Sequence[Job], jobs: int) -> Iterator[Row]:
         for job, row in results:
             if isinstance(row, Failure):
                 raise ValueError(  # noqa: TRY004 (a process has failed)
-                    f"plan {job.plan.number}: {row.reason}; the same command goes on, and --plans can leave this plan "
-                    "out"
+                    f"plan {job.plan.number}: {row.reason}; the same command goes on"
                 )
             yield row
 

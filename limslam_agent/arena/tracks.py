@@ -96,34 +96,3 @@ def plans_of(seed: int = PUBLIC_SEED) -> list[Plan]:
         )
         for number in range(COUNT)
     ]  # fmt: skip
-
-
-def chosen(plans: list[Plan], words: str | None) -> list[Plan]:
-    """The plans that a text names: ``8`` (the first eight), ``3-10`` or ``0,5,7``. None names all.
-
-    Raises
-    ------
-    ValueError
-        If the text names no plan.
-    """
-    if words is None:
-        return plans
-    try:
-        numbers = _numbers(words)
-    except ValueError as error:
-        raise ValueError(
-            f"--plans: {words!r} names no plans: 8 are the first eight, 3-10 and 0,5,7 are numbers"
-        ) from error
-    if not numbers or min(numbers) < 0 or max(numbers) >= len(plans):
-        raise ValueError(f"--plans: {words!r}: there are the plans 0 to {len(plans) - 1}")
-    return [plans[number] for number in sorted(set(numbers))]
-
-
-def _numbers(words: str) -> list[int]:
-    if words.isdecimal():
-        return list(range(int(words)))
-    found: list[int] = []
-    for word in words.split(","):
-        first, dash, last = word.strip().partition("-")
-        found += range(int(first), int(last) + 1) if dash else [int(first)]
-    return found

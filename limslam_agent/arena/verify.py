@@ -1,7 +1,6 @@
 """Runs plans of a folder of results again, and compares the metrics."""
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +9,8 @@ from limslam_agent.arena.entry import Entry, manifest_table, read_entry
 from limslam_agent.arena.results import FORMAT, Row, Stamp, digest_of, plans_digest, read_results
 from limslam_agent.arena.running import Job, results_of
 from limslam_agent.arena.tracks import PUBLIC_SEED, Plan, plans_of
-from limslam_agent.measurements.store import read_stamp
-from limslam_agent.output.provenance import changes, commit
+from limslam_agent.measurements.store import BaseStamp, read_stamp
+from limslam_agent.output.provenance import commit
 from limslam_agent.runs.results import versions
 
 BOUNDS = {
@@ -93,7 +92,7 @@ def differences(before: Row, now: Row, *, is_process: bool) -> list[str]:
 
 def other_versions(stamp: Stamp) -> str:
     """What is another version here than in a folder of results, in words. Empty if nothing is."""
-    return changes(stamp, replace(stamp, versions=versions(), commit=commit()))
+    return stamp.changes(BaseStamp(versions(), commit()))
 
 
 def _equal(first: object, second: object, bound: float | None, is_process: bool) -> bool:

@@ -49,9 +49,7 @@ def _read_seed() -> int:
 def run(
     entry: Annotated[Path, typer.Argument(help="Folder of the entry, with entry.toml.")],
     out: Annotated[Path, typer.Option(help="Folder for the results. Results that are there are kept.")],
-    plans: Annotated[
-        str | None, typer.Option(help="Plans to run: 8 (the first eight), 3-10 or 0,5,7.", show_default="all")
-    ] = None,
+    plans: Annotated[int, typer.Option(min=1, max=100, help="How many plans are run, from the first on.")] = 100,
     jobs: _Jobs = 2,
     *,
     secret_seed: _Secret = False,
@@ -62,12 +60,12 @@ def run(
     from limslam_agent.arena.entry import read_entry
     from limslam_agent.arena.leaderboard import board
     from limslam_agent.arena.running import run_entry
-    from limslam_agent.arena.tracks import PUBLIC_SEED, chosen, plans_of
+    from limslam_agent.arena.tracks import PUBLIC_SEED, plans_of
     from limslam_env.messages import printable
 
     found = read_entry(entry)
     seed = _read_seed() if secret_seed else PUBLIC_SEED
-    wanted = chosen(plans_of(seed), plans)
+    wanted = plans_of(seed)[:plans]
     with progress_bar("arena", len(wanted)) as advance:
         rows = run_entry(
             found, wanted, out, seed=seed, is_secret=seed != PUBLIC_SEED, jobs=jobs,

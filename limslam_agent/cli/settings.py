@@ -8,7 +8,7 @@ from shutil import copyfile
 from typing import TYPE_CHECKING, Any
 
 from limslam_agent.cli.options import LiveOptions, Options, ReplayOptions, RunOptions
-from limslam_agent.config.tables import SettingsError, Table, known_settings, read_toml, table_of, updated, write_toml
+from limslam_agent.config.tables import SettingsError, Table, read_toml, table_of, updated, write_toml
 
 if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig
@@ -21,7 +21,6 @@ FILE = "run.toml"
 
 _MAX_WHEEL_STD = 1.0  # m, after 1 m
 
-_MOST_NAMED = 5  # settings in a warning
 _TIME_PER_GROUND = 10.0  # s for each m^2 of a world: twice what an exploration needs
 
 # These say where results go, not how they are made.
@@ -30,12 +29,6 @@ _OUTPUT = {"out", "force", "video", "watch"}
 # The true noise of wheels, which the kind of range sensors does not change.
 _WHEELS = {"wheel_variance", "encoder_resolution", "wheel_mismatch", "axle_mismatch", "slip_rate", "slip_share"}
 # The settings of an agent that belong to its preset.
-_GONE = {
-    *("film_speed", "scan_topic", "range_topics", "odometry_topic", "max_events", "max_beams"),
-    *("calibrate_until", "calibrate_log", "max_size"),
-}
-"""Options of earlier versions. A file that a run has written may have them, and a warning names them."""
-
 _OF_PRESET = ("estimator", "smoothing", "smooths_runs", "renewal")
 
 
@@ -87,25 +80,17 @@ class Given:
 
     def of_file(self, defaults: Options, tables: tuple[str, ...]) -> Options:
         """The options that the file has, and the defaults of the others; its paths are relative to the file."""
-        unknown = set(self.table) - {field.name for field in fields(defaults)} - set(tables) - _GONE
+        unknown = set(self.table) - {field.name for field in fields(defaults)} - set(tables)
         if unknown:
             known = ", ".join([*(field.name for field in fields(defaults)), *(f"[{name}]" for name in tables)])
-            raise SettingsError(
-                f"{self.path}: {min(unknown)}: there is no such setting{self._hint(unknown)}; there are {known}"
-            )
+            raise SettingsError(f"{self.path}: {min(unknown)}: there is no such setting; there are {known}")
         options = updated(
-            defaults, {name: self.table[name] for name in self.table if name not in {*tables, *_GONE}}, str(self.path)
+            defaults, {name: self.table[name] for name in self.table if name not in tables}, str(self.path)
         )
         paths: dict[str, Any] = {
             name: self.beside_file(value) for name, value in asdict(options).items() if isinstance(value, Path)
         }
         return replace(options, **paths)
-
-    def _hint(self, unknown: set[str]) -> str:
-        """Which command the file is of, if its unknown keys are options of another command."""
-        commands = {"run": RunOptions, "replay": ReplayOptions, "live": LiveOptions}
-        others = [name for name, kind in commands.items() if unknown & {field.name for field in fields(kind)}]
-        return f": this is a file of limslam {others[0]}" if others else ""
 
     def beside_file(self, path: Path) -> Path:
         """A path of the file, which is relative to the file's folder."""
@@ -125,7 +110,6 @@ class Given:
         if isinstance(policy := table.get("policy"), Mapping) and "until" in policy:
             raise SettingsError(f"{self.path}: agent.policy.until: is set as until, outside of all tables")
         in_file = base if base.preset == preset_in_file else self._preset_in_file(preset_in_file, base)
-        table = dict(known_settings(in_file, table)[0])
         if base.preset != preset_in_file:
             # A mistake in the file is a mistake, even if the table is not used.
             updated(in_file, table, f"{self.path}: agent", fixed={"preset"})
@@ -133,18 +117,12 @@ class Given:
         return updated(base, table, f"{self.path}: agent", fixed={"preset"})
 
     def warnings(self, preset: str) -> list[str]:
-        """A line for settings that this version lacks, and one for tables of the file that are for another preset."""
-        from limslam_agent.config.presets import AgentConfig
-
+        """A line for tables of the file that are for another preset."""
         in_file, table = self.table.get("preset", preset), self.table.get("agent", {})
-        old = known_settings(self._preset_in_file(in_file, AgentConfig()), table)[1] if table else []
-        old = [*(name for name in self.table if name in _GONE), *old]
-        names = ", ".join(old[:_MOST_NAMED]) + (f" and {len(old) - _MOST_NAMED} more" if old[_MOST_NAMED:] else "")
-        lacking = [f"{self.path}: left out, since this version has no such settings: {names}"] if old else []
         unused = ", ".join(f"agent.{name}" for name in _OF_PRESET if name in table)
         if in_file == preset or not unused:
-            return lacking
-        return [*lacking, f"{self.path}: not used, since the preset is {preset} and not {in_file}: {unused}"]
+            return []
+        return [f"{self.path}: not used, since the preset is {preset} and not {in_file}: {unused}"]
 
     def _preset_in_file(self, name: str, base: "AgentConfig") -> "AgentConfig":
         from limslam_agent.config.presets import preset

@@ -96,29 +96,6 @@ def built(kind: type[T], table: Any, where: str) -> T:
     return _made(kind, values, where)
 
 
-def known_settings(settings: Any, table: Table) -> tuple[Table, list[str]]:
-    """A table of all settings without those that a dataclass does not have, and their names.
-
-    Another version, which had these settings, wrote such a table. A table that lacks a part was written by hand, and
-    stays as it is.
-    """
-    parts = {name for name, value in vars(settings).items() if is_dataclass(value)}
-    return _known(settings, table) if isinstance(table, Mapping) and parts <= set(table) else (table, [])
-
-
-def _known(settings: Any, table: Table) -> tuple[Table, list[str]]:
-    kept, unknown, names = dict[str, Any](), list[str](), _hints(type(settings))
-    for name, value in table.items():
-        if name not in names:
-            unknown.append(name)
-        elif is_dataclass(part := getattr(settings, name)) and isinstance(value, Mapping):
-            kept[name], inside = _known(part, value)
-            unknown += [f"{name}.{each}" for each in inside]
-        else:
-            kept[name] = value
-    return kept, unknown
-
-
 def _made(kind: type[T], values: dict[str, Any], where: str) -> T:
     try:
         return kind(**values)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from functools import cache
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from numpy.typing import NDArray
 
@@ -47,18 +47,13 @@ def _part(folder: str, name: str) -> str:
     return files(_HERE).joinpath(folder, name).read_text(encoding="utf-8")
 
 
-class PlottingLibrary(NamedTuple):
-    """The vendored plotting library: its style sheet, its licence as the text of an HTML comment, and its program."""
-
-    style: str
-    license: str
-    script: str
-
-
-def plotting_library() -> PlottingLibrary:
-    """The plotting library, for pages that ask nothing from a network."""
-    licence = _part("vendor", "LICENSE.uPlot").replace("--", "- -")
-    return PlottingLibrary(_part("vendor", "uPlot.min.css"), licence, _part("vendor", "uPlot.iife.min.js"))
+def parts_of_pages(style: str) -> dict[str, str]:
+    """The parts of all pages: the vendored plotting library, whose style sheet comes before a page's own."""
+    return {
+        "STYLE": _part("vendor", "uPlot.min.css") + style,
+        "LICENSE": _part("vendor", "LICENSE.uPlot").replace("--", "- -"),  # the text of an HTML comment
+        "LIBRARY": _part("vendor", "uPlot.iife.min.js"),
+    }
 
 
 def page(title: str, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> str:
@@ -87,17 +82,11 @@ def told_to_page(title: str, meta: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _assembled(title: str, content: str) -> str:
-    script = "\n".join(_part("page", name) for name in SCRIPTS)
-    library = plotting_library()
-    parts = {
-        "TITLE": html.escape(title, quote=False),
-        "STYLE": library.style + _part("page", "style.css"),
-        "LICENSE": library.license,
-        "LIBRARY": library.script,
-        "SCRIPT": script,
+    own = {
+        "TITLE": html.escape(title, quote=False), "SCRIPT": "\n".join(_part("page", name) for name in SCRIPTS),
         "DATA": content,
-    }
-    return filled(_part("page", "page.html"), parts)
+    }  # fmt: skip
+    return filled(_part("page", "page.html"), parts_of_pages(_part("page", "style.css")) | own)
 
 
 def filled(template: str, parts: Mapping[str, str]) -> str:

@@ -71,21 +71,17 @@ def number(value: float | None, decimals: int) -> str:
     return words.removeprefix("-") if float(words) == 0.0 else words
 
 
-def estimate(statistic: Statistic, *samples: ArrayLike) -> Estimate | None:
-    """A statistic of samples (n, ...) with its interval; None if a sample is empty.
-
-    The first axis is resampled, of each sample by itself.
-    """
-    arrays = [np.asarray(sample, dtype=float) for sample in samples]
-    count = min(map(len, arrays))
+def estimate(statistic: Statistic, values: ArrayLike) -> Estimate | None:
+    """A statistic of values (n, ...) with its interval; None if there are none. The first axis is resampled."""
+    array = np.asarray(values, dtype=float)
+    count = len(array)
     if not count:
         return None
-    value = float(statistic(*(array[None] for array in arrays))[0])
+    value = float(statistic(array[None])[0])
     if count < LEAST:
         return Estimate(value, None, None, count)
-    draws = max(_FEWEST, min(_RESAMPLES, _DRAWS // max(map(np.size, arrays))))
-    generator = np.random.default_rng(0)
-    drawn = statistic(*(array[generator.integers(len(array), size=(draws, len(array)))] for array in arrays))
+    draws = max(_FEWEST, min(_RESAMPLES, _DRAWS // array.size))
+    drawn = statistic(array[np.random.default_rng(0).integers(count, size=(draws, count))])
     low, high = np.quantile(drawn, [0.5 * (1.0 - LEVEL), 0.5 * (1.0 + LEVEL)])
     return Estimate(value, float(low), float(high), count)
 

@@ -9,11 +9,10 @@ from collections.abc import Callable, Hashable, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
-from typing import Any, Generic, Protocol, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import Any, Generic, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from limslam_agent.output.atomic_write import append_line, mend_lines, replace_content
 from limslam_agent.output.claims import clear_up, locked
-from limslam_agent.output.provenance import Provenance, changes
 from limslam_agent.safe_files import read_limited
 from limslam_env.messages import one_line
 
@@ -21,16 +20,32 @@ RESULTS = "results.jsonl"
 _LOCK, _MAX_BYTES, _LARGEST = ".lock", 256_000_000, 1e100
 
 
-class StampLike(Provenance, Protocol):
-    """What a stamp says: which results a folder holds, and where they come from."""
+@dataclass(frozen=True)
+class BaseStamp:
+    """What all results of a folder have in common: versions of packages, and the commit of the checkout."""
+
+    versions: dict[str, str]
+    commit: str
 
     @property
     def identity(self) -> Mapping[str, Hashable]:
         """What must be equal for results to go on, by the words that say what a folder with another one holds."""
+        return {}
+
+    def changes(self, now: "BaseStamp") -> str:
+        """How versions and commit differ from those of now, in words. Empty if they do not."""
+        changed = [
+            f"{name} {self.versions.get(name, 'missing')}, now {now.versions.get(name, 'missing')}"
+            for name in sorted(self.versions.keys() | now.versions.keys())
+            if self.versions.get(name) != now.versions.get(name)
+        ]
+        return "; ".join(
+            [*changed, *([f"commit {self.commit}, now {now.commit}"] if self.commit != now.commit else [])]
+        )
 
 
 R = TypeVar("R")
-S = TypeVar("S", bound=StampLike)
+S = TypeVar("S", bound=BaseStamp)
 
 
 @dataclass(frozen=True)
@@ -114,7 +129,7 @@ def open_store(
         if (folder / form.stamp_file).is_file():
             _check_same(folder, read_stamp(form, folder), stamp)
         else:
-            replace_content(folder / form.stamp_file, json.dumps(_table(stamp), indent=2).encode() + b"\n")
+            replace_content(folder / form.stamp_file, json.dumps(asdict(stamp), indent=2).encode() + b"\n")
         mend_lines(folder / RESULTS)
         clear_up(folder)
         rows = read_rows(form, folder)
@@ -124,11 +139,11 @@ def open_store(
         yield Store(form, folder, kept)
 
 
-def _check_same(folder: Path, before: StampLike, stamp: StampLike) -> None:
+def _check_same(folder: Path, before: BaseStamp, stamp: BaseStamp) -> None:
     for what, value in stamp.identity.items():
         if before.identity[what] != value:
             raise ValueError(f"{folder}: holds results of {what}: choose another folder")
-    if changed := changes(before, stamp):
+    if changed := before.changes(stamp):
         raise ValueError(f"{folder}: holds results of other versions ({changed}): choose another folder")
 
 
@@ -159,10 +174,7 @@ def read_rows(form: Format[Any, R], path: Path) -> list[R]:
     ValueError
         If the file does not exist, or a line is no row; the message names file and line.
     """
-    below = sorted(each.parent for each in path.glob(f"*/{RESULTS}")) if path.is_dir() else []
     path = path / RESULTS if path.is_dir() else path
-    if below and not path.exists():
-        raise ValueError(one_line(f"{path}: no results there; there are some in {', '.join(map(str, below))}"))
     try:
         lines = read_limited(path, _MAX_BYTES).split(b"\n")[:-1]
     except OSError as error:
@@ -195,12 +207,8 @@ def rows_once(form: Format[Any, R], rows: Iterable[R]) -> list[R]:
     return list(found.values())
 
 
-def _table(content: Any) -> dict[str, Any]:
-    return asdict(content)
-
-
 def _line(row: Any) -> bytes:
-    return json.dumps(_table(row), allow_nan=False).encode() + b"\n"
+    return json.dumps(asdict(row), allow_nan=False).encode() + b"\n"
 
 
 def _built(kind: type[R], table: Any) -> R:

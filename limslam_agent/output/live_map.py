@@ -5,6 +5,8 @@ from os import PathLike
 from pathlib import Path
 from typing import Protocol
 
+import numpy as np
+
 from limslam_agent.output.export import WallsAndGrid, write_map
 from limslam_env.geometry import FloatArray
 
@@ -47,14 +49,11 @@ def save_map(
     from limslam_agent.output.drawing import MapPicture, draw_map
 
     target = Path(folder)
-    paths = [pose[None] for pose in snapshot.poses] if path is None else _listed(path)
+    each = [pose[None] for pose in snapshot.poses] if path is None else path
+    paths = [each] if isinstance(each, np.ndarray) and each.ndim == 2 else list(each)
     if len(paths) != len(snapshot.poses):
         raise ValueError(f"{len(paths)} paths do not go with {len(snapshot.poses)} robots")
     target.mkdir(parents=True, exist_ok=True)
     write_map(target, snapshot)
     positions = [each[:, :2] for each in paths]
     draw_map(target / "map.png", MapPicture(title, snapshot.segments, positions, grid=snapshot.grid))
-
-
-def _listed(path: FloatArray | Sequence[FloatArray]) -> list[FloatArray]:
-    return [path] if getattr(path, "ndim", 0) == 2 else list(path)  # type: ignore[list-item] # one path is an array

@@ -82,8 +82,6 @@ def record_summary(result: Mapping[str, Any]) -> list[str]:
     lines += [_calibration_line(found) for found in each if found] if isinstance(each, list) else []
     if part_of(result, "metrics").get("status") != "lost":
         lines += _sensor_line(record.get("sensor"), beams) + _turned_beams(record.get("beam_turns"), beams)
-    if "log" in config and (end := _pose(record)) is not None:
-        lines.append(f"odometry    ended at x {end[0]:.2f} m, y {end[1]:.2f} m, heading {end[2]:.1f} deg")
     return lines
 
 
@@ -143,12 +141,6 @@ def _turned_beams(turns: Any, beams: Any) -> list[str]:
         if _has(turn, "deg", "std_deg") and abs(turn["deg"]) > 3.0 * turn["std_deg"]
     ]
     return [f"turned      {', '.join(sure)}, against the robot's settings"] if sure else []
-
-
-def _pose(record: Mapping[str, Any]) -> list[float] | None:
-    """Where the odometry of the first robot ended."""
-    ends = record.get("odometry_end")
-    return _numbers(ends[0] if isinstance(ends, list) and ends else None)
 
 
 def _numbers(pose: Any) -> list[float] | None:

@@ -1,7 +1,6 @@
 """What kind of object an actor is, and whether it was made for the robot and the observations of an environment."""
 
 import inspect
-from collections.abc import Mapping
 from dataclasses import fields
 from typing import Any
 
@@ -18,7 +17,7 @@ def check_actor(actor: Any, robot: RobotSpec, env: Any) -> None:
     Parameters
     ----------
     actor
-        What `evaluate` takes: an actor, a policy, a model, or a dict of them by robot names.
+        What `evaluate` takes: an actor, a policy or a model.
     robot
         The robot of the environment.
     env
@@ -29,20 +28,15 @@ def check_actor(actor: Any, robot: RobotSpec, env: Any) -> None:
     ValueError
         If the actor has another ``robot``, or an ``observation_space`` of another form.
     """
-    for name, part in actor.items() if isinstance(actor, Mapping) else [(None, actor)]:
-        _check_robot(part, robot)
-        _check_observations(part, _observation_space(env, name))
-
-
-def _check_robot(actor: Any, robot: RobotSpec) -> None:
     own = getattr(actor, "robot", None)
-    if not isinstance(own, RobotSpec) or own == robot:
-        return
-    different = [part.name for part in fields(robot) if getattr(own, part.name) != getattr(robot, part.name)]
-    raise ValueError(
-        f"{type(actor).__name__} was made for another robot than that of the environment (they differ in "
-        f"{', '.join(different)}): give both the same robot, by the argument robot="
-    )
+    if isinstance(own, RobotSpec) and own != robot:
+        different = [part.name for part in fields(robot) if getattr(own, part.name) != getattr(robot, part.name)]
+        raise ValueError(
+            f"{type(actor).__name__} was made for another robot than that of the environment (they differ in "
+            f"{', '.join(different)}): give both the same robot, by the argument robot="
+        )
+    names = getattr(env, "possible_agents", None)
+    _check_observations(actor, env.observation_space if names is None else env.observation_space(names[0]))
 
 
 def _check_observations(actor: Any, seen: Any) -> None:
@@ -55,14 +49,6 @@ def _check_observations(actor: Any, seen: Any) -> None:
             f"gives ({_described(seen)}): pass the wrappers of the training by wrap=, for example wrap=SlamObservation"
         )
     )
-
-
-def _observation_space(env: Any, name: str | None) -> Any:
-    """The observation space of a robot; of the first robot for None."""
-    names = getattr(env, "possible_agents", None)
-    if names is None:
-        return env.observation_space
-    return env.observation_space(names[0] if name not in names else name)
 
 
 def _form(space: Any) -> Any:

@@ -73,11 +73,6 @@ def driver_of(
     ValueError
         If ``actor`` cannot act, or if it may be a policy and may be an actor.
     """
-    if isinstance(actor, Mapping):
-        if not is_team:
-            raise ValueError("a dict of actors is for parallel environments; here one actor drives one robot")
-        parts = {name: driver_of(part, is_team=False, robot=robot, noise=noise) for name, part in actor.items()}
-        return _ActorPerRobot(parts)
     if isinstance(actor, str):
         body, config = robot or RobotSpec(), preset(preset_name or DEFAULT_PRESET, noise)
         return _AgentDriver(
@@ -97,10 +92,6 @@ def driver_of(
         return _SingleActor(actor, actor.act, is_team=is_team)
     if callable(getattr(actor, "predict", None)):
         return _ModelActor(actor)
-    return _function_driver(actor, is_team=is_team)
-
-
-def _function_driver(actor: Any, *, is_team: bool) -> Driver:
     if not callable(actor):
         raise ValueError(  # noqa: TRY004 (all refused arguments are ValueErrors)
             f"{type(actor).__name__} cannot act: it has no act, no predict, and is not callable"
@@ -213,29 +204,3 @@ class _ModelActor(Driver):
         memory = {} if state is None else {"state": state, "episode_start": np.zeros(1, dtype=bool)}
         action, self._states[name] = self._model.predict(observation, deterministic=True, **memory)
         return action
-
-
-class _ActorPerRobot(Driver):
-    """A separate actor for each robot."""
-
-    def __init__(self, drivers: Mapping[str, Driver]) -> None:
-        self._drivers = drivers
-        self.can_stop = all(driver.can_stop for driver in drivers.values())
-
-    def reset(self, start_poses: Mapping[str, FloatArray], seed: int) -> None:
-        if set(self._drivers) != set(start_poses):
-            raise ValueError(f"there must be one actor for each of {', '.join(start_poses)}, not {list(self._drivers)}")
-        for name, driver in self._drivers.items():
-            driver.reset({name: start_poses[name]}, seed)
-
-    def act(self, observations: Observations) -> Actions:
-        return {name: self._drivers[name].act({name: seen})[name] for name, seen in observations.items()}
-
-    @property
-    def done(self) -> bool:
-        return all(driver.done for driver in self._drivers.values())
-
-    @property
-    def stop_reason(self) -> str | None:
-        reasons = {str(driver.stop_reason) for driver in self._drivers.values() if driver.stop_reason is not None}
-        return "; ".join(sorted(reasons)) or None

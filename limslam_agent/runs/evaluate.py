@@ -1,7 +1,7 @@
 """Scores anything that can act by the metrics of ``limslam run``."""
 
 import re
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -50,10 +50,9 @@ def evaluate(
         **actor** is anything with ``act(observation)``, a model of Stable-Baselines3 or another object with
         ``predict(observation, deterministic=True) -> (action, state)``, or a callable. If the actor has a
         ``reset(start_pose, seed)``, it is called before each episode. In a parallel environment an actor answers a dict
-        of all robots' observations with a dict of their actions. In a dict of actors by robot names, each actor answers
-        for its own robot. A model with ``predict`` answers for each robot in turn. A **name** that ``limslam run
-        --policy`` knows (``"frontier"``, ``"learned"`` and so on) stands for the agent of that command, and for its
-        team in a parallel environment.
+        of all robots' observations with a dict of their actions. A model with ``predict`` answers for each robot in
+        turn. A **name** that ``limslam run --policy`` knows (``"frontier"``, ``"learned"`` and so on) stands for the
+        agent of that command, and for its team in a parallel environment.
     env_id
         A Gymnasium id (``LimSlam-Env1-v0``), or a PettingZoo id (``limslam/Env1-v0``) for several robots.
     seeds
@@ -169,7 +168,7 @@ def _check(actor: Any, env_id: Any, max_time: float, preset: str | None) -> None
             f"env_id is a name such as 'LimSlam-Env1-v0', not {described(env_id)}: "
             "evaluate makes the environment itself, from further arguments (sensor_noise=0.02 and so on) and wrap="
         )
-    has_agent = isinstance(actor, str) or (not isinstance(actor, Mapping | type) and is_policy(actor))
+    has_agent = isinstance(actor, str) or (not isinstance(actor, type) and is_policy(actor))
     if preset is not None and not has_agent:
         raise ValueError(f"preset={preset!r} is for a policy: an actor brings its own settings")
 

@@ -165,7 +165,7 @@ def _wall_scores(
     world: World, visible: metrics.WallSamples, segments: FloatArray, true: FloatArray, estimated: FloatArray
 ) -> dict[str, float]:
     # All robots share one map, so one rigid motion aligns it.
-    alignment = metrics.rigid_alignment(_joined(true)[:, :2], _joined(estimated)[:, :2])
+    alignment = metrics.rigid_alignment(true.reshape(-1, 3)[:, :2], estimated.reshape(-1, 3)[:, :2])
     return metrics.wall_metrics(visible, world.edges, segments, alignment)
 
 
@@ -276,10 +276,6 @@ def _draw(path: Path, episode: Episode) -> None:
         online=[] if episode.smoothed is None else estimated,
     )  # fmt: skip
     draw_map(path, picture)
-
-
-def _joined(poses: FloatArray) -> FloatArray:
-    return np.asarray(poses.reshape(-1, 3))
 
 
 def versions() -> dict[str, str]:

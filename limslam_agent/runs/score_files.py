@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from limslam_agent.logs.relations import read_relations, relation_errors, summary
 from limslam_agent.output.export import plain
@@ -172,17 +173,9 @@ def matched(first: FloatArray, second: FloatArray, max_difference: float) -> tup
     if len(second) > len(first):
         shorter, longer = matched(second, first, max_difference)[::-1]
         return shorter, longer
-    order = np.argsort(first, kind="stable")
-    after = (
-        np.clip(np.searchsorted(first[order], second), 1, len(first) - 1)
-        if len(first) > 1
-        else np.zeros_like(second, int)
-    )
-    before = np.maximum(after - 1, 0)
-    is_before = np.abs(first[order][before] - second) <= np.abs(first[order][after] - second)
-    nearest = order[np.where(is_before, before, after)]
-    near = np.flatnonzero(np.abs(first[nearest] - second) <= max_difference)
-    return nearest[near], near
+    distance, nearest = cKDTree(first[:, None]).query(second[:, None])
+    near = np.flatnonzero(distance <= max_difference)
+    return np.asarray(nearest)[near], near
 
 
 def read_covariances(path: Path, trajectory: Path, time: FloatArray) -> FloatArray:

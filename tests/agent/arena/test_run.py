@@ -197,7 +197,7 @@ def test_a_stamp_that_was_changed_is_noticed(tmp_path, entry):
     ("words", "reason"),
     [
         (("run", "nowhere", "--out", "out"), "there is no such folder"),
-        (("run", "entry", "--out", "out", "--plans", "500"), "--plans: '500'"),
+        (("run", "entry", "--out", "out", "--plans", "500"), "Invalid value for '--plans'"),
         (("run", "entry", "--out", "out", "--secret-seed"), "a whole number of 0 or more from standard input"),
         (("verify", "nowhere"), "holds no results of the arena"),
         (("page", "nowhere", "--out", "board.txt"), "a page ends in .html"),

@@ -4,7 +4,7 @@ from collections import Counter
 
 import pytest
 
-from limslam_agent.arena.tracks import COUNT, chosen, plans_of
+from limslam_agent.arena.tracks import COUNT, plans_of
 from limslam_env.worlds.formats.loading import load_world
 
 
@@ -33,14 +33,3 @@ def test_faults_are_in_the_simulator_and_not_in_what_is_told():
 def test_worlds_can_be_driven_in():
     for plan in plans_of(3)[:5]:
         load_world(plan.world).check(0.10)
-
-
-@pytest.mark.parametrize(("words", "numbers"), [("3", [0, 1, 2]), ("5-7", [5, 6, 7]), ("9,0, 4-5", [0, 4, 5, 9])])
-def test_plans_are_chosen(words, numbers):
-    assert [plan.number for plan in chosen(plans_of(), words)] == numbers
-
-
-@pytest.mark.parametrize("words", ["", "0", "101", "95-100", "-3", "a", "5-3", "1.5"])
-def test_plans_that_do_not_exist_are_refused(words):
-    with pytest.raises(ValueError, match="--plans: "):
-        chosen(plans_of(), words)

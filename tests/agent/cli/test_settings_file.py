@@ -22,7 +22,7 @@ from limslam_agent.cli.settings import (
     run_config,
     run_options,
 )
-from limslam_agent.config.tables import SettingsError, table_of, write_toml
+from limslam_agent.config.tables import SettingsError
 from limslam_env.config import NoiseConfig
 from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.robots import ROBOTS
@@ -153,30 +153,6 @@ def test_noise_on_the_command_line_is_true_and_assumed(tmp_path):
     assert by_option.agent.noise.wheel_variance == 1e-4
 
 
-def test_options_of_an_earlier_version_are_left_out_with_a_warning(tmp_path):
-    path = tmp_path / "run.toml"
-    path.write_text('log = "drive.clf"\nmax_beams = 1000\nmax_events = 10\nnoise = 0.03\n')
-    given = Given.read(path, {})
-    assert given.merged(ReplayOptions(), ("agent", "robot")).noise == 0.03
-    (warning,) = given.warnings("graph")
-    assert warning == f"{path}: left out, since this version has no such settings: max_beams, max_events"
-
-
-def test_settings_of_an_earlier_version_are_left_out_of_a_table_of_all_settings(tmp_path):
-    table = table_of(config_of(given(tmp_path)).agent)
-    del table["preset"], table["policy"]["until"]
-    old = {**table, "grid": {**table["grid"], "older": 1}, "oldest": {"size": 2}}
-    write_toml(tmp_path / "old.toml", {"agent": old}, "")
-    asked = Given.read(tmp_path / "old.toml", {})
-    assert config_of(asked).agent == config_of(given(tmp_path)).agent
-    (warning,) = asked.warnings("graph")
-    assert warning.endswith("old.toml: left out, since this version has no such settings: grid.older, oldest")
-    del old["odometry"]
-    write_toml(tmp_path / "old.toml", {"agent": old}, "")
-    with pytest.raises(SettingsError, match=r"agent\.(grid\.older|oldest): there is no such setting"):
-        config_of(Given.read(tmp_path / "old.toml", {}))
-
-
 def test_paths_of_a_file_are_relative_to_it(tmp_path):
     options = given(tmp_path, 'log = "logs/a.clf"\nrelations = "/known"').merged(ReplayOptions(), ("agent",))
     assert (options.log, str(options.relations)) == (tmp_path / "logs" / "a.clf", "/known")
@@ -268,17 +244,3 @@ def test_an_option_of_the_simulated_robot_that_cannot_be_is_refused_by_its_name(
     with pytest.raises(ValueError, match=r".") as error:
         config_of(given(tmp_path, **options))
     assert str(error.value).startswith(words)
-
-
-@pytest.mark.parametrize(
-    ("text", "defaults", "other"),
-    [
-        ('world = "env1"\nseed = 3\n', ReplayOptions(), "run"),
-        ('log = "log.npz"\n', RunOptions(), "replay"),
-    ],
-)
-def test_a_file_of_another_command_is_recognised(tmp_path, text, defaults, other):
-    with pytest.raises(SettingsError, match=f"no such setting: this is a file of limslam {other}; there are"):
-        given(tmp_path, text).of_file(defaults, ("agent",))
-    with pytest.raises(SettingsError, match="unheard: there is no such setting; there are"):
-        given(tmp_path, "unheard = 1").of_file(defaults, ("agent",))

@@ -18,12 +18,13 @@ from support.command_line import call
 from benchmarks.__main__ import main
 from benchmarks.analysis import tables
 from benchmarks.suite.jobs import Job
-from benchmarks.suite.runner import ONE_THREAD, package_versions, run_suite
+from benchmarks.suite.runner import ONE_THREAD, run_suite
 from benchmarks.suite.store import STAMP, read_rows
 from benchmarks.suite.suite import Suite, load_suite
 from limslam_agent.measurements.processes import Failure, Processes
 from limslam_agent.measurements.store import RESULTS
 from limslam_agent.output.provenance import commit
+from limslam_agent.runs.results import versions
 
 TINY = """
 name = "tiny"
@@ -114,7 +115,7 @@ def test_rows_hold_metrics_and_what_made_them(rows, tiny):
     for row in rows.values():
         assert row.error is None
         assert row.metrics["ate_m"] >= 0.0
-        assert row.versions == package_versions()
+        assert row.versions == versions()
         assert row.commit == commit()
         assert len(row.config) == 16
     assert len({row.config for row in rows.values()}) == 6, "one for each world, noise and preset"
