@@ -1,37 +1,51 @@
 # ruff: noqa: INP001
-"""Makes ``film.webp`` and ``film.png`` from videos of runs (extra ``video``).
-
-``limslam run --world env2 --noise 0.02 --video run.mp4 && python docs/images/film.py run.mp4``
-"""
+"""Makes ``film.webp`` from the video of a run: ``python docs/images/film.py run.mp4`` (extra ``video``)."""
 
 import sys
+from itertools import pairwise
 from pathlib import Path
 
-import imageio_ffmpeg
 import numpy as np
+from moviepy import VideoFileClip
 from PIL import Image
 
 FRAMES, SECONDS = 90, 12.0
+TOP = 402  # rows of a frame that show the two pictures, without the panels below them
 WIDTH = 960
-LAST = 75  # frames of a video that show its end
-STILL = 0.55  # share of the video after which ``film.png`` is taken
-ROWS = slice(118, 556)  # of a frame of Env2, which show the two pictures
+SPEED = (slice(14, 42), slice(930, 1005))  # where a frame shows the speed of the video, which this film does not have
+CHANGE = 60  # difference of a colour by which a digit differs, and not the compression of the video
+CLOCK = (slice(10, 42), slice(1180, 1280))  # where a frame shows the time, which stands still while the video is paused
+
+
+def frames_of(video: Path) -> list[Image.Image]:
+    """Frames of the run, evenly spread, without the stretches in which the video is paused."""
+    with VideoFileClip(str(video)) as clip:
+        frames = [frame[:TOP] for frame in clip.iter_frames()]
+    moving = [
+        frame for last, frame in pairwise(frames) if np.abs(frame[CLOCK].astype(int) - last[CLOCK]).max() > CHANGE
+    ] + frames[-1:]
+    kept = [moving[index].copy() for index in np.linspace(0, len(moving) - 1, FRAMES).astype(int)]
+    for frame in kept:
+        frame[SPEED] = frame[0, 0]
+    return [
+        Image.fromarray(frame).resize((WIDTH, TOP * WIDTH // frame.shape[1]), Image.Resampling.LANCZOS)
+        for frame in kept
+    ]
 
 
 def main(video: Path) -> None:
-    """Write both files beside this one."""
-    reader = imageio_ffmpeg.read_frames(str(video))
-    width, height = next(reader)["size"]
-    frames = [np.frombuffer(frame, dtype=np.uint8).reshape(height, width, 3) for frame in reader][:-LAST]
-    here = Path(__file__)
-    Image.fromarray(frames[int(STILL * len(frames))]).save(here.with_suffix(".png"), optimize=True)
-    kept = [frames[index][ROWS] for index in np.linspace(0, len(frames) - 1, FRAMES).astype(int)]
-    size = WIDTH, kept[0].shape[0] * WIDTH // width
-    first, *others = (Image.fromarray(frame).resize(size, Image.Resampling.LANCZOS) for frame in kept)
+    """Write ``film.webp`` beside this file."""
+    first, *others = frames_of(video)
     each = int(1000 * SECONDS / FRAMES)
     durations = [each] * len(others) + [2000]  # the finished map stays for a moment
     first.save(
-        here.with_suffix(".webp"), save_all=True, append_images=others, duration=durations, loop=0, quality=70, method=6
+        Path(__file__).with_suffix(".webp"),
+        save_all=True,
+        append_images=others,
+        duration=durations,
+        loop=0,
+        quality=70,
+        method=6,
     )
 
 

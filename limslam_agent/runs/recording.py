@@ -11,11 +11,11 @@ from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.inspect.recorder import Recorder
 from limslam_agent.mapping.team import LimSlamTeam
 from limslam_agent.runs.run_config import RunConfig
-from limslam_agent.video.belief_picture import BeliefFrame, Event, Extraction
+from limslam_agent.status.status import worst
+from limslam_agent.video.belief_frame import BeliefFrame, Event, HoughView, hough_view
 from limslam_agent.video.film import FPS, HEIGHT, WIDTH, Film
 from limslam_agent.video.video import video_file
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
-from limslam_env.geometry.se2 import transform_points
 from limslam_env.worlds.formats.loading import load_world
 
 _MM = 1e-3
@@ -33,7 +33,7 @@ class FilmedRun:
     def __init__(self, film: Film) -> None:
         self._film, self._words = film, ""
         self._shown = 0  # events of the recording
-        self._extraction: Extraction | None = None
+        self._hough: HoughView | None = None
 
     def watch(
         self, recorder: Recorder, team: LimSlamTeam, env: LimSlamParallelEnv, time: float, coverage: float
@@ -56,7 +56,7 @@ class FilmedRun:
         events, self._shown = recorder.log.events[self._shown :], len(recorder.log.events)
         for event in events:
             if event["kind"] == "hough" and event["side"] != "none":
-                self._extraction = _extraction(event, event["row"] * slam.robot.control_period)
+                self._hough = _hough(event, event["row"] * slam.robot.control_period)
         return BeliefFrame(
             time=time,
             poses=snapshot.poses,
@@ -72,25 +72,26 @@ class FilmedRun:
             frontier=grid.centres(np.argwhere(frontier_cells(grid, team.config.policy.min_frontier))),
             plans=snapshot.plans,
             goals=[getattr(policy, "goal", None) for policy in team.policies],
-            has_new_goal=any(event["kind"] == "goal" for event in events),
+            new_goals=sorted({event["robot"] for event in events if event["kind"] == "goal"}),
             paths=list(recorder.poses()[..., :2].swapaxes(0, 1)),
-            points=[(each.side, each.points) for each in slam.pending_points if each.side != "none"],
-            extraction=self._extraction,
+            buffers=[each for each in slam.pending_points if each.side != "none"],
+            hough=self._hough,
             events=[
-                Event(event["kind"], event["wall"], event.get("other"))
+                Event(event["kind"], event["wall"], event.get("other"), event.get("robot", 0))
                 for event in events
                 if event["kind"] in {"new", "again", "loop"}
             ],
-            is_doubted=snapshot.status != "ok",
+            warning=worst(snapshot.statuses).words if snapshot.status != "ok" else "",
         )
 
 
-def _extraction(event: dict[str, Any], time: float) -> Extraction:
-    """An extraction that was recorded."""
-    pose = np.array(event["pose"])
-    points = _MM * np.array(event["points"], dtype=float).reshape(-1, 2)
-    ends = transform_points(pose, np.array(event["ends"]).reshape(-1, 2))
-    return Extraction(time, event["side"], transform_points(pose, points), ends.reshape(-1, 4))
+def _hough(event: dict[str, Any], time: float) -> HoughView:
+    """The view of an extraction that was recorded."""
+    return hough_view(
+        _MM * np.array(event["points"], dtype=float).reshape(-1, 2), np.array(event["lines"]).reshape(-1, 2),
+        np.array(event["ends"]).reshape(-1, 2, 2), np.array(event["pose"]), time=time, side=event["side"],
+        robot=event["robot"], r_step=event["r_step"], threshold=event["threshold"],
+    )  # fmt: skip
 
 
 @contextmanager

@@ -1,9 +1,7 @@
-"""The right half of a video: what the robots believe at one moment, drawn as a map."""
+"""The right half of a video: the belief of the robots, drawn as a map."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -29,8 +27,8 @@ from limslam_agent.output.style import (
     width_of,
     write,
 )
-from limslam_env.geometry import FloatArray, IntArray, no_rows
-from limslam_env.geometry.line import direction, normal
+from limslam_agent.video.belief_frame import BeliefFrame, HoughView, wall_bands
+from limslam_env.geometry import FloatArray
 from limslam_env.geometry.shapes import ellipse, thinned
 
 EXTRACTION_SHOWN = 1.0
@@ -43,104 +41,6 @@ _SURE = 8  # value of a cell from which it has its full colour
 _RADIUS = 0.10  # m
 _APART = 150  # pixels
 _TRAIL_POINTS = 1500
-
-
-@dataclass(frozen=True)
-class Event:
-    """The association of an observed line, or a loop closure.
-
-    Attributes
-    ----------
-    kind
-        ``"new"``: the line became a wall. ``"again"``: the line is a known wall. ``"loop"``: two walls are the same
-        wall.
-    wall
-        Number of the wall.
-    other
-        For a loop, number of the older wall that is the same as ``wall``.
-    """
-
-    kind: Literal["new", "again", "loop"]
-    wall: int
-    other: int | None = None
-
-    @property
-    def walls(self) -> tuple[int, ...]:
-        """Numbers of the walls that the event is about."""
-        return (self.wall,) if self.other is None else (self.wall, self.other)
-
-
-@dataclass(frozen=True, eq=False)
-class Extraction:
-    """The latest extraction of lines: its time, s, the side of the buffer, the points that voted (p, 2), and the lines
-    (k, 4), cut to the extent of their points, m, in the world frame.
-    """
-
-    time: float
-    side: Literal["left", "right"]
-    points: FloatArray
-    segments: FloatArray
-
-
-@dataclass(frozen=True, eq=False)
-class BeliefFrame:
-    """What is believed at one moment. Arrays are in the world frame, m and rad. There are n robots and k walls.
-
-    Attributes
-    ----------
-    time
-        Simulated time, s.
-    poses, covariances
-        (n, 3) and (n, 3, 3).
-    segments
-        Walls of the map (k, 4).
-    lines, line_covariances
-        (r, theta) of each wall (k, 2), and its covariance (k, 2, 2).
-    numbers
-        Numbers of the walls (k,), as in ``events``.
-    unsure
-        Numbers of provisional walls, which were seen too few times. They are drawn thinner.
-    grid_low, grid_cell, grid_values
-        Occupancy grid: lower left corner (2,), side of a cell, and values (rows, columns), positive for free, negative
-        for occupied, 0 for unknown.
-    frontier
-        Centres of the frontier cells (m, 2).
-    plans, goals
-        Each robot's planned path (p, 2) and its goal (2,) or None.
-    has_new_goal
-        Whether a robot has got another goal since the previous frame.
-    paths
-        Positions (q, 2) of each robot so far, as it estimated them.
-    points
-        The points that wait for an extraction: the side of each buffer, and its points (p, 2).
-    extraction
-        The latest extraction of lines. None before the first.
-    events
-        Events since the previous frame. When it is drawn, their walls are highlighted.
-    is_doubted
-        Whether the estimate cannot be trusted.
-    """
-
-    time: float
-    poses: FloatArray
-    covariances: FloatArray
-    segments: FloatArray = field(default_factory=lambda: no_rows(4))
-    lines: FloatArray = field(default_factory=lambda: no_rows(2))
-    line_covariances: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 2)))
-    numbers: tuple[int, ...] = ()
-    unsure: frozenset[int] = frozenset()
-    grid_low: FloatArray = field(default_factory=lambda: np.zeros(2))
-    grid_cell: float = 0.10
-    grid_values: IntArray = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int16))
-    frontier: FloatArray = field(default_factory=lambda: no_rows(2))
-    plans: Sequence[FloatArray] = ()
-    goals: Sequence[FloatArray | None] = ()
-    has_new_goal: bool = False
-    paths: Sequence[FloatArray] = ()
-    points: Sequence[tuple[str, FloatArray]] = ()
-    extraction: Extraction | None = None
-    events: Sequence[Event] = ()
-    is_doubted: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -231,10 +131,10 @@ def draw_belief(frame: BeliefFrame, size: tuple[int, int], window: tuple[FloatAr
         sheet.path(thinned(path, _TRAIL_POINTS), mixed(robot_colour(number), FREE, 0.5), 2)
     sheet.wash(np.clip(wall_bands(frame), *_band_limits(frame)), WALL, 0.22)
     _draw_walls(sheet, frame)
-    for side, points in frame.points:
-        sheet.discs(points, 2.2, side_colour(side))
-    if frame.extraction is not None and frame.time - frame.extraction.time < EXTRACTION_SHOWN:
-        _draw_extraction(sheet, frame.extraction)
+    for buffer in frame.buffers:
+        sheet.discs(buffer.points, 2.2, side_colour(buffer.side))
+    if frame.hough is not None and frame.time - frame.hough.time < EXTRACTION_SHOWN:
+        _draw_extraction(sheet, frame.hough)
     _draw_plans(sheet, frame)
     for number, (pose, covariance) in enumerate(zip(frame.poses, frame.covariances, strict=True)):
         _draw_robot(sheet, pose, covariance, robot_colour(number))
@@ -302,14 +202,14 @@ def _draw_names(sheet: Sheet, frame: BeliefFrame) -> None:
                 sheet.label(str(wall), end, 14, INK, GLOW)
 
 
-def _draw_extraction(sheet: Sheet, extraction: Extraction) -> None:
-    """Draw rings around the points that voted, and each extracted line in a colour of its own."""
-    for number, segment in enumerate(extraction.segments.reshape(-1, 2, 2)):
+def _draw_extraction(sheet: Sheet, hough: HoughView) -> None:
+    """Draw rings around the points that voted, and each extracted line in the colour of its peak."""
+    for number, segment in enumerate(hough.segments.reshape(-1, 2, 2)):
         colour = mixed(PEAKS[number % len(PEAKS)], INK, 0.15)
         beyond = 0.25 * (segment[1] - segment[0])
         sheet.path(np.vstack((segment[0] - beyond, segment[1] + beyond)), colour, 2)
-    sheet.discs(extraction.points, 3.2, side_colour(extraction.side))
-    sheet.discs(extraction.points, 3.2, INK, 1)
+    sheet.discs(hough.points, 3.2, side_colour(hough.side))
+    sheet.discs(hough.points, 3.2, INK, 1)
 
 
 def _draw_plans(sheet: Sheet, frame: BeliefFrame) -> None:
@@ -343,23 +243,3 @@ def _band_limits(frame: BeliefFrame) -> tuple[FloatArray, FloatArray]:
     """Corners (k, 1, 2) of the region that each wall's band is clipped to."""
     ends = frame.segments.reshape(-1, 2, 2)
     return ends.min(axis=1, keepdims=True) - _WIDEST_BAND, ends.max(axis=1, keepdims=True) + _WIDEST_BAND
-
-
-def wall_bands(frame: BeliefFrame, sigmas: float = 2.0, samples: int = 9) -> FloatArray:
-    """Outlines (k, 2 samples, 2), m, of the regions that contain the walls, ``sigmas`` standard deviations to each
-    side.
-
-    A change (dr, dtheta) of a line moves its points by dr - s dtheta across the line, where s is the distance along the
-    line from the foot of the origin's perpendicular. The variance there is P_rr - 2 s P_rt + s^2 P_tt. The band is
-    narrow where the wall was seen and wider beyond.
-    """
-    lines, covariances = frame.lines, frame.line_covariances
-    share = np.linspace(0.0, 1.0, samples)[None, :, None]
-    ends = frame.segments.reshape(-1, 2, 2)
-    places = ends[:, :1] * (1.0 - share) + ends[:, 1:] * share
-    along = np.einsum("ksd,kd->ks", places, direction(lines))
-    p_rr, p_rt, p_tt = (covariances[:, i, j, None] for i, j in ((0, 0), (0, 1), (1, 1)))
-    # Rounding errors can make a variance of zero negative.
-    half_width = sigmas * np.sqrt(np.maximum(p_rr - 2.0 * along * p_rt + along**2 * p_tt, 0.0))
-    across = half_width[..., None] * normal(lines)[:, None]
-    return np.concatenate((places + across, (places - across)[:, ::-1]), axis=1)

@@ -1,34 +1,24 @@
-"""A video of a run: the truth on the left, the belief on the right, and what happens in words."""
+"""A video of a run: the truth on the left, the belief on the right, and captions."""
 
-import functools
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
 
-from limslam_agent.output.style import (
-    BEAM,
-    FAINT,
-    FREE,
-    FRONTIER,
-    INK,
-    OCCUPIED,
-    PAPER,
-    ROBOTS,
-    RULE,
-    TEXT,
-    UNKNOWN,
-    WALL,
-    Image,
-    fitted,
-    mixed,
-    plain,
-    side_colour,
-    width_of,
-    write,
+from limslam_agent.output.style import FAINT, GLOW, INK, PAPER, RULE, TEXT, Image, fitted, mixed, width_of, write
+from limslam_agent.video.belief_frame import BeliefFrame
+from limslam_agent.video.belief_panels import (
+    blank,
+    buffers_height,
+    draw_buffers,
+    draw_hough,
+    draw_legend,
+    draw_log,
+    draw_stages,
 )
-from limslam_agent.video.belief_picture import BeliefFrame, draw_belief
-from limslam_agent.video.narration import LESSONS, SPEED, Narrator
+from limslam_agent.video.belief_picture import draw_belief
+from limslam_agent.video.narration import SPEED, Caption, Narrator
 from limslam_agent.video.video import VideoWriter
 from limslam_env.geometry import FloatArray
 
@@ -36,7 +26,8 @@ WIDTH, HEIGHT = 1280, 720
 FPS = 25
 """Frames per second of the video."""
 
-_GAP, _TOP, _FOOT = 16, 80, 96
+_GAP, _TOP, _FOOT = 16, 80, 134
+_SIDE, _STRIP = 268, 176  # width of the panels beside the pictures, and their height below them
 _LAST_FRAME = 3.0  # s of the video
 
 # Margin around the world and largest size of the simulator's pictures (limslam_env.rendering.rendering), pixels.
@@ -44,10 +35,44 @@ _TRUTH_MARGIN, _TRUTH_MOST = 30, (1600, 640)
 _KEPT_MARGIN = 5
 _ADDED_MARGIN = 0.04  # share of the world's size at each side, so that a map that has drifted stays visible
 
-_LEGEND = (
-    "possible position (95 %)", "wall, 2 sigma", "free", "occupied", "unknown", "frontier", "path and goal",
-    "points, left", "points, right", "beam that hits",
-)  # fmt: skip
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """The content of a frame besides truth and belief.
+
+    Attributes
+    ----------
+    caption
+        Text about what is happening.
+    title
+        Title of the run.
+    log
+        Past events, with the latest first: time (s), kind and text.
+    coverage
+        True coverage, 0 to 1.
+    window
+        Corners (2,), m, of the region that the picture of the belief shows.
+    is_paused
+        Whether the video is paused for the caption.
+    """
+
+    caption: Caption
+    title: str
+    log: Sequence[tuple[float, str, str]]
+    coverage: float
+    window: tuple[FloatArray, FloatArray]
+    is_paused: bool = False
+
+
+@dataclass(frozen=True)
+class Layout:
+    """Positions of the parts of a frame. A box is left, top, width and height in pixels."""
+
+    truth: tuple[int, int, int, int]
+    belief: tuple[int, int, int, int]
+    buffers: tuple[int, int, int, int]
+    hough: tuple[int, int, int, int]
+    log: tuple[int, int, int, int]
 
 
 class Film:
@@ -67,7 +92,7 @@ class Film:
         self._writer, self._corners, self._title = writer, (low, high), title
         self._narrator = Narrator()
         self._next, self._shown = 0.0, 0
-        self._last: Image | None = None
+        self._last: tuple[Image, BeliefFrame, Scene] | None = None
 
     def is_due(self, time: float) -> bool:
         """Whether a frame has to be added at a simulated time, s."""
@@ -88,14 +113,13 @@ class Film:
         # The next frame is due a period after the last one was, whenever that was drawn: steps need not fit the period.
         self._next = max(self._next, frame.time - SPEED / FPS) + SPEED / FPS
         cropped, window = cropped_truth(truth, *self._corners)
-        kind, event = self._narrator.hear(frame)
-        # Only the walls of the current caption are highlighted.
-        shown = replace(frame, events=() if event is None else (event,))
-        self._last = _page(cropped, shown, window)
-        _draw_header(self._last, self._title, frame.time, coverage)
-        page = self._last.copy()
-        _draw_caption(page, *LESSONS[kind])
-        self._writer.write(page, self._hold(frame.time))
+        for caption, pause in self._narrator.hear(frame):
+            scene = Scene(caption, self._title, self._narrator.log, coverage, window, pause > 0.0)
+            # Only the walls of the current caption are highlighted, and the votes are those that it speaks of.
+            events = () if caption.event is None else (caption.event,)
+            shown = replace(frame, events=events, hough=caption.hough or frame.hough)
+            self._last = (cropped, shown, scene)
+            self._writer.write(compose(*self._last), pause or self._hold(frame.time))
 
     def _hold(self, time: float) -> float:
         """How long the frame of a simulated time is shown, s of the video. 0 is the time of one frame."""
@@ -106,32 +130,72 @@ class Film:
     def finish(self, words: str) -> None:
         """Show the last frame for a while, with the reason why the run ended."""
         if self._last is not None:
-            _draw_caption(self._last, f"{words[:1].upper()}{words[1:]}.", "")
-            self._writer.write(self._last, _LAST_FRAME)
+            truth, frame, scene = self._last
+            caption = Caption(
+                (), f"{words[:1].upper()}{words[1:]}.", "The truth is on the left and the map is on the right."
+            )
+            scene = replace(scene, caption=caption, is_paused=False)
+            self._writer.write(compose(truth, replace(frame, events=()), scene), _LAST_FRAME)
 
 
-def _page(truth: Image, frame: BeliefFrame, window: tuple[FloatArray, FloatArray]) -> Image:
-    """A frame (HEIGHT, WIDTH, 3), RGB, with both pictures and the legend, but no header and no caption."""
-    page = plain(WIDTH, HEIGHT).copy()
-    room, wide = HEIGHT - _TOP - _FOOT, (WIDTH - 3 * _GAP) // 2
-    scale = min(wide / truth.shape[1], room / truth.shape[0])
-    size = max(int(truth.shape[1] * scale), 1), max(int(truth.shape[0] * scale), 1)
-    top = _TOP + (room - size[1]) // 2
-    way = cv2.INTER_AREA if scale < 1.0 else cv2.INTER_LINEAR
-    resized = np.asarray(cv2.resize(truth, size, interpolation=way), dtype=np.uint8)
+def compose(truth: Image, frame: BeliefFrame, scene: Scene) -> Image:
+    """One frame of a video (HEIGHT, WIDTH, 3), RGB.
+
+    Parameters
+    ----------
+    truth
+        Picture of the truth (h, w, 3).
+    frame
+        What is believed, drawn at the size of the truth.
+    scene
+        Texts and other content.
+    """
+    page = blank(WIDTH, HEIGHT)
+    height, width = truth.shape[:2]
+    layout = layout_for(width / height, len(frame.poses))
     several = len(frame.poses) > 1
-    parts = (
-        ("Truth", "unknown to the robots" if several else "unknown to the robot", resized),
-        ("Belief", "one map for all robots" if several else "the robot's map", draw_belief(frame, size, window)),
-    )
-    for number, (words, remark, picture) in enumerate(parts):
-        left = _GAP + number * (wide + _GAP) + (wide - size[0]) // 2
-        write(page, words, (left, top - 9), 15, INK, bold=True)
-        write(page, remark, (left + width_of(words, 15, bold=True) + 10, top - 9), 12, FAINT)
-        cv2.rectangle(page, (left - 1, top - 1), (left + size[0], top + size[1]), RULE, 1)
-        page[top : top + size[1], left : left + size[0]] = picture
-    page[HEIGHT - 27 : HEIGHT - 5, _GAP : WIDTH - _GAP] = _legend()
+    _draw_header(page, frame.time, scene)
+    _headed(page, layout.truth, "Truth", "unknown to the robots" if several else "unknown to the robot")
+    _headed(page, layout.belief, "Belief", "one map for all robots" if several else "the robot's map")
+    _put(page, _resized(truth, layout.truth[2:]), layout.truth)
+    _put(page, draw_belief(frame, layout.belief[2:], scene.window), layout.belief)
+    _put(page, draw_buffers(frame.buffers, *layout.buffers[2:]), layout.buffers)
+    _put(page, draw_hough(frame.hough, *layout.hough[2:], several=several), layout.hough)
+    _put(page, draw_log(scene.log, *layout.log[2:]), layout.log)
+    _draw_foot(page, scene)
     return page
+
+
+def layout_for(aspect: float, robots: int = 1) -> Layout:
+    """The layout with the largest pictures of an aspect ratio (width over height)."""
+    room = HEIGHT - _TOP - _FOOT
+    width = (WIDTH - _SIDE - 4 * _GAP) // 2
+    beside = min(width / aspect, room)
+    wide = (WIDTH - 3 * _GAP) // 2
+    below = min(wide / aspect, room - _STRIP - _GAP)
+    if beside >= below:
+        size = _even(beside * aspect, beside)
+        right = 2 * _GAP + width
+        left = WIDTH - _GAP - _SIDE
+        buffers, hough = buffers_height(robots) + _GAP, 268
+        return Layout(
+            (_GAP + (width - size[0]) // 2, _TOP, *size),
+            (right + (width - size[0]) // 2, _TOP, *size),
+            (left, _TOP - 22, _SIDE, buffers),
+            (left, _TOP - 22 + buffers, _SIDE, hough),
+            (left, _TOP - 22 + buffers + hough + 14, _SIDE, room + 22 - buffers - hough - 14),
+        )
+    size = _even(below * aspect, below)
+    top = _TOP + size[1] + _GAP
+    strip = HEIGHT - _FOOT - top
+    third = (WIDTH - 4 * _GAP) // 3
+    return Layout(
+        (_GAP + (wide - size[0]) // 2, _TOP, *size),
+        (2 * _GAP + wide + (wide - size[0]) // 2, _TOP, *size),
+        (_GAP, top, third, strip),
+        (2 * _GAP + third, top, third, strip),
+        (3 * _GAP + 2 * third, top, third, strip),
+    )
 
 
 def cropped_truth(truth: Image, low: FloatArray, high: FloatArray) -> tuple[Image, tuple[FloatArray, FloatArray]]:
@@ -158,58 +222,51 @@ def cropped_truth(truth: Image, low: FloatArray, high: FloatArray) -> tuple[Imag
     return np.asarray(padded, dtype=np.uint8), (window_low - more / scale, window_high + more / scale)
 
 
-def _draw_header(page: Image, title: str, time: float, coverage: float) -> None:
+def _draw_header(page: Image, time: float, scene: Scene) -> None:
     write(page, "LimSLAM", (_GAP, 33), 21, INK, bold=True)
-    write(page, fitted(title, 14, 680), (_GAP + width_of("LimSLAM", 21, bold=True) + 14, 33), 14)
+    write(page, fitted(scene.title, 14, 680), (_GAP + width_of("LimSLAM", 21, bold=True) + 14, 33), 14)
     right = WIDTH - _GAP
     minutes, seconds = divmod(round(time, 1), 60.0)
     write(page, f"{int(minutes)}:{seconds:04.1f}", (right, 33), 18, INK, bold=True, anchor="right")
-    write(page, f"seen {100.0 * coverage:.0f} %", (right - 150, 33), 14, TEXT, anchor="right")
-    cv2.rectangle(page, (right - 142, 24), (right - 82, 30), RULE, -1)
-    if coverage > 0.0:
-        cv2.rectangle(page, (right - 142, 24), (right - 142 + round(60 * min(coverage, 1.0)), 30), TEXT, -1)
-    write(page, f"{SPEED:g} x", (right - 270, 33), 14, FAINT, anchor="right")
+    write(page, f"seen {100.0 * scene.coverage:.0f} %", (right - 150, 33), 14, TEXT, anchor="right")
+    _bar(page, right - 142, 24, 60, scene.coverage)
+    write(page, "paused" if scene.is_paused else f"{SPEED:g} x", (right - 270, 33), 14, FAINT, anchor="right")
     cv2.line(page, (0, 46), (WIDTH, 46), RULE, 1)
 
 
-def _draw_caption(page: Image, headline: str, explanation: str) -> None:
-    write(page, headline, (_GAP, HEIGHT - 66), 18, INK, bold=True)
-    write(page, explanation, (_GAP, HEIGHT - 42), 15)
+def _bar(page: Image, x: int, y: int, width: int, share: float) -> None:
+    cv2.rectangle(page, (x, y), (x + width, y + 6), RULE, -1)
+    if share > 0.0:
+        cv2.rectangle(page, (x, y), (x + round(width * min(share, 1.0)), y + 6), TEXT, -1)
 
 
-@functools.cache
-def _legend() -> Image:
-    """The meaning of the map's colours, in one row."""
-    panel = plain(WIDTH - 2 * _GAP, 22).copy()
-    symbol, gap = 26, 14
-    x, middle = 0, 11
-    for number, name in enumerate(_LEGEND):
-        _draw_symbol(panel, number, x, middle)
-        write(panel, name, (x + symbol, middle + 4), 12, TEXT)
-        x += symbol + width_of(name, 12) + gap
-    return panel
+def _draw_foot(page: Image, scene: Scene) -> None:
+    top = HEIGHT - _FOOT + 12
+    width = WIDTH - 2 * _GAP
+    _put(page, draw_stages(scene.caption.stages, width, 26), (_GAP, top, width, 26))
+    if scene.is_paused:
+        cv2.rectangle(page, (0, top + 34), (WIDTH, top + 90), mixed(GLOW, PAPER, 0.82), -1)
+    write(page, scene.caption.headline, (_GAP, top + 58), 18, INK, bold=True)
+    write(page, scene.caption.explanation, (_GAP, top + 81), 15, INK if scene.is_paused else TEXT)
+    _put(page, draw_legend(width, 22), (_GAP, HEIGHT - 27, width, 22))
 
 
-def _draw_symbol(panel: Image, number: int, x: int, y: int) -> None:
-    """The symbol of a legend entry in a box of 20 pixels that begins at x."""
-    blue = ROBOTS[0]
-    if number == 0:
-        cv2.ellipse(panel, (x + 10, y), (10, 7), 0, 0, 360, mixed(blue, PAPER, 0.65), -1, cv2.LINE_AA)
-        cv2.circle(panel, (x + 10, y), 4, blue, -1, cv2.LINE_AA)
-    elif number == 1:
-        bow = np.array([(x, y - 6), (x + 10, y - 2), (x + 20, y - 6), (x + 20, y + 6), (x + 10, y + 2), (x, y + 6)])
-        cv2.fillPoly(panel, [bow.astype(np.int32)], mixed(WALL, PAPER, 0.75), cv2.LINE_AA)
-        cv2.line(panel, (x, y), (x + 20, y), WALL, 2)
-    elif number in {2, 3, 4, 5}:
-        colour = (FREE, OCCUPIED, UNKNOWN, mixed(FRONTIER, FREE, 0.4))[number - 2]
-        cv2.rectangle(panel, (x + 5, y - 6), (x + 18, y + 6), colour, -1)
-        cv2.rectangle(panel, (x + 5, y - 6), (x + 18, y + 6), RULE, 1)
-    elif number == 6:
-        cv2.line(panel, (x, y), (x + 9, y), blue, 2)
-        cv2.circle(panel, (x + 15, y), 5, blue, 2, cv2.LINE_AA)
-    elif number == 9:
-        cv2.line(panel, (x + 2, y + 3), (x + 18, y - 2), BEAM, 1, cv2.LINE_AA)
-        cv2.circle(panel, (x + 18, y - 2), 2, BEAM, -1, cv2.LINE_AA)
-    else:
-        for dx, dy in ((5, 2), (11, -1), (17, 1)):
-            cv2.circle(panel, (x + dx, y + dy), 2, side_colour("left" if number == 7 else "right"), -1, cv2.LINE_AA)
+def _headed(page: Image, box: tuple[int, int, int, int], words: str, more: str) -> None:
+    left, top, width, height = box
+    write(page, words, (left, top - 9), 15, INK, bold=True)
+    write(page, more, (left + width_of(words, 15, bold=True) + 10, top - 9), 12, FAINT)
+    cv2.rectangle(page, (left - 1, top - 1), (left + width, top + height), RULE, 1)
+
+
+def _put(page: Image, part: Image, box: tuple[int, int, int, int]) -> None:
+    left, top, width, height = box
+    page[top : top + height, left : left + width] = part
+
+
+def _resized(image: Image, size: tuple[int, int]) -> Image:
+    way = cv2.INTER_AREA if image.shape[1] > size[0] else cv2.INTER_LINEAR
+    return np.asarray(cv2.resize(image, size, interpolation=way), dtype=np.uint8)
+
+
+def _even(width: float, height: float) -> tuple[int, int]:
+    return 2 * max(int(width / 2), 1), 2 * max(int(height / 2), 1)

@@ -1,25 +1,31 @@
 """Atomic writing of video files: H.264 in .mp4, and .gif. A file is either complete or does not exist."""
 
+import importlib
+import subprocess
+import tempfile
+import zlib
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TypeAlias
+from typing import IO, TypeAlias
 
 import cv2
 import numpy as np
 from PIL import Image as Pictures
 
 from limslam_agent.output.atomic_write import atomic_write, check_target
-from limslam_agent.output.style import FREE, PALETTE, Image, mixed
+from limslam_agent.output.style import PALETTE, Image
 
 SUFFIXES = (".mp4", ".gif")
 
 # A GIF stores whole pictures. Fewer and smaller pictures with few colours keep the file small.
-_GIF_WIDTH, _GIF_FPS, _GIF_COLOURS, _GIF_FRAMES = 960, 8.0, 144, 320
+_GIF_WIDTH, _GIF_FPS, _GIF_COLOURS = 960, 8.0, 144
+_GIF_FRAMES = 320
+_GIF_PALETTE_SAMPLES = 12
 
 
 class VideoError(ValueError):
-    """A video cannot be written. The message says why."""
+    """A video cannot be written. The message says which and why."""
 
 
 @contextmanager
@@ -48,8 +54,9 @@ def video_file(path: str | Path, fps: float, size: tuple[int, int], *, force: bo
     """
     target = Path(path).absolute()
     check_target(target, "a video", SUFFIXES, force=force)
+    program = _ffmpeg() if target.suffix.lower() == ".mp4" else None
     with atomic_write(target) as beside:
-        writer: VideoWriter = (_Mp4 if target.suffix.lower() == ".mp4" else _Gif)(beside, fps, size)
+        writer: VideoWriter = _Mp4(target, fps, beside, program, size) if program else _Gif(target, fps, beside)
         try:
             yield writer
             writer.finish()
@@ -58,23 +65,22 @@ def video_file(path: str | Path, fps: float, size: tuple[int, int], *, force: bo
 
 
 class _Mp4:
-    """Sends frames to ffmpeg."""
+    """Sends frames to ffmpeg through a pipe."""
 
-    def __init__(self, beside: Path, fps: float, size: tuple[int, int]) -> None:
-        self._beside, self._fps = beside, fps
-        try:
-            from imageio_ffmpeg import write_frames
-
-            self._frames = write_frames(
-                beside, size, fps=fps, codec="libx264", quality=None, macro_block_size=2, pix_fmt_in="yuv420p",
-                ffmpeg_log_level="fatal", output_params=[
-                    "-preset", "veryfast", "-crf", "20", "-colorspace", "smpte170m", "-color_primaries", "smpte170m",
-                    "-color_trc", "smpte170m", "-movflags", "+faststart",
-                ],
-            )  # fmt: skip
-            self._frames.send(None)
-        except (ImportError, RuntimeError) as error:
-            raise VideoError("an .mp4 needs an encoder: pip install 'limslam[video]'") from error
+    def __init__(self, path: Path, fps: float, beside: Path, program: str, size: tuple[int, int]) -> None:
+        self._path, self._fps = path, fps
+        # Error messages go to a file, because a pipe without a reader would fill up and block.
+        self._errors: IO[bytes] = tempfile.TemporaryFile()  # noqa: SIM115 (closed when abandoned)
+        command = [
+            program, "-y", "-loglevel", "error", "-f", "rawvideo", "-pix_fmt", "yuv420p", "-s", f"{size[0]}x{size[1]}",
+            "-r", f"{fps:g}", "-i", "-", "-an", "-c:v", "libx264", "-preset", "veryfast", "-crf", "20",
+            "-colorspace", "smpte170m", "-color_primaries", "smpte170m", "-color_trc", "smpte170m",
+            "-pix_fmt", "yuv420p", "-movflags", "+faststart", str(beside),
+        ]  # fmt: skip
+        # A separate session keeps a keyboard interrupt away from ffmpeg. This class ends ffmpeg.
+        self._process = subprocess.Popen(  # noqa: S603 (the program is imageio-ffmpeg's)
+            command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._errors, start_new_session=True
+        )
 
     def write(self, image: Image, hold: float = 0.0) -> None:
         """Add a frame (height, width, 3), RGB, that is shown for ``hold`` s, and at least for the time of one frame."""
@@ -82,71 +88,129 @@ class _Mp4:
         pixels = cv2.cvtColor(image, cv2.COLOR_RGB2YUV_I420).data
         try:
             for _ in range(max(round(hold * self._fps), 1)):
-                self._frames.send(pixels)
+                _pipe(self._process).write(pixels)
         except OSError as error:
-            raise VideoError("the video cannot be written: ffmpeg has ended") from error
+            raise VideoError(f"{self._path}: cannot be written: {self._last_error() or error}") from error
 
     def finish(self) -> None:
         """Complete the file."""
-        self._frames.close()
-        if not self._beside.stat().st_size:
-            raise VideoError("the video cannot be written: ffmpeg has written nothing")
+        _pipe(self._process).close()
+        if self._process.wait():
+            raise VideoError(f"{self._path}: cannot be written: {self._last_error() or 'ffmpeg failed'}")
 
     def abandon(self) -> None:
-        """End ffmpeg, if it has not ended."""
-        self._frames.close()
+        """Free all resources."""
+        if self._process.poll() is None:
+            self._process.kill()
+        # Data that is still in the pipe is not needed.
+        with suppress(OSError):
+            _pipe(self._process).close()
+        self._process.wait()
+        self._errors.close()
+
+    def _last_error(self) -> str:
+        self._process.wait()
+        self._errors.seek(0)
+        lines = self._errors.read().decode(errors="replace").strip().splitlines()
+        return lines[-1] if lines else ""
 
 
 class _Gif:
-    """Keeps frames of few colours in memory, each with its time, s, and writes them at the end."""
+    """Keeps compressed frames in memory, and writes them at the end, when all colours are known."""
 
-    def __init__(self, beside: Path, fps: float, size: tuple[int, int]) -> None:
-        self._beside, self._frame_time, self._step = beside, 1.0 / fps, 1.0 / _GIF_FPS
-        self._size = size if size[0] <= _GIF_WIDTH else (_GIF_WIDTH, round(size[1] * _GIF_WIDTH / size[0]))
-        self._frames: list[tuple[float, Pictures.Image]] = []
-        self._palette: Pictures.Image | None = None
-        self._time = 0.0
+    def __init__(self, path: Path, fps: float, beside: Path) -> None:
+        self._path, self._beside, self._frame_time = path, beside, 1.0 / fps
+        self._step = max(1.0 / _GIF_FPS, self._frame_time)
+        self._frames: list[tuple[bytes, float]] = []
+        self._size = (0, 0)
+        self._owed = 0.0
 
     def write(self, image: Image, hold: float = 0.0) -> None:
-        """Take a frame (height, width, 3), RGB, that is shown for ``hold`` s, unless it comes too soon to be seen."""
-        begin, lasts = self._time, max(hold, self._frame_time)
-        self._time += lasts
-        if self._frames and begin - self._frames[-1][0] < self._step - 1e-9 and lasts < self._step:
+        """Take a frame (height, width, 3), RGB, unless the last has to be shown longer. The speed of the video stays
+        the same.
+        """
+        time = max(hold, self._frame_time)
+        if self._frames and self._owed + time < self._step - 1e-9:
+            self._owed += time
             return
-        small = Pictures.fromarray(np.asarray(cv2.resize(image, self._size, interpolation=cv2.INTER_AREA)))
-        self._palette = self._palette or _palette(small)
-        self._frames.append((begin, small.quantize(palette=self._palette, dither=Pictures.Dither.NONE)))
+        small = _small(image)
+        self._size = (small.shape[1], small.shape[0])
+        if self._frames:
+            last, shown = self._frames[-1]
+            self._frames[-1] = (last, shown + self._owed)
+        self._owed = 0.0
+        self._frames.append((zlib.compress(small.tobytes(), 1), time))
         if len(self._frames) > _GIF_FRAMES:
-            self._frames, self._step = self._frames[::2], 2.0 * self._step
+            self._thin()
+
+    def _thin(self) -> None:
+        """Remove every second frame that was not held, and show the frame before it longer."""
+        kept: list[tuple[bytes, float]] = []
+        is_odd = False
+        for data, time in self._frames:
+            is_odd = not is_odd
+            if is_odd or time > 1.5 * self._step or not kept:
+                kept.append((data, time))
+            else:
+                kept[-1] = (kept[-1][0], kept[-1][1] + time)
+        self._frames, self._step = kept, 2.0 * self._step
 
     def finish(self) -> None:
         """Complete the file."""
         if not self._frames:
-            raise VideoError("the video cannot be written: there are no frames")
-        times = np.diff([*(begin for begin, _ in self._frames), self._time])
-        first, *others = (picture for _, picture in self._frames)
+            raise VideoError(f"{self._path}: there are no frames")
+        palette = self._palette()
+        frames = (frame.quantize(palette=palette, dither=Pictures.Dither.NONE) for frame in self._pictures())
         # The unit of time in a GIF is 1/100 s.
-        durations = [10 * round(100.0 * time) for time in times.tolist()]
-        first.save(
-            self._beside, format="GIF", save_all=True, append_images=others, duration=durations, loop=0, optimize=False
+        times = [10 * round(100.0 * time) for _, time in self._frames]
+        next(frames).save(
+            self._beside, format="GIF", save_all=True, append_images=frames, duration=times, loop=0, optimize=False
         )
 
     def abandon(self) -> None:
-        """Free the memory."""
+        """Free all resources."""
         self._frames = []
 
+    def _pictures(self) -> Iterator[Pictures.Image]:
+        for data, _ in self._frames:
+            yield Pictures.frombytes("RGB", self._size, zlib.decompress(data))
 
-def _palette(picture: Pictures.Image) -> Pictures.Image:
-    """One palette for all frames, so that regions without change need no space in the file.
-
-    It has the colours of a picture, and those of thin lines and rings, also where they are pale.
-    """
-    fixed = [*PALETTE, *(mixed(colour, FREE, 0.5) for colour in PALETTE)]
-    found = picture.quantize(_GIF_COLOURS - len(fixed), method=Pictures.Quantize.MEDIANCUT).getpalette() or []
-    palette = Pictures.new("P", (1, 1))
-    palette.putpalette([*(part for colour in fixed for part in colour), *found])
-    return palette
+    def _palette(self) -> Pictures.Image:
+        """One palette for all frames, so that regions without change need no space in the file."""
+        every = max(len(self._frames) // _GIF_PALETTE_SAMPLES, 1)
+        width, height = self._size
+        samples = self._frames[::every]
+        sheet = Pictures.new("RGB", (width, height * len(samples)))
+        for number, (data, _) in enumerate(samples):
+            sheet.paste(Pictures.frombytes("RGB", self._size, zlib.decompress(data)), (0, number * height))
+        found = sheet.quantize(_GIF_COLOURS - len(PALETTE), method=Pictures.Quantize.MEDIANCUT).getpalette() or []
+        # Thin lines and rings have few pixels. Without fixed colours they would lose their colours.
+        palette = Pictures.new("P", (1, 1))
+        palette.putpalette([*(part for colour in PALETTE for part in colour), *found])
+        return palette
 
 
 VideoWriter: TypeAlias = _Mp4 | _Gif
 """Takes the frames of a video file, which :func:`video_file` makes."""
+
+
+def _small(image: Image) -> Image:
+    height, width = image.shape[:2]
+    if width <= _GIF_WIDTH:
+        return image
+    size = (_GIF_WIDTH, round(height * _GIF_WIDTH / width))
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
+
+
+def _ffmpeg() -> str:
+    """The path of an ffmpeg that supports H.264."""
+    try:
+        return str(importlib.import_module("imageio_ffmpeg").get_ffmpeg_exe())
+    except (ImportError, RuntimeError) as error:
+        raise VideoError("an .mp4 needs an encoder: pip install 'limslam[video]'") from error
+
+
+def _pipe(process: "subprocess.Popen[bytes]") -> IO[bytes]:
+    if process.stdin is None:
+        raise VideoError("ffmpeg takes no frames")
+    return process.stdin

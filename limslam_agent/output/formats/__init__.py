@@ -1,1 +1,1 @@
-"""A finished run in the formats of other programs: tables and ROS 2 bags."""
+"""A finished run in the formats of other programs: tables, drawings for CAD and ROS 2 bags."""

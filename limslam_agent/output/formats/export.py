@@ -7,9 +7,10 @@ from pathlib import Path
 
 from limslam_agent.output.formats.content import read_exported
 from limslam_agent.output.formats.csv_tables import write_csv
+from limslam_agent.output.formats.dxf import write_dxf
 from limslam_agent.output.formats.ros_bag import write_bag
 
-FORMATS = {"csv": write_csv, "bag": write_bag}
+FORMATS = {"csv": write_csv, "dxf": write_dxf, "bag": write_bag}
 """What writes each format."""
 
 

@@ -56,6 +56,18 @@ def test_tables_of_poses_and_walls(folder, tmp_path):
     np.testing.assert_allclose(walls, run.segments, rtol=1e-8)
 
 
+def test_dxf_is_read_by_ezdxf(folder, tmp_path):
+    ezdxf = pytest.importorskip("ezdxf")
+    run_export(folder, "--dxf", "--out", tmp_path)
+    drawing, run = ezdxf.readfile(tmp_path / "map.dxf"), read_run(folder)
+    assert drawing.units == ezdxf.units.M
+    assert not drawing.audit().has_errors
+    walls = [[*line.dxf.start.vec2, *line.dxf.end.vec2] for line in drawing.modelspace().query('LINE[layer=="walls"]')]
+    np.testing.assert_allclose(walls, run.segments)
+    path = drawing.modelspace().query('LWPOLYLINE[layer=="path_smoothed"]').first
+    np.testing.assert_allclose([point[:2] for point in path.get_points()], run.smoothed[0][:, :2])
+
+
 def test_a_bag_is_replayed_as_the_run(folder, tmp_path):
     pytest.importorskip("rosbags")
     run_export(folder, "--bag", "--out", tmp_path)
@@ -97,7 +109,7 @@ def test_mcap_is_read_by_its_own_library(folder, tmp_path):
 
 def test_each_robot_of_a_team_has_tables_and_topics_of_its_own(team_folder, tmp_path):
     pytest.importorskip("rosbags")
-    written = run_export(team_folder, "--csv", "--bag", "--out", tmp_path)
+    written = run_export(team_folder, "--csv", "--dxf", "--bag", "--out", tmp_path)
     assert {"log_0.csv", "log_1.csv", "trajectories_1.csv"} <= {path.rpartition("/")[2] for path in written}
     original = np.load(team_folder / "log.npz")["ranges"]
     log = np.loadtxt(tmp_path / "log_1.csv", delimiter=",", skiprows=1)
@@ -128,12 +140,16 @@ class TestRefusals:
         with pytest.raises(ValueError, match="a format is needed"):
             run_export(folder, "--out", tmp_path / "new")
 
-    def test_a_missing_package_is_named(self, folder, tmp_path, monkeypatch):
-        for name in [name for name in sys.modules if name.partition(".")[0] == "rosbags"]:
+    @pytest.mark.parametrize(
+        ("option", "package", "extra"),
+        [("--dxf", "ezdxf", "export"), ("--bag", "rosbags", "ros")],
+    )
+    def test_a_missing_package_is_named(self, folder, tmp_path, monkeypatch, option, package, extra):
+        for name in [name for name in sys.modules if name.partition(".")[0] == package]:
             monkeypatch.delitem(sys.modules, name)
-        monkeypatch.setitem(sys.modules, "rosbags", None)
-        with pytest.raises(ValueError, match=r"limslam\[ros\]"):
-            run_export(folder, "--bag", "--out", tmp_path)
+        monkeypatch.setitem(sys.modules, package, None)
+        with pytest.raises(ValueError, match=rf"limslam\[{extra}\]"):
+            run_export(folder, option, "--out", tmp_path)
         assert not list(tmp_path.iterdir())
 
     def test_a_damaged_grid(self, folder, tmp_path):

@@ -1,0 +1,233 @@
+"""The content of one video frame: what an agent believes at one moment, as plain arrays in the world frame."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+
+from limslam_agent.slam.core.diagnostics import PendingPoints
+from limslam_env.geometry import FloatArray, IntArray, no_rows
+from limslam_env.geometry.line import direction, normal
+from limslam_env.geometry.se2 import transform_points
+
+# Limit for buffers whose points have been moved very far apart by odometry.
+_MOST_R_BINS = 240
+
+
+@dataclass(frozen=True)
+class Event:
+    """The association of an observed line, or a loop closure.
+
+    Attributes
+    ----------
+    kind
+        ``"new"``: the line became a wall. ``"again"``: the line is a known wall. ``"loop"``: two walls are the same
+        wall.
+    wall
+        Number of the wall.
+    other
+        For a loop, number of the older wall that is the same as ``wall``.
+    robot
+        Robot that saw the line. A loop belongs to no robot.
+    """
+
+    kind: Literal["new", "again", "loop"]
+    wall: int
+    other: int | None = None
+    robot: int = 0
+
+    @property
+    def words(self) -> str:
+        """A short text for a list."""
+        if self.kind == "loop":
+            return f"loop closed: {self.wall} = {self.other}"
+        return f"new wall {self.wall}" if self.kind == "new" else f"wall {self.wall} seen again"
+
+    @property
+    def walls(self) -> tuple[int, ...]:
+        """Numbers of the walls that the event is about."""
+        return (self.wall,) if self.other is None else (self.wall, self.other)
+
+
+@dataclass(frozen=True, eq=False)
+class HoughView:
+    """The latest extraction of lines.
+
+    Attributes
+    ----------
+    time
+        Time of the extraction, s.
+    robot, side
+        Robot and side of the buffer.
+    points
+        The points that voted (p, 2), m, in the world frame.
+    votes
+        Number of votes for each line (r bins, theta bins). r is measured from the mean of the points and increases with
+        the row. theta goes from 0 to pi in the robot's frame.
+    r_reach
+        The bins of r go from minus this value to plus this value, m.
+    peaks
+        The extracted lines (k, 2): r (m) and theta (rad) on the axes of ``votes``.
+    segments
+        The extracted lines (k, 4), m, in the world frame, cut to the extent of their points.
+    threshold
+        Least number of votes of a line.
+    """
+
+    time: float
+    robot: int
+    side: Literal["left", "right"]
+    points: FloatArray
+    votes: IntArray
+    r_reach: float
+    peaks: FloatArray
+    segments: FloatArray
+    threshold: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class BeliefFrame:
+    """What is believed at one moment. Arrays are in the world frame, m and rad. There are n robots and k walls.
+
+    Attributes
+    ----------
+    time
+        Simulated time, s.
+    poses, covariances
+        (n, 3) and (n, 3, 3).
+    segments
+        Walls of the map (k, 4).
+    lines, line_covariances
+        (r, theta) of each wall (k, 2), and its covariance (k, 2, 2).
+    numbers
+        Numbers of the walls (k,), as in ``events``.
+    unsure
+        Numbers of provisional walls, which were seen too few times. They are drawn thinner.
+    grid_low, grid_cell, grid_values
+        Occupancy grid as in ``occupancy.GridView``: lower left corner (2,), side of a cell, and values (rows, columns),
+        positive for free, negative for occupied, 0 for unknown.
+    frontier
+        Centres of the frontier cells (m, 2).
+    plans, goals
+        Each robot's planned path (p, 2) and its goal (2,) or None.
+    new_goals
+        Robots that have got another goal since the previous frame.
+    paths
+        Positions (q, 2) of each robot so far, as it estimated them.
+    buffers
+        The points that wait for an extraction, two entries for each robot: the scan buffers.
+    hough
+        The latest extraction of lines. None before the first.
+    events
+        Events since the previous frame.
+    warning
+        Why the estimate cannot be trusted, in words. Empty if it can.
+    """
+
+    time: float
+    poses: FloatArray
+    covariances: FloatArray
+    segments: FloatArray = field(default_factory=lambda: no_rows(4))
+    lines: FloatArray = field(default_factory=lambda: no_rows(2))
+    line_covariances: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 2)))
+    numbers: tuple[int, ...] = ()
+    unsure: frozenset[int] = frozenset()
+    grid_low: FloatArray = field(default_factory=lambda: np.zeros(2))
+    grid_cell: float = 0.10
+    grid_values: IntArray = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int16))
+    frontier: FloatArray = field(default_factory=lambda: no_rows(2))
+    plans: Sequence[FloatArray] = ()
+    goals: Sequence[FloatArray | None] = ()
+    new_goals: Sequence[int] = ()
+    paths: Sequence[FloatArray] = ()
+    buffers: Sequence[PendingPoints] = ()
+    hough: HoughView | None = None
+    events: Sequence[Event] = ()
+    warning: str = ""
+
+
+def wall_bands(frame: BeliefFrame, sigmas: float = 2.0, samples: int = 9) -> FloatArray:
+    """Outlines (k, 2 samples, 2), m, of the regions that contain the walls, ``sigmas`` standard deviations to each
+    side.
+
+    A change (dr, dtheta) of a line moves its points by dr - s dtheta across the line, where s is the distance along the
+    line from the foot of the origin's perpendicular. The variance there is P_rr - 2 s P_rt + s^2 P_tt. The band is
+    narrow where the wall was seen and wider beyond.
+    """
+    lines, covariances = frame.lines, frame.line_covariances
+    share = np.linspace(0.0, 1.0, samples)[None, :, None]
+    ends = frame.segments.reshape(-1, 2, 2)
+    places = ends[:, :1] * (1.0 - share) + ends[:, 1:] * share
+    along = np.einsum("ksd,kd->ks", places, direction(lines))
+    p_rr, p_rt, p_tt = (covariances[:, i, j, None] for i, j in ((0, 0), (0, 1), (1, 1)))
+    # Rounding errors can make a variance of zero negative.
+    half_width = sigmas * np.sqrt(np.maximum(p_rr - 2.0 * along * p_rt + along**2 * p_tt, 0.0))
+    across = half_width[..., None] * normal(lines)[:, None]
+    return np.concatenate((places + across, (places - across)[:, ::-1]), axis=1)
+
+
+def hough_view(
+    points: FloatArray,
+    lines: FloatArray,
+    ends: FloatArray,
+    pose: FloatArray,
+    *,
+    time: float,
+    side: Literal["left", "right"],
+    robot: int = 0,
+    r_step: float = 0.02,
+    threshold: int = 0,
+) -> HoughView:
+    """The view of an extraction of lines.
+
+    Parameters
+    ----------
+    points
+        Points of the buffer (p, 2), m, in the robot's frame.
+    lines, ends
+        Extracted lines, (r, theta) in the robot's frame (k, 2), and their end points (k, 2, 2), m.
+    pose
+        Estimated pose of the robot (3,).
+    time, side, robot, threshold
+        As in :class:`HoughView`.
+    r_step
+        Width of a bin of r, m. The width that the estimator uses shows the votes that the estimator saw.
+    """
+    # The estimator counts votes about the mean of the points, where r and theta are nearly independent.
+    centre = points.mean(axis=0) if len(points) else np.zeros(2)
+    votes, reach = hough_image(points - centre, r_step)
+    shifted = lines - np.column_stack((normal(lines) @ centre, np.zeros(len(lines))))
+    segments = transform_points(pose, ends.reshape(-1, 2)).reshape(-1, 4)
+    return HoughView(
+        time, robot, side, transform_points(pose, points), votes, reach, _upper_half(shifted), segments, threshold
+    )
+
+
+def hough_image(points: FloatArray, r_step: float = 0.02, theta_bins: int = 90) -> tuple[IntArray, float]:
+    """Number of points (p, 2), m, on each line (r, theta), with theta from 0 to pi and r from -reach to reach.
+
+    Returns
+    -------
+    votes
+        (r bins, theta bins).
+    reach
+        m.
+    """
+    farthest = float(np.linalg.norm(points, axis=1).max()) if len(points) else 0.0
+    step = max(r_step, 2.0 * farthest / _MOST_R_BINS)
+    # The number of bins is odd. The middle bin is centred at r = 0, where a wall through all points gets its votes.
+    half = math.ceil(farthest / step)
+    theta = (np.arange(theta_bins) + 0.5) * (math.pi / theta_bins)
+    r = points @ np.vstack((np.cos(theta), np.sin(theta)))
+    rows = np.clip(np.round(r / step).astype(np.int64) + half, 0, 2 * half)
+    bins = rows * theta_bins + np.arange(theta_bins)
+    votes = np.bincount(bins.ravel(), minlength=(2 * half + 1) * theta_bins)
+    return votes.reshape(2 * half + 1, theta_bins), (half + 0.5) * step
+
+
+def _upper_half(lines: FloatArray) -> FloatArray:
+    """The same lines (k, 2) with theta in [0, pi), as in the votes. r may be negative."""
+    turns = np.floor(lines[:, 1] / math.pi)
+    return np.column_stack((np.where(turns % 2 == 0, lines[:, 0], -lines[:, 0]), lines[:, 1] - turns * math.pi))
