@@ -85,7 +85,10 @@ def board_of(folder: Path, rows: Mapping[str, Row], first_seed: int, jitter: flo
     for result in sorted(read_rows(folder), key=lambda each: (order[each.policy], each.seed)):
         about = {"row": result.policy, "world": result.world, "seed": result.seed}
         error = {} if result.error is None else {"error": result.error}
-        figures = {name: _rounded(value) for name, value in {**result.metrics, **result.cost}.items()}
+        figures = {
+            name: float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
+            for name, value in {**result.metrics, **result.cost}.items()
+        }
         cells.append({**about, **error, **figures})
     provenance = {
         "commit": commit(), "python": platform.python_version(), "processors": os.cpu_count(), "jitter_m": jitter,
@@ -166,10 +169,6 @@ def _spread(cells: Sequence[Cell], name: str) -> str:
 def _total(cells: Sequence[Cell], name: str) -> str:
     values = _values(cells, name)
     return f"{sum(values):.0f}" if values else MISSING
-
-
-def _rounded(value: Any) -> Any:
-    return float(f"{value:.{_DIGITS}g}") if isinstance(value, float) else value
 
 
 def _has_data() -> bool:
