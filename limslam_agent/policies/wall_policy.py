@@ -105,7 +105,7 @@ class WallPolicy(MapExplorer):
         """After the last frontier: explore a frontier that has appeared, begin the next look, or stop."""
         if self._frontiers.resume(belief):
             return
-        view = None if self._is_late else next_view(belief, self._memory, self.robot, self._config)
+        view = None if self._is_late else next_view(belief, self._memory, self.robot)
         if view is not None:
             self._look = Look(view, self.robot, self._config, self._std)
             return
