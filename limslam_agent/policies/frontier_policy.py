@@ -12,7 +12,6 @@ from limslam_agent.grid.frontier import frontier_cells, group_places
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.policies.controller import AHEAD, ARRIVED, PATIENCE, REPLAN_PERIOD, follow, nearest_beam, turn_by
 from limslam_agent.policies.policy import NO_PLAN, NOT_EXPLORED, MapExplorer
-from limslam_agent.policies.right_of_way import RightOfWay
 from limslam_agent.policies.simple_policies import WallFollower
 from limslam_agent.policies.targets import Target, next_target
 from limslam_env.geometry import BoolArray, FloatArray
@@ -59,13 +58,10 @@ class FrontierPolicy(MapExplorer):
     ----------
     robot, config
         Body and settings. Those of the paper's robot and the default settings if left out.
-    index
-        The robot's place in its team. Of two robots that meet, the one with the higher index waits.
     """
 
-    def __init__(self, robot: RobotSpec | None = None, config: PolicyConfig | None = None, index: int = 0) -> None:
+    def __init__(self, robot: RobotSpec | None = None, config: PolicyConfig | None = None) -> None:
         robot, self._config = robot or RobotSpec(), config or PolicyConfig()
-        self._right_of_way = RightOfWay(index, robot)
         self._wall_follower = WallFollower(robot, self._config)
         super().__init__(robot)
 
@@ -102,9 +98,7 @@ class FrontierPolicy(MapExplorer):
         if self._until_plan <= 0 or self._pursuit is None:
             self._replan(belief)
         self._until_plan -= 1
-        if self._pursuit is None or self._right_of_way.waits(belief.pose, belief.other_poses):
-            return np.zeros(2)
-        return self._follow(belief, self._pursuit)
+        return np.zeros(2) if self._pursuit is None else self._follow(belief, self._pursuit)
 
     def _follow_walls(self, belief: Belief) -> FloatArray:
         wheels, reason = self._wall_follower.act(belief), self._wall_follower.stop_reason

@@ -11,7 +11,8 @@ from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.frontier import frontier_cells, group_of
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.grid.planner import Routes, routes
-from limslam_agent.policies.right_of_way import cells_near_robots, separation_cost
+from limslam_agent.policies.relocalisation import search_cost
+from limslam_agent.policies.separation import separation_cost
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 
@@ -21,8 +22,6 @@ _MARGIN, _CLEARANCE = 0.05, 0.15
 # In maps larger than this (m), paths stay so near to walls that several beams see them: the second number is the
 # share of the beams' reach.
 _LARGE, _SIGHT_SHARE = 12.0, 0.7
-# Distance (m) between the rims of two robots on a path around another robot.
-_SPACING = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,25 +77,15 @@ def next_target(belief: Belief, ignored: BoolArray, robot: RobotSpec, config: Po
     cells = frontier_cells(grid, config.min_frontier, ignored)
     if not cells.any():
         return None
-    extra = separation_cost(grid, belief.pose, belief.other_poses, belief.other_goals, cells)
-    for closed in _searches(belief, robot):
-        ways = ways_from(belief.pose[:2], grid, robot, targets=cells, extra=extra, closed=closed)
-        cost = np.where(cells, ways.cost + extra, np.inf)
-        best = np.unravel_index(int(np.argmin(cost)), cost.shape)
-        if np.isfinite(cost[best]):
-            cell = np.array(best)
-            path = grid.centres(ways.path_to((int(cell[0]), int(cell[1]))))
-            return Target(path[-1], _aim(grid, cell), len(group_of(cells, cell)), path)
-    return None
-
-
-def _searches(belief: Belief, robot: RobotSpec) -> list[BoolArray | None]:
-    """The cells (rows, columns) that are closed in each search: in a team, paths lead around the other robots if they
-    can, and else through them.
-    """
-    if not len(belief.other_poses):
-        return [None]
-    return [cells_near_robots(belief.grid, belief.other_poses, 2.0 * robot.radius + _SPACING), None]
+    extra = separation_cost(grid, belief.pose, belief.other_poses, belief.other_goals)
+    extra += search_cost(belief, cells)
+    ways = ways_from(belief.pose[:2], grid, robot, targets=cells, extra=extra)
+    cost = np.where(cells, ways.cost + extra, np.inf)
+    cell = np.array(np.unravel_index(int(np.argmin(cost)), cost.shape))
+    if not np.isfinite(cost[tuple(cell)]):
+        return None
+    path = grid.centres(ways.path_to((int(cell[0]), int(cell[1]))))
+    return Target(path[-1], _aim(grid, cell), len(group_of(cells, cell)), path)
 
 
 def _aim(grid: GridView, cell: IntArray) -> FloatArray:

@@ -18,7 +18,7 @@ from limslam_agent.grid.unfinished import (
     reachable_ground,
     unfinished_faces,
 )
-from limslam_agent.policies.right_of_way import cells_near_robots, separation_cost
+from limslam_agent.policies.separation import cells_near_robots, separation_cost
 from limslam_agent.policies.targets import ways_from
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle

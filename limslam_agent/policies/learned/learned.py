@@ -19,7 +19,7 @@ from limslam_agent.policies.controller import wheel_speeds
 from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.policies.learned.network import DirectionNetwork, load_network
 from limslam_agent.policies.learned.polar_view import FAR, observe
-from limslam_agent.policies.right_of_way import cells_near_robots, nearer_to_others
+from limslam_agent.policies.separation import cells_near_robots, nearer_to_others
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
@@ -64,8 +64,6 @@ class LearnedPolicy(FrontierPolicy):
         Network that scores directions. The shipped one by default.
     seed
         Seed of the random numbers, or a generator.
-    index
-        The robot's place in its team. Of two robots that meet, the one with the higher index waits.
 
     Attributes
     ----------
@@ -79,13 +77,12 @@ class LearnedPolicy(FrontierPolicy):
         config: PolicyConfig | None = None,
         network: DirectionNetwork | None = None,
         seed: int | np.random.Generator = 0,
-        index: int = 0,
     ) -> None:
         robot, config = robot or RobotSpec(), config or PolicyConfig()
         self._network = network or load_network(WEIGHTS / SHIPPED)
         self._generator = np.random.default_rng(seed)
         large = max(config.min_frontier, _LARGE_FRONTIER)
-        super().__init__(robot, replace(config, speed=robot.max_wheel_speed, min_frontier=large), index)
+        super().__init__(robot, replace(config, speed=robot.max_wheel_speed, min_frontier=large))
 
     def _forget_map(self) -> None:
         super()._forget_map()
@@ -106,8 +103,6 @@ class LearnedPolicy(FrontierPolicy):
         self._until_choice -= 1
         if self._heading is None:
             return super()._wheels(belief)
-        if self._right_of_way.waits(belief.pose, belief.other_poses):
-            return np.zeros(2)
         return wheels_towards(self._heading, belief.pose, self.robot)
 
     def _choose(self, belief: Belief) -> None:
