@@ -25,12 +25,12 @@ def separation_cost(grid: GridView, pose: FloatArray, other_poses: FloatArray, o
 
 def cells_near_robots(grid: GridView, other_poses: FloatArray, distance: float) -> BoolArray:
     """Cells (rows, columns) whose centres are closer than ``distance`` (m) to another robot."""
-    return np.any([_away(grid, place) < distance for place in other_poses], axis=0)
+    return np.asarray(np.any([_away(grid, place) < distance for place in other_poses], axis=0))
 
 
 def nearer_to_others(grid: GridView, pose: FloatArray, other_poses: FloatArray) -> BoolArray:
     """Cells (rows, columns) that are nearer to another robot than to this one, which is at ``pose`` (3,)."""
-    return np.any([_away(grid, place) < _away(grid, pose) for place in other_poses], axis=0)
+    return np.asarray(np.any([_away(grid, place) < _away(grid, pose) for place in other_poses], axis=0))
 
 
 def _away(grid: GridView, place: FloatArray) -> FloatArray:
