@@ -167,7 +167,7 @@ class Look:
     def _check(self, belief: Belief) -> None:
         """Plan the path anew, and end if the stretch has got its wall or there is no path any more."""
         self._until_check = _CHECK_PERIOD
-        path = path_to(belief, self.view.stand, self._robot, self._config)
+        path = path_to(belief, self.view.stand, self._robot)
         self.is_needless = not is_unfinished(belief, self.view)
         self.is_over = self.is_needless or path is None
         self.path = self.path if path is None else path

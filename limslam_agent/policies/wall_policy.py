@@ -7,7 +7,6 @@ from limslam_agent.config.presets import AgentConfig, PolicyConfig
 from limslam_agent.policies.controller import BACK_STEPS, back_off
 from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.policies.policy import NOT_EXPLORED, MapExplorer, Policy
-from limslam_agent.policies.right_of_way import RightOfWay
 from limslam_agent.policies.wall_look import Look
 from limslam_agent.policies.wall_views import LookMemory, next_view
 from limslam_env.geometry import FloatArray
@@ -18,19 +17,17 @@ from limslam_env.interface import RobotSpec
 _FREE_STEPS, _MOST_STEPS = 600, 9000
 
 
-def explorer(robot: RobotSpec, config: AgentConfig, index: int = 0) -> Policy:
+def explorer(robot: RobotSpec, config: AgentConfig) -> Policy:
     """The policy that explores until everything was seen, or until the walls are whole, as the settings say.
 
     Parameters
     ----------
     robot, config
         Body, and the settings of the agent.
-    index
-        The robot's place in its team.
     """
     if config.policy.until == "seen":
-        return FrontierPolicy(robot, config.policy, index)
-    return WallPolicy(robot, config.policy, index, config.range_std)
+        return FrontierPolicy(robot, config.policy)
+    return WallPolicy(robot, config.policy, config.range_std)
 
 
 class WallPolicy(MapExplorer):
@@ -45,16 +42,13 @@ class WallPolicy(MapExplorer):
     ----------
     robot, config
         Body and settings.
-    index
-        The robot's place in its team. Of two robots that meet, the one with the higher index waits.
     range_std
         Assumed standard deviation of a range, m. Noisy ranges need slower sweeps.
     """
 
-    def __init__(self, robot: RobotSpec, config: PolicyConfig, index: int = 0, range_std: float = 0.02) -> None:
+    def __init__(self, robot: RobotSpec, config: PolicyConfig, range_std: float = 0.02) -> None:
         self._config, self._std = config, range_std
-        self._right_of_way = RightOfWay(index, robot)
-        self._frontiers = FrontierPolicy(robot, config, index)
+        self._frontiers = FrontierPolicy(robot, config)
         super().__init__(robot)
 
     def enter(self, belief: Belief) -> None:
@@ -105,7 +99,7 @@ class WallPolicy(MapExplorer):
         """After the last frontier: explore a frontier that has appeared, begin the next look, or stop."""
         if self._frontiers.resume(belief):
             return
-        view = None if self._is_late else next_view(belief, self._memory, self.robot, self._config)
+        view = None if self._is_late else next_view(belief, self._memory, self.robot)
         if view is not None:
             self._look = Look(view, self.robot, self._config, self._std)
             return
@@ -118,7 +112,7 @@ class WallPolicy(MapExplorer):
         if self._backing > 0:
             self._backing -= 1
             return back_off(belief.pose, belief.grid, self.robot, self._config.speed)
-        if self._look is None or self._right_of_way.waits(belief.pose, belief.other_poses):
+        if self._look is None:
             return np.zeros(2)
         wheels = self._look.act(belief)
         if self._look.is_over:

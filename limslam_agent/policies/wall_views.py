@@ -9,7 +9,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from limslam_agent.belief import Belief
-from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.grid.planner import Routes, wall_distance
 from limslam_agent.grid.unfinished import (
@@ -19,7 +18,7 @@ from limslam_agent.grid.unfinished import (
     reachable_ground,
     unfinished_faces,
 )
-from limslam_agent.policies.right_of_way import cells_near_robots, separation_cost
+from limslam_agent.policies.separation import cells_near_robots, separation_cost
 from limslam_agent.policies.targets import ways_from
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
@@ -127,13 +126,13 @@ def is_unfinished(belief: Belief, view: View) -> bool:
     return bool(_same(view.faces, unfinished_border(belief)).any())
 
 
-def next_view(belief: Belief, memory: LookMemory, robot: RobotSpec, config: PolicyConfig) -> View | None:
+def next_view(belief: Belief, memory: LookMemory, robot: RobotSpec) -> View | None:
     """The cheapest view of a part of the border that was looked at least often. None if there is no part left."""
     border = unfinished_border(belief)
     tries = memory.tries(border)
     if not len(border):
         return None
-    ways = _ways(belief, robot, config)
+    ways = _ways(belief, robot)
     for number in range(_LOOKS):
         open_border = border.select(tries <= number)
         # A second look at a short stretch shows no more than the first one.
@@ -145,7 +144,7 @@ def next_view(belief: Belief, memory: LookMemory, robot: RobotSpec, config: Poli
     return None
 
 
-def path_to(belief: Belief, stand: FloatArray, robot: RobotSpec, config: PolicyConfig) -> FloatArray | None:
+def path_to(belief: Belief, stand: FloatArray, robot: RobotSpec) -> FloatArray | None:
     """Path (k, 2), m, to a place (2,), m. None if there is none."""
     cell = belief.grid.cells(stand[None])
     wanted = np.zeros(belief.grid.values.shape, dtype=bool)
@@ -153,13 +152,13 @@ def path_to(belief: Belief, stand: FloatArray, robot: RobotSpec, config: PolicyC
         return None
     row, column = (int(index) for index in cell[0])
     wanted[row, column] = True
-    ways = _ways(belief, robot, config, wanted)
+    ways = _ways(belief, robot, wanted)
     return belief.grid.centres(ways.path_to((row, column))) if np.isfinite(ways.cost[row, column]) else None
 
 
-def _ways(belief: Belief, robot: RobotSpec, config: PolicyConfig, wanted: BoolArray | None = None) -> Routes:
+def _ways(belief: Belief, robot: RobotSpec, wanted: BoolArray | None = None) -> Routes:
     taken = cells_near_robots(belief.grid, belief.other_poses, 2.0 * robot.radius) if len(belief.other_poses) else None
-    return ways_from(belief.pose[:2], belief.grid, robot, config, targets=wanted, closed=taken)
+    return ways_from(belief.pose[:2], belief.grid, robot, targets=wanted, closed=taken)
 
 
 def _cheapest(

@@ -44,7 +44,7 @@ def belief_at(pose: FloatArray, walls: FloatArray, ranges: FloatArray = ROBOT.ma
 
 
 def test_in_a_room_with_all_its_walls_there_is_nothing_to_look_at() -> None:
-    assert next_view(belief_at([1.5, 1.2, 0.0], WALLS), LookMemory(), ROBOT, CONFIG) is None
+    assert next_view(belief_at([1.5, 1.2, 0.0], WALLS), LookMemory(), ROBOT) is None
     policy = WallPolicy(ROBOT, CONFIG)
     np.testing.assert_array_equal(policy.act(belief_at([1.5, 1.2, 0.0], WALLS)), [0.0, 0.0])
     assert policy.stop_reason == "explored: no frontier is left, and all walls were looked at"
@@ -59,7 +59,7 @@ def test_in_a_room_with_all_its_walls_there_is_nothing_to_look_at() -> None:
 )
 def test_a_missing_part_of_a_wall_is_looked_at_from_a_place_that_sees_it(side, start, length, place) -> None:
     walls = with_gap(side, start, length)
-    view = next_view(belief_at([*place, 0.0], walls), LookMemory(), ROBOT, CONFIG)
+    view = next_view(belief_at([*place, 0.0], walls), LookMemory(), ROBOT)
     assert view is not None
     wall = WALLS[side]
     along = (wall[2:] - wall[:2]) / np.hypot(*(wall[2:] - wall[:2]))
