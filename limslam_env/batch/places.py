@@ -7,13 +7,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from limslam_env.batch.plan_cache import PlanCache, cache_folder
-from limslam_env.batch.progress import cores, work_through
+from limslam_env.batch.threads import cores, work_through
 from limslam_env.batch.worlds import Site, Sites, StartCells, prepare
 from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.batch_state import Starts
 from limslam_env.kernels.random_numbers import Words, draw_starts
+from limslam_env.messages import announce
 from limslam_env.simulation.starts import TRIES, known_poses, least_distance, no_room
 from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
 from limslam_env.worlds.world import World
@@ -69,7 +69,8 @@ class Places:
             floor_plan(source, np.random.default_rng(0), robot.radius)
             if plans is not None:
                 self._seeds = list(dict.fromkeys(plans))
-                self._keep(self._made_beforehand(source))
+                announce(f"{len(self._seeds)} floor plans are drawn, some 10 ms of processor time each")
+                self._keep(work_through(self._prepared, self._seeds, self._threads))
         else:
             worlds = [source] if isinstance(source, World) else list(source)
             numbers = {world: number for number, world in enumerate(dict.fromkeys(worlds))}
@@ -122,7 +123,9 @@ class Places:
         if self._config is not None and not self._seeds:
             return self._begin_drawn(self._config, envs, keys, start)
         poses = np.zeros((len(envs), self.num_robots, 3))
-        slots = self._slots(envs, keys)
+        slots = self.home[envs]
+        if self._seeds:
+            slots = ((keys >> np.uint64(11)) % np.uint64(len(self._seeds))).astype(np.int64)
         moves: list[_Move] = []
         for slot, rows in _groups(slots):
             if start is None:
@@ -135,37 +138,13 @@ class Places:
         self.world_of[envs] = slots
         return poses
 
-    def world(self, env: int, key: Words) -> World:
-        """The world that :meth:`begin` gave an environment by a key (1,). Floor plans are drawn again."""
-        if self._config is not None and not self._seeds:
-            return self._plan(self._config, int(key[0]))
-        return self._world(int(self._slots(np.array([env]), key)[0]))
-
-    def _slots(self, envs: IntArray, keys: Words) -> IntArray:
-        """The slots (k,) of the worlds that environments (k,) get by keys (k,)."""
-        if self._seeds:
-            return ((keys >> np.uint64(11)) % np.uint64(len(self._seeds))).astype(np.int64)
-        return self.home[envs]
-
     def _plan(self, config: FloorPlanConfig, seed: int) -> World:
         return floor_plan(config, np.random.default_rng(seed), self._robot.radius)
 
-    def _made_beforehand(self, config: FloorPlanConfig) -> Iterator[Site]:
-        """The floor plans of all seeds, from the disk as far as they are there."""
-        cache = PlanCache(config, self._robot, cache_folder())
-        missing: list[int] = []
-
-        def made(seed: int) -> Site:
-            site = cache.read(seed)
-            if site is None:
-                missing.append(seed)
-                site = prepare(self._plan(config, seed), self._robot, self.num_robots)
-                cache.write(seed, site)
-            return site
-
-        yield from work_through(made, self._seeds, self._threads, "floor plans")
-        if missing:
-            cache.prune()
+    def _prepared(self, seed: int) -> Site:
+        """The floor plan of a seed that is drawn beforehand."""
+        assert self._config is not None  # noqa: S101 (there are seeds)
+        return prepare(self._plan(self._config, seed), self._robot, self.num_robots)
 
     def _keep(self, sites: Iterable[Site]) -> None:
         """Take the sites of the first slots."""
@@ -191,7 +170,7 @@ class Places:
             # The places to start are most of a site, and not needed any more.
             return replace(site, starts=_NO_STARTS), poses
 
-        made = list(work_through(begun, range(len(envs)), self._threads, "floor plans"))
+        made = list(work_through(begun, range(len(envs)), self._threads))
         poses = np.concatenate([each for _, each in made])
         made.reverse()
         for env in envs.tolist():

@@ -33,7 +33,7 @@ class LimSlamParallelVectorEnv(Batched):
     each other. A policy that all robots share can stack the values of these dicts; independent policies can take one
     entry each.
 
-    The arguments are those of ``LimSlamVectorEnv``, but for ``render_mode`` and ``max_episode_steps``, and these:
+    The arguments are those of ``LimSlamVectorEnv``, but for ``max_episode_steps``, and these:
 
     | Argument      | Default | Meaning                                       |
     |---------------|---------|-----------------------------------------------|
