@@ -1,7 +1,6 @@
 """The simulation of many environments at once."""
 
 import math
-from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
@@ -46,7 +45,7 @@ class BatchSimulation:
     robot
         The specification of all robots.
     noise
-        One setting for all environments or one for each; ranges in it are drawn from at each reset.
+        Ranges in it are drawn from at each reset, for each environment.
     task, max_steps
         What steps are worth, and when episodes end; None for no largest number of steps.
     num_threads
@@ -57,7 +56,7 @@ class BatchSimulation:
         self,
         places: Places,
         robot: RobotSpec,
-        noise: Sequence[NoiseConfig],
+        noise: NoiseConfig,
         task: TaskConfig,
         max_steps: int | None = None,
         num_threads: int | None = None,
@@ -122,8 +121,8 @@ class BatchSimulation:
         episodes = self._episodes
         episodes.poses[envs] = self._places.begin(envs, places, None if start is None else start[envs])
         self._homes, self._numbers, episodes.keys[envs] = homes, numbers, keys
-        rows, noise = envs if len(self._settings.lowest) > 1 else 0 * envs, np.empty((len(envs), NUM_NOISES))
-        draw_rows(settings, rows, *self._settings, noise)
+        noise = np.empty((len(envs), NUM_NOISES))
+        draw_rows(settings, *self._settings, noise)
         episodes.noise[envs] = noise
         episodes.covered[envs] = 0
         width = self._places.sites.tiles.shape[1]

@@ -1,9 +1,6 @@
 """Noise settings of many environments, drawn for each of them."""
 
-from collections.abc import Sequence
 from dataclasses import fields
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 
@@ -24,18 +21,23 @@ _SETTINGS = (
 )  # fmt: skip
 
 
-def noise_settings(settings: Sequence[NoiseConfig], robot: RobotSpec) -> Settings:
-    """The noise of one configuration for all environments, or of one for each, as kernels draw it."""
-    bounds = np.array([[bounds_of(getattr(noise, name)) for name in _NAMES] for noise in settings], dtype=float)
-    lowest, highest = _table(bounds[..., 0], robot), _table(bounds[..., 1], robot)
+def noise_settings(noise: NoiseConfig, robot: RobotSpec) -> Settings:
+    """The noise of a configuration as kernels draw it."""
+    bounds = np.array([bounds_of(getattr(noise, name)) for name in _NAMES], dtype=float)
+    lowest, highest = (_table(values, robot) for values in bounds.T)
     return Settings(lowest, highest - lowest, np.array([_NAMES.index(name) for name in _SETTINGS]))
 
 
 def _table(values: FloatArray, robot: RobotSpec) -> FloatArray:
-    """Tables of noise (k, 14) of values (k, settings)."""
-    # The same functions that make one environment's table make columns of these.
-    noise = cast(DrawnNoise, SimpleNamespace(**dict(zip(_NAMES, values.T, strict=True))))
-    limit = cast(float, np.full(len(values), robot.max_wheel_travel))
-    axle = robot.axle * (1.0 + np.asarray(noise.axle_mismatch))
-    columns = (*range_noise(noise), *wheel_noise(noise, limit), noise.slip_rate, noise.slip_share, axle)
-    return np.ascontiguousarray(np.column_stack(columns))
+    """A table of noise (14,) of the values of settings (k,)."""
+    # The same functions that make one environment's table.
+    noise = DrawnNoise(**dict(zip(_NAMES, values.tolist(), strict=True)))
+    axle = robot.axle * (1.0 + noise.axle_mismatch)
+    columns = (
+        *range_noise(noise),
+        *wheel_noise(noise, robot.max_wheel_travel),
+        noise.slip_rate,
+        noise.slip_share,
+        axle,
+    )
+    return np.array(columns)

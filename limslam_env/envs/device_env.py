@@ -11,11 +11,9 @@ from numpy.typing import NDArray
 
 from limslam_env.batch.batch import BatchSimulation, Results
 from limslam_env.batch.device import DeviceSimulation
-from limslam_env.config import RewardConfig
 from limslam_env.envs.adapter import action_space, observation_space
-from limslam_env.envs.arguments import BatchSource, NoiseSource, Plans, SensorNoise
+from limslam_env.envs.arguments import BatchSource
 from limslam_env.envs.batch_adapter import Batched
-from limslam_env.interface import RobotSpec
 
 
 class LimSlamDeviceEnv(Batched, gym.vector.VectorEnv[dict[str, Any], Any, Any]):
@@ -44,18 +42,12 @@ class LimSlamDeviceEnv(Batched, gym.vector.VectorEnv[dict[str, Any], Any, Any]):
         world: BatchSource,
         num_envs: int = 1,
         *,
-        robot: RobotSpec | None = None,
-        sensor_noise: SensorNoise = None,
-        noise: NoiseSource = None,
-        coverage_goal: float | None = 0.99,
-        rewards: RewardConfig | None = None,
         max_episode_steps: int | None = 18_000,
-        plans: Plans = None,
+        **arguments: Any,
     ) -> None:
-        self._set_up(
-            world, num_envs, 1, robot, sensor_noise, noise, coverage_goal, rewards, max_episode_steps, plans, None,
-            AutoresetMode.NEXT_STEP,
-        )  # fmt: skip
+        self._set_up(world, num_envs, 1, max_episode_steps, **arguments)
+        if self.autoreset_mode is not AutoresetMode.NEXT_STEP:
+            raise ValueError("on a device, autoreset_mode is NEXT_STEP")
         self.single_action_space, self.single_observation_space = action_space(), observation_space(self.robot)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)

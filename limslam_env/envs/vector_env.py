@@ -9,9 +9,9 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from limslam_env.config import RewardConfig
+from limslam_env.config import NoiseConfig, RewardConfig, Setting
 from limslam_env.envs.adapter import action_space, observation_space
-from limslam_env.envs.arguments import BatchSource, NoiseSource, Plans, SensorNoise
+from limslam_env.envs.arguments import BatchSource, Plans
 from limslam_env.envs.batch_adapter import (
     Batched,
     BatchObservation,
@@ -80,8 +80,8 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
     | world             | the id's world   | as in the single environment, or one world per environment           |
     | num_envs          | 1                | how many                                                             |
     | robot             | `RobotSpec()`    | body, wheels and beams of all                                        |
-    | sensor_noise      | None             | as in the single environment, or one value per environment: an array (n,) or (n, 2) |
-    | noise             | `NoiseConfig()`  | one for all, or one per environment; intervals are drawn from at each reset |
+    | sensor_noise      | None             | as in the single environment                                         |
+    | noise             | `NoiseConfig()`  | as in the single environment; intervals are drawn from at each reset, for each environment |
     | coverage_goal     | 0.99             | see Episode End                                                      |
     | rewards           | `RewardConfig()` | as in the single environment                                         |
     | max_episode_steps | 18000            | see Episode End; None never truncates                                |
@@ -103,8 +103,8 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
         num_envs: int = 1,
         *,
         robot: RobotSpec | None = None,
-        sensor_noise: SensorNoise = None,
-        noise: NoiseSource = None,
+        sensor_noise: Setting | None = None,
+        noise: NoiseConfig | None = None,
         coverage_goal: float | None = 0.99,
         rewards: RewardConfig | None = None,
         max_episode_steps: int | None = 18_000,
@@ -113,8 +113,9 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
         num_threads: int | None = None,
     ) -> None:
         self._set_up(
-            world, num_envs, 1, robot, sensor_noise, noise, coverage_goal, rewards, max_episode_steps, plans,
-            num_threads, autoreset_mode,
+            world, num_envs, 1, max_episode_steps, robot=robot, sensor_noise=sensor_noise, noise=noise,
+            coverage_goal=coverage_goal, rewards=rewards, autoreset_mode=autoreset_mode, plans=plans,
+            num_threads=num_threads,
         )  # fmt: skip
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.single_action_space, self.single_observation_space = action_space(), observation_space(self.robot)

@@ -177,12 +177,12 @@ class Results(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """What the noise of episodes is drawn from, for all environments or each of them (k is 1 or n).
+    """What the noise of episodes is drawn from.
 
     Attributes
     ----------
     lowest, spans
-        (k, 14): the least value of each column of :mod:`limslam_env.kernels.tables`, and how much larger it may be.
+        (14,): the least value of each column of :mod:`limslam_env.kernels.tables`, and how much larger it may be.
     places
         (14,): which of an environment's random numbers each column depends on.
     """

@@ -184,7 +184,7 @@ def test_ranges_of_noise_are_drawn_from_evenly_and_for_each():
     keys = derive_keys(np.arange(2000, dtype=np.uint64), np.zeros(2000, dtype=np.int64), 1)
     noise = NoiseConfig(sensor_noise=(0.01, 0.03), wheel_mismatch=(-0.1, 0.1))
     table = np.empty((2000, 14))
-    draw_rows(keys, np.zeros(2000, dtype=np.int64), *noise_settings([noise], RobotSpec()), table)
+    draw_rows(keys, *noise_settings(noise, RobotSpec()), table)
     assert stats.kstest(table[:, 0], stats.uniform(0.01, 0.02).cdf).pvalue > 0.001
     np.testing.assert_allclose(table[:, 6] + table[:, 7], 2.0)
     assert abs(np.corrcoef(table[:, 0], table[:, 6])[0, 1]) < 0.1
