@@ -37,7 +37,7 @@ from limslam_env.metrics.association import (
 )
 from limslam_env.simulation.coverage import CELL, CoverageGrid
 from limslam_env.worlds.formats.loading import load_world
-from limslam_env.worlds.formats.writing import write_world
+from limslam_env.worlds.formats.toml import write_world
 from limslam_env.worlds.world import World
 
 _ALIGNED_WALLS = "wall_f1_aligned", "wall_f1_aligned_5cm", "spurious_walls", "spurious_m", "duplicate_m"

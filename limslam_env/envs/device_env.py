@@ -45,9 +45,7 @@ class LimSlamDeviceEnv(Batched, gym.vector.VectorEnv[dict[str, Any], Any, Any]):
         max_episode_steps: int | None = 18_000,
         **arguments: Any,
     ) -> None:
-        self._set_up(world, num_envs, 1, max_episode_steps, **arguments)
-        if self.autoreset_mode is not AutoresetMode.NEXT_STEP:
-            raise ValueError("on a device, autoreset_mode is NEXT_STEP")
+        self._set_up(world, num_envs, 1, max_episode_steps, autoreset_mode=AutoresetMode.NEXT_STEP, **arguments)
         self.single_action_space, self.single_observation_space = action_space(), observation_space(self.robot)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)

@@ -14,7 +14,7 @@ from limslam_env.kernels.batch_rays import cast_fan, find_unseen
 from limslam_env.kernels.coverage import mark_disc, mark_ray
 from limslam_env.kernels.random_numbers import derive_keys, draw_rows, mixed, normal
 from limslam_env.kernels.rays import meeting
-from limslam_env.kernels.tiles import take_disc, take_ray
+from limslam_env.kernels.tiles import walk_disc, walk_ray
 from limslam_env.simulation.sensors import build_wall_index, walls_around
 
 CELL = 0.1
@@ -36,8 +36,8 @@ def marked(seen, x, y, dx, dy, reach, radius):
 @compiled
 def taken(left, tile_columns, tile_rows, x, y, dx, dy, reach, radius):
     x, y = (x - AREA[0]) / CELL, (y - AREA[1]) / CELL
-    new = take_ray(left, 0, tile_columns, tile_rows, x, y, dx, dy, reach / CELL - 1e-6)
-    return new + take_disc(left, 0, tile_columns, tile_rows, x, y, (radius - 1e-3) / CELL)
+    new = walk_ray(left, 0, tile_columns, tile_rows, x, y, dx, dy, reach / CELL - 1e-6)
+    return new + walk_disc(left, 0, tile_columns, tile_rows, x, y, (radius - 1e-3) / CELL)
 
 
 @compiled
