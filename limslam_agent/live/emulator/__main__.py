@@ -31,7 +31,6 @@ def emulate(
     *,
     pty: Annotated[bool, typer.Option("--pty", help="Make a serial port, and print its name.")] = False,
     ros2: Annotated[bool, typer.Option("--ros2", help="Publish odom and a topic beam_N for each beam.")] = False,
-    scan: Annotated[bool, typer.Option("--scan", help="With --ros2: publish scan in place of the beams.")] = False,
     world: Annotated[str, typer.Option(help="Name of a shipped world, random:SEED, or a world file.")] = "env1",
     robot: Annotated[str, typer.Option(help="Robot that ships with LimSLAM, or a TOML file.")] = "paper",
     noise: Annotated[float, typer.Option(help="Standard deviation of the ranges, m.")] = 0.02,
@@ -70,7 +69,7 @@ def emulate(
         if ros2:
             from limslam_agent.live.emulator.ros2 import RosRobot, serve
 
-            serve(RosRobot(body, has_laser=scan), pace, file)
+            serve(RosRobot(body), pace, file)
             return
         emulator, port = Emulator(body, faults), _port(udp, host)
         sys.stdout.write(f"{port.name}\n")

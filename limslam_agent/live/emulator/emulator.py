@@ -44,8 +44,6 @@ class SimulatedRobot:
     ----------
     body
         The robot and its world.
-    robot
-        The robot in place of that of the body, with other beams.
 
     Attributes
     ----------
@@ -59,9 +57,9 @@ class SimulatedRobot:
 
     begins = 0.0  # s, the time of the robot's clock at the start
 
-    def __init__(self, body: Body, robot: RobotSpec) -> None:
-        self.robot, self._steps = robot, 0
-        self._simulation = Simulation(body.world, robot)
+    def __init__(self, body: Body) -> None:
+        self.robot, self._steps = body.robot, 0
+        self._simulation = Simulation(body.world, body.robot)
         start, *_ = np.random.SeedSequence(body.seed).spawn(4)
         self.readings, truth = self._simulation.reset(start, body.noise)
         self.pose: FloatArray = truth.poses[0]
@@ -104,7 +102,7 @@ class Emulator(SimulatedRobot):
         robot = body.robot
         if len(robot.beams) > MAX_BEAMS:
             raise ValueError(f"the protocol has room for {MAX_BEAMS} beams, not for {len(robot.beams)}")
-        super().__init__(body, robot)
+        super().__init__(body)
         _, boot, *ways = np.random.SeedSequence(body.seed).spawn(4)
         self._down, self._up = (Channel(faults or Faults(), np.random.default_rng(way)) for way in ways)
         self._travel = np.zeros(2)
