@@ -106,7 +106,7 @@ class NoiseConfig:
         }
         return cls(**{**typical, **changes})
 
-    def drawn(self, generator: np.random.Generator) -> "DrawnNoise":
+    def drawn(self, generator: np.random.Generator) -> "NoiseConfig":
         """The same settings with a value drawn from each range.
 
         A number is drawn for every setting, so that making one of them a range shifts no other.
@@ -115,25 +115,7 @@ class NoiseConfig:
         for (name, setting), share in zip(vars(self).items(), generator.random(len(vars(self))), strict=True):
             low, high = bounds_of(setting)
             values[name] = low + (high - low) * float(share)
-        return DrawnNoise(**values)
-
-
-@dataclass(frozen=True)
-class DrawnNoise(NoiseConfig):
-    """Noise of one episode: every number is one number."""
-
-    sensor_noise: float = 0.0
-    range_noise_growth: float = 0.0
-    range_resolution: float = 0.0
-    dropout: float = 0.0
-    fold_back: float = 0.0
-    cone: float = 0.0
-    wheel_variance: float = 2e-5
-    encoder_resolution: float = 0.0
-    wheel_mismatch: float = 0.0
-    axle_mismatch: float = 0.0
-    slip_rate: float = 0.0
-    slip_share: float = 0.5
+        return NoiseConfig(**values)
 
 
 @dataclass(frozen=True)

@@ -6,21 +6,21 @@ from typing import Any
 
 import numpy as np
 
-from limslam_env.batch.noise import noise_settings
 from limslam_env.batch.places import Places
 from limslam_env.batch.threads import cores
-from limslam_env.config import NoiseConfig, TaskConfig
+from limslam_env.config import NoiseConfig, TaskConfig, bounds_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.batch_rays import MOST_LANES
 from limslam_env.kernels.batch_readings import BEGIN, SKIP, STEP
-from limslam_env.kernels.batch_state import Episodes, Results, Robots, Task, fan_of, lanes_for, scratch_for
+from limslam_env.kernels.batch_state import Episodes, Results, Robots, Settings, Task, fan_of, lanes_for, scratch_for
 from limslam_env.kernels.batch_step import advance
 from limslam_env.kernels.coverage import BODY_MARGIN, RAY_MARGIN
 from limslam_env.kernels.random_numbers import Words, derive_keys, draw_rows
 from limslam_env.kernels.tables import LONGEST_RANGE, NUM_NOISES, OFFSET
 from limslam_env.kernels.tiles import LONGEST_LOOK
 from limslam_env.simulation.coverage import CELL
+from limslam_env.simulation.noise import noise_table
 from limslam_env.simulation.sensors import beam_table
 
 __all__ = ["BatchSimulation", "Results"]
@@ -30,6 +30,13 @@ THREADS_FROM = 1024
 
 # Environments that a thread takes at once.
 _PORTION = 512
+
+# The setting that each column of the table of noise depends on. The limit of the encoders, column 10, depends on none.
+_SETTINGS = (
+    "sensor_noise", "range_noise_growth", "dropout", "range_resolution", "fold_back", "cone",
+    "wheel_mismatch", "wheel_mismatch", "wheel_variance", "encoder_resolution", "encoder_resolution",
+    "slip_rate", "slip_share", "axle_mismatch",
+)  # fmt: skip
 
 NOISE, PLACES = 1, 2
 """Purposes of random numbers, besides those of the steps, 0."""
@@ -179,6 +186,16 @@ class BatchSimulation:
             if not other.cancel():
                 other.result()
         return results
+
+
+def noise_settings(noise: NoiseConfig, robot: RobotSpec) -> Settings:
+    """The noise of a configuration as kernels draw it."""
+    names = list(vars(noise))
+    bounds = [
+        dict(zip(names, values, strict=True)) for values in zip(*map(bounds_of, vars(noise).values()), strict=True)
+    ]
+    lowest, highest = (noise_table(values, robot) for values in bounds)
+    return Settings(lowest, highest - lowest, np.array([names.index(name) for name in _SETTINGS]))
 
 
 def _as_numbers(task: TaskConfig, max_steps: int | None) -> Task:

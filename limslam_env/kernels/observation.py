@@ -102,7 +102,7 @@ def drive_and_observe(
     beams
         (n_beams, 9), see :mod:`limslam_env.kernels.tables`.
     noise
-        (11,), see :mod:`limslam_env.kernels.tables`.
+        (14,), see :mod:`limslam_env.kernels.tables`.
     edges, cell_starts, cell_edges, grid
         The walls.
     seen, coverable, area

@@ -13,8 +13,8 @@ LEFT_WHEEL, RIGHT_WHEEL, WHEEL_VARIANCE, ENCODER_RESOLUTION, LARGEST_TRAVEL = ra
 :func:`~limslam_env.kernels.readings.reported_travel`."""
 
 SLIP_RATE, SLIP_SHARE, TRUE_AXLE = range(11, 14)
-"""Further columns in a batch: slips per metre, the share of the travel that a slip takes, and the true distance between
+"""Further columns: slips per metre, the share of the travel that a slip takes, and the true distance between
 the wheels, m."""
 
 NUM_NOISES = 14
-"""Number of columns of the table of noise of a batch."""
+"""Number of columns of the table of noise."""

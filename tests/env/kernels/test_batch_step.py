@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from limslam_env import NoiseConfig, RobotSpec, load_world
-from limslam_env.batch.noise import noise_settings
+from limslam_env.batch.batch import noise_settings
 from limslam_env.batch.worlds import from_tiles, to_tiles
 from limslam_env.compilation import compiled
 from limslam_env.kernels.batch_rays import cast_fan, find_unseen
