@@ -65,13 +65,15 @@ def convert(
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
     """Write a world of any kind as TOML."""
-    from limslam_agent.output.atomic_write import check_target
+    from limslam_agent.output.atomic_write import atomic_write, check_target
     from limslam_env.messages import printable
     from limslam_env.worlds.formats.loading import load_world
-    from limslam_env.worlds.formats.toml import write_world
+    from limslam_env.worlds.formats.toml import world_toml
 
-    check_target(target, force=force)
-    write_world(load_world(source), target)
+    check_target(target, "a world", (".toml",), force=force)
+    text = world_toml(load_world(source))
+    with atomic_write(target) as beside:
+        beside.write_text(text, encoding="utf-8", newline="\n")
     typer.echo(printable(f"world       {target}"))
 
 

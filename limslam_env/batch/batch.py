@@ -191,10 +191,9 @@ class BatchSimulation:
 def noise_settings(noise: NoiseConfig, robot: RobotSpec) -> Settings:
     """The noise of a configuration as kernels draw it."""
     names = list(vars(noise))
-    bounds = [
-        dict(zip(names, values, strict=True)) for values in zip(*map(bounds_of, vars(noise).values()), strict=True)
-    ]
-    lowest, highest = (noise_table(values, robot) for values in bounds)
+    lowest, highest = (
+        noise_table({name: bounds_of(setting)[end] for name, setting in vars(noise).items()}, robot) for end in (0, 1)
+    )
     return Settings(lowest, highest - lowest, np.array([names.index(name) for name in _SETTINGS]))
 
 

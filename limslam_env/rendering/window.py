@@ -5,7 +5,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from gymnasium.error import DependencyNotInstalled, Error
+from gymnasium.error import Error
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
@@ -31,16 +31,14 @@ class Window:
     ----------
     message
         A line that is shown over the lower margin of the pictures; empty for none.
-
-    Raises
-    ------
-    DependencyNotInstalled
-        If pygame is missing.
     """
 
     def __init__(self, title: str, fps: float) -> None:
         self.title, self.fps, self.message = title, fps, ""
-        self._pygame = _load_pygame()
+        os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+        import pygame
+
+        self._pygame: Any = pygame
         self._clock = self._pygame.time.Clock()
         self._screen: pygame.Surface | None = None
         self._closed = False
@@ -132,15 +130,6 @@ class Window:
         strip = pygame.Rect(0, height - _MESSAGE_HEIGHT, width, _MESSAGE_HEIGHT)
         screen.fill(_PAPER, strip)
         screen.blit(words, words.get_rect(center=strip.center))
-
-
-def _load_pygame() -> Any:
-    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-    try:
-        import pygame
-    except ImportError as error:
-        raise DependencyNotInstalled("a window needs pygame: pip install 'limslam[play]'") from error
-    return pygame
 
 
 def has_display() -> bool:

@@ -14,7 +14,7 @@ _NUM_WHEELS = 2
 
 
 def noise_table(values: Mapping[str, Any], robot: RobotSpec) -> FloatArray:
-    """The noise (14,) with the columns of :mod:`limslam_env.kernels.tables`; ``values`` are those of ``NoiseConfig``."""
+    """The noise (14,) with the columns of :mod:`limslam_env.kernels.tables`, of the values of a ``NoiseConfig``."""
     names = "sensor_noise", "range_noise_growth", "dropout", "range_resolution", "fold_back", "cone"
     mismatch = values["wheel_mismatch"]
     encoders = (

@@ -3,12 +3,10 @@
 JSON files may have the same keys.
 """
 
-import os
 import tomllib
-from pathlib import Path
 from typing import Any
 
-from limslam_env.worlds.formats.text_files import number_array, replace_file
+from limslam_env.worlds.formats.text_files import number_array
 from limslam_env.worlds.world import World, WorldError, named
 
 _KEYS = {"name", "size", "walls", "obstacles", "doors", "starts", "loop"}
@@ -52,20 +50,6 @@ def keyed_world(table: dict[str, Any]) -> World:
         ),
         **{key: number_array(table[key], key, 2) for key in ("doors", "starts", "loop") if key in table},
     )
-
-
-def write_world(world: World, path: str | os.PathLike[str]) -> None:
-    """Write a world as ``.toml``. A file that is there already stays as it was if the new one cannot be written.
-
-    Raises
-    ------
-    WorldError
-        If the file has another suffix or cannot be written.
-    """
-    path = Path(path)
-    if path.suffix != ".toml":
-        raise WorldError(f"{path}: a world is written as .toml, not {path.suffix!r}")
-    replace_file(path, world_toml(world).encode())
 
 
 def world_toml(world: World) -> str:
