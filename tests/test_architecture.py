@@ -25,7 +25,6 @@ def agent(*names: str) -> set[str]:
 # For each package, and each module beside the packages: which others it may import. A package may always import itself.
 ENV = {
     "limslam_env": env("config", "interface"),
-    "limslam_env.__main__": {"limslam_env"},
     "limslam_env.geometry": set(),
     "limslam_env.interface": {GEOMETRY},
     "limslam_env.messages": set(),

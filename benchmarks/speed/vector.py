@@ -22,7 +22,7 @@ from benchmarks.speed.device import print_device_rates
 from benchmarks.speed.rates import Clock, Loop, print_rates, rates_in_turn, ratio
 from benchmarks.speed.run import BAR, times_faster
 from limslam_agent import SlamVectorObservation
-from limslam_env.batch.threads import cores
+from limslam_env.batch.places import cores
 from limslam_env.geometry import FloatArray
 from limslam_env.worlds.world import World
 

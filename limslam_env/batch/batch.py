@@ -6,8 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from limslam_env.batch.places import Places
-from limslam_env.batch.threads import cores
+from limslam_env.batch.places import Places, cores
 from limslam_env.config import NoiseConfig, TaskConfig, bounds_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec

@@ -1,13 +1,14 @@
 """The worlds of a batch's environments, and the start poses in them."""
 
+import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from limslam_env.batch.threads import cores, work_through
 from limslam_env.batch.worlds import Site, Sites, StartCells, prepare
 from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.interface import RobotSpec
@@ -19,6 +20,11 @@ from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_pla
 from limslam_env.worlds.world import World
 
 _NO_STARTS = StartCells(no_rows(3), np.zeros((0, 2), dtype=np.int32), 0, np.zeros(4))
+
+
+def cores() -> int:
+    """Number of processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Places:
@@ -70,7 +76,8 @@ class Places:
             if plans is not None:
                 self._seeds = list(dict.fromkeys(plans))
                 announce(f"{len(self._seeds)} floor plans are drawn, some 10 ms of processor time each")
-                self._keep(work_through(self._prepared, self._seeds, self._threads))
+                with ThreadPoolExecutor(self._threads) as pool:
+                    self._keep(pool.map(self._prepared, self._seeds))
         else:
             worlds = [source] if isinstance(source, World) else list(source)
             numbers = {world: number for number, world in enumerate(dict.fromkeys(worlds))}
@@ -170,7 +177,8 @@ class Places:
             # The places to start are most of a site, and not needed any more.
             return replace(site, starts=_NO_STARTS), poses
 
-        made = list(work_through(begun, range(len(envs)), self._threads))
+        with ThreadPoolExecutor(self._threads) as pool:
+            made = list(pool.map(begun, range(len(envs))))
         poses = np.concatenate([each for _, each in made])
         made.reverse()
         for env in envs.tolist():

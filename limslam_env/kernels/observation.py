@@ -100,7 +100,7 @@ def drive_and_observe(
     radius
         Of their bodies, m.
     beams
-        (n_beams, 9), see :mod:`limslam_env.kernels.tables`.
+        (n_beams, 11), see :mod:`limslam_env.kernels.tables`.
     noise
         (14,), see :mod:`limslam_env.kernels.tables`.
     edges, cell_starts, cell_edges, grid

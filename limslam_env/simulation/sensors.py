@@ -76,17 +76,7 @@ def _listed(edges: FloatArray, grid: FloatArray, border: float) -> tuple[IntArra
 
 
 def beam_table(robot: RobotSpec) -> FloatArray:
-    """The beams (n_beams, 9) with the columns of :mod:`limslam_env.kernels.tables`."""
+    """The beams (n_beams, 11) with the columns of :mod:`limslam_env.kernels.tables`."""
     offsets = np.maximum(np.einsum("bd,bd->b", robot.beam_origins, robot.beam_directions), 0.0)
     periods = [beam.period for beam in robot.beams]
-    return np.column_stack(
-        (
-            robot.beam_origins,
-            robot.beam_angles,
-            offsets,
-            robot.min_ranges,
-            robot.max_ranges,
-            periods,
-            robot.beam_directions,
-        )
-    )
+    return np.column_stack((robot.beam_table, offsets, robot.min_ranges, periods))
