@@ -13,9 +13,6 @@ NOISE_PRESETS_M = {"none": 0.0, "low": 0.02, "high": 0.04}
 """Standard deviations of the ranges in the paper's experiments, m."""
 
 
-# The smallest number above 0.
-_SMALLEST_GOAL = math.ulp(0.0)
-
 _BOUNDS = {
     "sensor_noise": (0.0, 1e3),
     "range_noise_growth": (0.0, 1e3),
@@ -157,8 +154,9 @@ class TaskConfig:
     reward: RewardConfig = field(default_factory=RewardConfig)
 
     def __post_init__(self) -> None:
-        if self.coverage_goal is not None and not _lies_within(self.coverage_goal, _SMALLEST_GOAL, 1.0):
-            raise ValueError(f"coverage_goal must lie in (0, 1] or be None, not {self.coverage_goal}")
+        goal = self.coverage_goal
+        if goal is not None and not (_lies_within(goal, 0.0, 1.0) and goal > 0.0):
+            raise ValueError(f"coverage_goal must lie in (0, 1] or be None, not {goal}")
 
     def is_over(self, coverage: float) -> bool:
         """Whether a coverage (0 to 1) reaches the goal."""

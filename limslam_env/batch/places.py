@@ -77,7 +77,7 @@ class Places:
                 self._seeds = list(dict.fromkeys(plans))
                 announce(f"{len(self._seeds)} floor plans are drawn, some 10 ms of processor time each")
                 with ThreadPoolExecutor(self._threads) as pool:
-                    self._keep(pool.map(self._prepared, self._seeds))
+                    self._keep(pool.map(lambda seed: prepare(self._plan(source, seed), robot, num_robots), self._seeds))
         else:
             worlds = [source] if isinstance(source, World) else list(source)
             numbers = {world: number for number, world in enumerate(dict.fromkeys(worlds))}
@@ -147,11 +147,6 @@ class Places:
 
     def _plan(self, config: FloorPlanConfig, seed: int) -> World:
         return floor_plan(config, np.random.default_rng(seed), self._robot.radius)
-
-    def _prepared(self, seed: int) -> Site:
-        """The floor plan of a seed that is drawn beforehand."""
-        assert self._config is not None  # noqa: S101 (there are seeds)
-        return prepare(self._plan(self._config, seed), self._robot, self.num_robots)
 
     def _keep(self, sites: Iterable[Site]) -> None:
         """Take the sites of the first slots."""

@@ -74,7 +74,7 @@ class Sb3VecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """The batch's attribute, once for each environment."""
-        return [getattr(self.env, attr_name)] * len(self._numbers(indices))
+        return [getattr(self.env, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Set an attribute of the batch. Single environments have no attributes of their own."""
@@ -83,12 +83,12 @@ class Sb3VecEnv(VecEnv):
 
     def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
         """Call a method of the batch once; returns its result for each environment."""
-        return [getattr(self.env, method_name)(*args, **kwargs)] * len(self._numbers(indices))
+        return [getattr(self.env, method_name)(*args, **kwargs)] * len(list(self._get_indices(indices)))
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
         """Always false: single environments in a batch have no wrappers."""
         del wrapper_class
-        return [False] * len(self._numbers(indices))
+        return [False] * len(list(self._get_indices(indices)))
 
     def _costs(self, found: dict[str, Any]) -> list[dict[str, Any]]:
         """An info for each environment with the cost of its step; without it if the batch has none."""
@@ -99,6 +99,3 @@ class Sb3VecEnv(VecEnv):
             # The other cost is that of the first observation of the next episode.
             costs = np.where(found["_final_info"], found["final_info"]["cost"], costs)
         return [{"cost": cost} for cost in costs.tolist()]
-
-    def _numbers(self, indices: VecEnvIndices) -> list[int]:
-        return list(self._get_indices(indices))

@@ -9,6 +9,7 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
+from limslam_env.batch.batch import Results
 from limslam_env.config import NoiseConfig, RewardConfig, Setting
 from limslam_env.envs.adapter import action_space, observation_space
 from limslam_env.envs.arguments import BatchSource, Plans
@@ -142,10 +143,7 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
         WorldError
             If a start cannot be used. Then episodes go on as if nothing had been asked.
         """
-        generator = self.np_random if seed is None else seeding.np_random(seed)[0]
-        results, mask = self._begin(generator, seed, options)
-        if seed is not None:
-            self._np_random, self._np_random_seed = generator, seed
+        results, mask = self._begun(seed, options)
         return observation_of(results, 0), info_of(results, 0, mask)
 
     def step(self, actions: ArrayLike) -> tuple[BatchObservation, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
@@ -163,6 +161,13 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
         outcome = self._drive(checked_actions(actions, self.num_envs)[:, None])
         rewards = outcome.rewards[:, 0]
         return observation_of(outcome.now, 0), rewards, outcome.terminated, outcome.truncated, infos_of(outcome, 0)
+
+    def _begun(self, seed: int | None, options: dict[str, Any] | None) -> tuple[Results, BoolArray]:
+        generator = self.np_random if seed is None else seeding.np_random(seed)[0]
+        begun = self._begin(generator, seed, options)
+        if seed is not None:
+            self._np_random, self._np_random_seed = generator, seed
+        return begun
 
     def close_extras(self, **_: Any) -> None:
         """End the threads."""

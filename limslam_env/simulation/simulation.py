@@ -76,6 +76,11 @@ class Simulation:
     num_robots
         Number of robots.
 
+    Attributes
+    ----------
+    coverage_grid
+        The cells that count for coverage, and where they lie. Known after the first reset.
+
     Raises
     ------
     WorldError
@@ -85,6 +90,7 @@ class Simulation:
     def __init__(self, world: World, robot: RobotSpec, num_robots: int = 1) -> None:
         world.check(robot.radius)
         self.world, self.robot, self.num_robots = world, robot, num_robots
+        self.coverage_grid: CoverageGrid
         self._scene = build_wall_index(world.edges).scene
         self._physics = Physics(world.edges, robot.radius, num_robots)
         self._beams = beam_table(robot)
@@ -99,11 +105,6 @@ class Simulation:
     def poses(self) -> FloatArray:
         """Pose of each robot (n, 3), m and rad; a copy."""
         return self._physics.poses
-
-    @property
-    def coverage_grid(self) -> CoverageGrid:
-        """The cells that count for coverage, and where they lie."""
-        return self._grid
 
     def reset(
         self, seeds: np.random.SeedSequence, noise: NoiseConfig, start: FloatArray | None = None
@@ -132,15 +133,15 @@ class Simulation:
         self._noise = noise_table(vars(noise.drawn(settings)), robot)
         self._draws = StepDraws(ranges, wheels, count, len(robot.beams))
         self._physics.place(poses, float(self._noise[TRUE_AXLE]))
-        self._grid = coverage_grid(self.world, robot, poses)
-        self._total, self._seen = max(self._grid.total, 1), np.zeros_like(self._grid.coverable)
+        self.coverage_grid = grid = coverage_grid(self.world, robot, poses)
+        self._total, self._seen = max(grid.total, 1), np.zeros_like(grid.coverable)
         self._covered = self._steps = 0
         shape = (count, len(robot.beams))
         self._hits, self._ranges = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.float32)
         self._travel, self._reported = np.zeros((count, 2)), np.zeros((count, 2), dtype=np.float32)
         self._unreported, self._new_cells = np.zeros((count, 2)), np.zeros(count, dtype=np.int64)
         self._arrays = (
-            robot.radius, self._beams, self._noise, *self._scene, self._seen, self._grid.coverable, self._grid.area,
+            robot.radius, self._beams, self._noise, *self._scene, self._seen, grid.coverable, grid.area,
             self._unreported, self._hits, self._ranges, self._reported, self._new_cells,
         )  # fmt: skip
         self._measure(self._travel, self._draws.next(), is_moved=True)
