@@ -73,6 +73,11 @@ class Site:
     tiles: Words
     starts: StartCells
 
+    @property
+    def near(self) -> tuple[IntArray, IntArray] | None:
+        """The walls within the beams' reach of each cell of their list; None where these are too many."""
+        return near_walls(self.walls, self.reach)
+
 
 def prepare(world: World, robot: RobotSpec, num_robots: int, start: FloatArray | None = None) -> Site:
     """Make a world ready, for robots that start as :func:`limslam_env.simulation.starts.starting_places` says.
@@ -119,63 +124,102 @@ def from_tiles(tiles: Words, shape: tuple[int, int]) -> BoolArray:
     return np.asarray(blocks[: shape[0], : shape[1]], dtype=bool)
 
 
+class _RowStore:
+    """The rows of many worlds, one after the other, with space to replace a world."""
+
+    def __init__(self, dtype: type[np.generic], *width: int) -> None:
+        self.rows: NDArray[Any] = np.zeros((0, *width), dtype=dtype)
+        self._taken = 0
+        self._firsts: list[int] = []
+        self._sizes: list[int] = []
+
+    def put(self, slot: int, rows: NDArray[Any]) -> int:
+        """Put rows (k, ...) at a slot, the next one or one in use; where they begin."""
+        if slot == len(self._firsts):
+            self._firsts.append(0)
+            self._sizes.append(-1)
+        if len(rows) > self._sizes[slot]:
+            # A later world in this slot may need a little more.
+            size = len(rows) if self._sizes[slot] < 0 else len(rows) * 5 // 4
+            self._firsts[slot], self._sizes[slot] = self._taken, size
+            self._taken += size
+            if self._taken > len(self.rows):
+                self._grow(max(self._taken, len(self.rows) * 3 // 2))
+        first = self._firsts[slot]
+        self.rows[first : first + len(rows)] = rows
+        return first
+
+    def _grow(self, count: int) -> None:
+        shape = count, *self.rows.shape[1:]
+        try:
+            # In place: thousands of worlds are a hundred megabytes.
+            self.rows.resize(shape)
+        except ValueError:  # others hold the array
+            grown = np.zeros(shape, self.rows.dtype)
+            grown[: len(self.rows)] = self.rows
+            self.rows = grown
+
+
 class Sites:
-    """The worlds of a batch, by the numbers of their slots."""
+    """The worlds of a batch, by the numbers of their slots.
+
+    Attributes
+    ----------
+    layout, grids, areas, tiles, totals
+        As :class:`limslam_env.kernels.batch_state.Worlds` holds them; ``tiles`` are its ``coverable``.
+    shapes
+        Rows and columns of each coverage grid.
+    """
 
     def __init__(self) -> None:
-        self._sites: list[tuple[Site, tuple[IntArray, IntArray] | None]] = []
-        self._worlds: Worlds | None = None
-        self._width = 0
+        self._edges, self._cells, self._items = _RowStore(np.float64, 4), _RowStore(np.int32), _RowStore(np.int32)
+        self._near_cells, self._near_items = _RowStore(np.int32), _RowStore(np.uint16)
+        self.layout: IntArray = np.zeros((0, 7), dtype=np.int64)
+        self.grids: FloatArray = np.zeros((0, 3))
+        self.areas: FloatArray = np.zeros((0, 3))
+        self.totals: IntArray = np.zeros(0, dtype=np.int64)
+        self.tiles: Words = np.zeros((0, 0), dtype=np.uint64)
+        self.shapes: list[tuple[int, int]] = []
 
     def __len__(self) -> int:
-        return len(self._sites)
-
-    def put(self, slot: int, site: Site) -> None:
-        """Put a world at a slot: the next one, or one whose world is needed no more."""
-        self._sites[slot : slot + 1] = [(site, near_walls(site.walls, site.reach))]
-        self._worlds, self._width = None, max(self._width, site.tiles.size)
-
-    @property
-    def tiles(self) -> Words:
-        """The coverable cells of each world, (w, t)."""
-        return self.worlds.coverable
+        return len(self.shapes)
 
     @property
     def worlds(self) -> Worlds:
-        """All worlds as the kernels take them, put together anew after changes."""
-        if self._worlds is None:
-            self._worlds = self._together()
-        return self._worlds
+        """The arrays as the kernels take them."""
+        walls = self._edges.rows, self._cells.rows, self._items.rows, self._near_cells.rows, self._near_items.rows
+        return Worlds(self.layout, self.grids, self.areas, *walls, self.tiles, self.totals)
+
+    def put(self, slot: int, site: Site) -> None:
+        """Put a world at a slot: the next one, or one whose world is needed no more."""
+        if slot == len(self):
+            self._grow()
+        walls, tiles, near = site.walls, site.tiles, site.near
+        first_edge = self._edges.put(slot, walls.edges)
+        first_item = self._items.put(slot, walls.cell_edges + first_edge)
+        first_cell = self._cells.put(slot, walls.cell_starts + first_item)
+        columns, rows = walls.grid[3:].astype(int)
+        starts, numbers = near or _NOWHERE
+        first_item = self._near_items.put(slot, numbers)
+        first_near = -1 if near is None else self._near_cells.put(slot, starts + first_item)
+        self.layout[slot] = first_edge, first_cell, columns, rows, tiles.shape[1], tiles.shape[0], first_near
+        self.grids[slot], self.areas[slot] = walls.grid[:3], site.area
+        self.totals[slot], self.shapes[slot] = max(int(np.bitwise_count(tiles).sum()), 1), site.shape
+        if tiles.size > self.tiles.shape[1]:
+            self.tiles = np.pad(self.tiles, ((0, 0), (0, tiles.size - self.tiles.shape[1])))
+        self.tiles[slot] = 0
+        self.tiles[slot, : tiles.size] = tiles.ravel()
 
     def to_cells(self, slot: int, tiles: Words) -> BoolArray:
         """Tiles (t,) of a world as a grid (rows, columns)."""
-        site, _ = self._sites[slot]
-        return from_tiles(tiles[: site.tiles.size].reshape(site.tiles.shape), site.shape)
+        columns, rows = self.layout[slot, 4:6]
+        return from_tiles(tiles[: rows * columns].reshape(rows, columns), self.shapes[slot])
 
-    def _together(self) -> Worlds:
-        sites, near = [site for site, _ in self._sites], [near or _NOWHERE for _, near in self._sites]
-        walls, tiles = [site.walls for site in sites], np.zeros((len(sites), self._width), dtype=np.uint64)
-        for row, site in zip(tiles, sites, strict=True):
-            row[: site.tiles.size] = site.tiles.ravel()
-        edges, first_edges = _joined([each.edges for each in walls])
-        items, first_items = _joined([each.cell_edges for each in walls], first_edges)
-        cells, first_cells = _joined([each.cell_starts for each in walls], first_items)
-        near_items, first_near_items = _joined([numbers for _, numbers in near])
-        near_cells, first_near = _joined([starts for starts, _ in near], first_near_items)
-        first_near[[each is None for _, each in self._sites]] = -1
-        grids, shapes = np.array([each.grid for each in walls]), np.array([site.tiles.shape for site in sites])
-        return Worlds(
-            np.column_stack((first_edges, first_cells, grids[:, 3:].astype(np.int64), shapes[:, ::-1], first_near)),
-            np.ascontiguousarray(grids[:, :3]), np.array([site.area for site in sites]), edges,
-            cells.astype(np.int32), items.astype(np.int32), near_cells.astype(np.int32), near_items.astype(np.uint16),
-            tiles, np.maximum(np.bitwise_count(tiles).sum(axis=1, dtype=np.int64), 1),
-        )  # fmt: skip
-
-
-def _joined(parts: list[NDArray[Any]], shifts: IntArray | int = 0) -> tuple[NDArray[Any], IntArray]:
-    """Arrays one after the other, each with its shift added, and where each of them begins."""
-    sizes = np.array([len(part) for part in parts])
-    joined = np.concatenate(parts)
-    if not isinstance(shifts, int):
-        joined = joined + np.repeat(shifts, sizes)
-    return joined, np.cumsum(sizes) - sizes
+    def _grow(self) -> None:
+        # The arrays grow by a half, so that thousands of worlds do not copy them at each one.
+        self.shapes.append((0, 0))
+        if len(self.shapes) > len(self.layout):
+            more = max(1, len(self.layout) // 2)
+            for name in ("layout", "grids", "areas", "totals", "tiles"):
+                array = getattr(self, name)
+                setattr(self, name, np.concatenate((array, np.zeros((more, *array.shape[1:]), array.dtype))))

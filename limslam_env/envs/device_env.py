@@ -34,6 +34,8 @@ class LimSlamDeviceEnv(LimSlamVectorEnv):
     _simulation: DeviceSimulation
 
     def __init__(self, world: BatchSource, num_envs: int = 1, **arguments: Any) -> None:
+        if arguments.get("render_mode") is not None:
+            raise ValueError("a batch on a device draws no pictures: render_mode must be None")
         super().__init__(world, num_envs, autoreset_mode=AutoresetMode.NEXT_STEP, **arguments)
 
     def reset(

@@ -1,5 +1,6 @@
 """Batches of environments for Stable-Baselines3, which has its own interface for them (extra ``rl``)."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,8 @@ class Sb3VecEnv(VecEnv):
         self._actions: NDArray[Any] | None = None
         self._returns, self._lengths = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=np.int64)
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+        if "render_fps" in env.metadata:
+            self.metadata["render_fps"] = env.metadata["render_fps"]
 
     def reset(self) -> VecEnvObs:
         """Begin new episodes with the seed and the options that were set since the last reset."""
@@ -74,7 +77,7 @@ class Sb3VecEnv(VecEnv):
 
     def get_attr(self, attr_name: str, indices: VecEnvIndices = None) -> list[Any]:
         """The batch's attribute, once for each environment."""
-        return [getattr(self.env, attr_name)] * len(list(self._get_indices(indices)))
+        return [getattr(self.env, attr_name)] * len(self._numbers(indices))
 
     def set_attr(self, attr_name: str, value: Any, indices: VecEnvIndices = None) -> None:
         """Set an attribute of the batch. Single environments have no attributes of their own."""
@@ -83,12 +86,17 @@ class Sb3VecEnv(VecEnv):
 
     def env_method(self, method_name: str, *args: Any, indices: VecEnvIndices = None, **kwargs: Any) -> list[Any]:
         """Call a method of the batch once; returns its result for each environment."""
-        return [getattr(self.env, method_name)(*args, **kwargs)] * len(list(self._get_indices(indices)))
+        return [getattr(self.env, method_name)(*args, **kwargs)] * len(self._numbers(indices))
 
     def env_is_wrapped(self, wrapper_class: type[Any], indices: VecEnvIndices = None) -> list[bool]:
         """Always false: single environments in a batch have no wrappers."""
         del wrapper_class
-        return [False] * len(list(self._get_indices(indices)))
+        return [False] * len(self._numbers(indices))
+
+    def get_images(self) -> Sequence[NDArray[Any] | None]:
+        """A picture (height, width, 3) of each environment; None where the batch has no ``render_mode``."""
+        pictures: Sequence[Any] | None = self.env.render()
+        return pictures or [None] * self.num_envs
 
     def _costs(self, found: dict[str, Any]) -> list[dict[str, Any]]:
         """An info for each environment with the cost of its step; without it if the batch has none."""
@@ -99,3 +107,6 @@ class Sb3VecEnv(VecEnv):
             # The other cost is that of the first observation of the next episode.
             costs = np.where(found["_final_info"], found["final_info"]["cost"], costs)
         return [{"cost": cost} for cost in costs.tolist()]
+
+    def _numbers(self, indices: VecEnvIndices) -> list[int]:
+        return list(self._get_indices(indices))

@@ -2,6 +2,7 @@
 
 import functools
 import math
+import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -14,7 +15,6 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.shapes import ellipse, thinned
 from limslam_env.interface import RobotSpec
 from limslam_env.rendering.overlay import Overlay
-from limslam_env.simulation.coverage import CELL
 from limslam_env.worlds.world import World
 
 HEIGHT = 640
@@ -59,11 +59,18 @@ class RenderState:
     time, coverage
         s, and 0 to 1.
     seen
-        (rows, columns), which cells of the coverage grid have been seen, row 0 at the bottom.
+        (rows, columns), which cells have been seen, row 0 at the bottom. None shades nothing.
     seen_low
         Lower left corner of those cells (2,), m.
+    seen_cell
+        Their side, m.
     overlay
         The agents' estimates; each has the colour of the robot with the same number.
+
+    Raises
+    ------
+    ValueError
+        If there is ``seen`` without ``seen_low``.
     """
 
     world: World
@@ -74,9 +81,14 @@ class RenderState:
     paths: Sequence[FloatArray]
     time: float
     coverage: float
-    seen: BoolArray
-    seen_low: FloatArray
+    seen: BoolArray | None = None
+    seen_low: FloatArray | None = None
+    seen_cell: float = 0.10
     overlay: Sequence[Overlay] = ()
+
+    def __post_init__(self) -> None:
+        if self.seen is not None and self.seen_low is None:
+            raise ValueError("seen cells need seen_low, their lower left corner")
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,19 +139,44 @@ class _Canvas:
 
 
 @dataclass(frozen=True, eq=False)
-class _Background:
+class Background:
     """What of a picture does not change: a canvas with the unseen world, and how much lighter it is where seen."""
 
     canvas: _Canvas
     light: Image
 
 
-def render(state: RenderState) -> Image:
-    """The state as a picture (height, width, 3), RGB, as wide as its world needs it."""
-    background = _background(state.world)
+_SQUARES: weakref.WeakValueDictionary[World, Background] = weakref.WeakValueDictionary()
+
+
+def square_background(world: World) -> Background:
+    """The background of a picture that is as wide as high whatever the world.
+
+    It is drawn once for equal worlds as long as a caller keeps it, since nothing else in a picture takes as long.
+    """
+    background = _SQUARES.get(world)
+    if background is None:
+        background = _SQUARES[world] = _background(world, least_width=HEIGHT, most_width=HEIGHT, least_height=HEIGHT)
+    return background
+
+
+def render(state: RenderState, *, background: Background | None = None) -> Image:
+    """The state as a picture (height, width, 3), RGB. The same state gives the same picture.
+
+    Parameters
+    ----------
+    state
+        What is drawn.
+    background
+        Of the same world, by :func:`square_background`. None makes a picture as wide as its world needs it.
+    """
+    background = background or _fitting_background(state.world)
     canvas = background.canvas.on(background.canvas.image.copy())
-    mask = _seen_mask(canvas, state.seen, state.seen_low)
-    cv2.add(canvas.image, cv2.multiply(background.light, cv2.merge((mask, mask, mask)), scale=1 / 255), canvas.image)
+    if state.seen is not None and state.seen_low is not None:
+        mask = _seen_mask(canvas, state.seen, state.seen_low, state.seen_cell)
+        cv2.add(
+            canvas.image, cv2.multiply(background.light, cv2.merge((mask, mask, mask)), scale=1 / 255), canvas.image
+        )
     for number, path in enumerate(state.paths):
         if len(path) > 1:
             canvas.path(thinned(path, _TRAIL_POINTS), _mixed(_robot_colour(number), _SEEN, 0.45), canvas.width(0.02, 2))
@@ -154,26 +191,32 @@ def render(state: RenderState) -> Image:
 
 
 @functools.lru_cache(maxsize=8)
-def _background(world: World) -> _Background:
-    canvas = _new_canvas(world)
+def _fitting_background(world: World) -> Background:
+    """The background of a picture that is as wide as its world needs it."""
+    return _background(world, least_width=_NARROWEST, most_width=_WIDEST)
+
+
+def _background(world: World, *, least_width: int, most_width: int, least_height: int = 0) -> Background:
+    canvas = _new_canvas(world, least_width=least_width, most_width=most_width, least_height=least_height)
     everything_seen = canvas.on(canvas.image.copy())
     for layer, floor in ((canvas, _UNSEEN), (everything_seen, _SEEN)):
         _draw_floor(layer, world, floor)
         _draw_walls(layer, world)
         _draw_scale(layer)
     light = np.asarray(cv2.subtract(everything_seen.image, canvas.image), dtype=np.uint8)
-    return _Background(canvas, light)
+    return Background(canvas, light)
 
 
-def _new_canvas(world: World) -> _Canvas:
-    """A canvas around a world."""
+def _new_canvas(world: World, *, least_width: int, most_width: int, least_height: int) -> _Canvas:
+    """A canvas around a world; the sizes are in pixels."""
     corners = world.edges.reshape(-1, 2)
     low, extent = corners.min(axis=0), np.maximum(np.ptp(corners, axis=0), 1e-3)
-    scale = float(((_WIDEST - 2 * _MARGIN, HEIGHT - 2 * _MARGIN) / extent).min())
+    scale = float(((most_width - 2 * _MARGIN, HEIGHT - 2 * _MARGIN) / extent).min())
     columns, rows = np.ceil(extent * scale).astype(int) + 2 * _MARGIN
     # Video codecs want even sides.
-    columns, rows = max(columns + columns % 2, _NARROWEST), rows + rows % 2
-    origin = np.array([0.5 * (columns - extent[0] * scale), rows - _MARGIN])
+    columns, rows = max(columns + columns % 2, least_width + least_width % 2), rows + rows % 2
+    origin = np.array([0.5 * (columns - extent[0] * scale), rows - _MARGIN + max(least_height - rows, 0) // 2])
+    rows = max(rows, least_height)
     return _Canvas(np.full((rows, columns, 3), _PAPER, dtype=np.uint8), low, origin, scale)
 
 
@@ -204,11 +247,11 @@ def _draw_scale(canvas: _Canvas) -> None:
     _text(canvas.image, words, left - _text_width(words) - 8, 24)
 
 
-def _seen_mask(canvas: _Canvas, seen: BoolArray, low: FloatArray) -> Image:
+def _seen_mask(canvas: _Canvas, seen: BoolArray, low: FloatArray, cell: float) -> Image:
     """How far each pixel has been seen, 0 to 255: the corners of the cells are rounded off, and their edges soft."""
     # From the centre of a pixel to a column and a row; a cell's centre has a whole number.
-    step = 1.0 / (canvas.scale * CELL)
-    column, row = (canvas.low - low) / CELL - 0.5
+    step = 1.0 / (canvas.scale * cell)
+    column, row = (canvas.low - low) / cell - 0.5
     x, y = canvas.origin
     to_cells = np.array([[step, 0.0, column - x * step], [0.0, -step, row + y * step]])
     size = (canvas.image.shape[1], canvas.image.shape[0])

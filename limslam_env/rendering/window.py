@@ -5,7 +5,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from gymnasium.error import Error
+from gymnasium.error import DependencyNotInstalled, Error
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
@@ -31,21 +31,26 @@ class Window:
     ----------
     message
         A line that is shown over the lower margin of the pictures; empty for none.
-    closed
-        Whether the window has been closed, by its user or by :meth:`close`.
+
+    Raises
+    ------
+    DependencyNotInstalled
+        If pygame is missing.
     """
 
     def __init__(self, title: str, fps: float) -> None:
         self.title, self.fps, self.message = title, fps, ""
-        os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
-        import pygame
-
-        self._pygame: Any = pygame
+        self._pygame = _load_pygame()
         self._clock = self._pygame.time.Clock()
         self._screen: pygame.Surface | None = None
-        self.closed = False
+        self._closed = False
         self._held: set[str] = set()
         self._pressed: set[str] = set()
+
+    @property
+    def closed(self) -> bool:
+        """Whether the window has been closed, by its user or by :meth:`close`."""
+        return self._closed
 
     def show(self, image: NDArray[np.uint8]) -> None:
         """Show a picture (height, width, 3), RGB, when it is due. A closed window stays closed.
@@ -55,7 +60,7 @@ class Window:
         gymnasium.error.Error
             If there is no display to open a window on.
         """
-        if self.closed:
+        if self._closed:
             return
         pygame, size = self._pygame, (image.shape[1], image.shape[0])
         if self._screen is None or pygame.display.get_surface() is not self._screen or self._screen.get_size() != size:
@@ -78,7 +83,7 @@ class Window:
         """Close the window; closing it again does nothing."""
         if self._screen is not None and self._pygame.display.get_surface() is self._screen:
             self._pygame.display.quit()
-        self._screen, self.closed = None, True
+        self._screen, self._closed = None, True
         self._held.clear()
 
     def _open(self, size: tuple[int, int]) -> None:
@@ -127,6 +132,15 @@ class Window:
         strip = pygame.Rect(0, height - _MESSAGE_HEIGHT, width, _MESSAGE_HEIGHT)
         screen.fill(_PAPER, strip)
         screen.blit(words, words.get_rect(center=strip.center))
+
+
+def _load_pygame() -> Any:
+    os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")
+    try:
+        import pygame
+    except ImportError as error:
+        raise DependencyNotInstalled("a window needs pygame: pip install 'limslam[play]'") from error
+    return pygame
 
 
 def has_display() -> bool:

@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 import pytest
-from gymnasium.error import Error
+from gymnasium.error import DependencyNotInstalled, Error
 
 from limslam_env.rendering.window import Window
 
@@ -111,6 +111,12 @@ def test_a_message_stands_in_the_lower_margin(window, pygame):
     window.message = ""
     window.show(picture)
     np.testing.assert_array_equal(screen(pygame), picture)
+
+
+def test_without_pygame_it_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "pygame", None)
+    with pytest.raises(DependencyNotInstalled, match=r"limslam\[play\]"):
+        Window("test", 10.0)
 
 
 def test_without_a_display_it_shows_pictures_to_nobody():
