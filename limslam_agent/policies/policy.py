@@ -75,7 +75,7 @@ class MapExplorer(ABC):
         if self.stop_reason is not None:
             return np.zeros(2)
         self._collision_guard.add_readings(belief.pose, belief.ranges)
-        return self._collision_guard.limit_speed(belief.pose, self._wheels(belief))
+        return self._collision_guard.limit_speed(belief.pose, self.wheels(belief))
 
     def enter(self, belief: Belief) -> None:
         """Plan anew if the frame is another one, and also forget what was settled if the map is another one."""
@@ -93,7 +93,7 @@ class MapExplorer(ABC):
         self._plan_anew()
 
     @abstractmethod
-    def _wheels(self, belief: Belief) -> FloatArray:
+    def wheels(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,), before the collision guard limits them."""
 
     @abstractmethod

@@ -113,7 +113,8 @@ class LearnedPolicy(MapExplorer):
         """Present goal of the frontier explorer (2,), m. None while the network drives."""
         return self._finisher.goal if self._is_finishing else None
 
-    def _wheels(self, belief: Belief) -> FloatArray:
+    def wheels(self, belief: Belief) -> FloatArray:
+        """Wheel speeds (2,), before the collision guard limits them."""
         self._known.append(int(np.count_nonzero(belief.grid.values)))
         if self._until_choice <= 0:
             self._choose(belief)
