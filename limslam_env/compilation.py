@@ -18,7 +18,7 @@ from typing import Any, TypeVar, cast
 import numba
 from llvmlite import ir
 from numba import njit, types
-from numba.core import cgutils
+from numba.core import cgutils, environment
 from numba.core.runtime.nrt import rtsys
 from numba.extending import intrinsic
 
@@ -173,6 +173,19 @@ def entry_of(*sources: str, allocates: bool = True) -> Callable[[Kernel], Kernel
     return entry
 
 
+def _environment(module: str, constants: list[Any], name: str) -> Any:
+    """What compiled code knows of its function: its constants, and the globals, which no code of ours reads.
+
+    numba imports the modules of its own functions for the latter, which takes longer than to load all kernels.
+    """
+    known = environment.lookup_environment(name)
+    if known is None:
+        known = environment.Environment({"__name__": module})
+        known.consts[:], known.env_name = constants, name
+        environment.Environment._memo[name] = known  # noqa: SLF001
+    return known
+
+
 def _load_or_announce(kept: Any, name: str, allocates: bool) -> None:
     """Let a kernel say on stderr that it is not on disk and has to be compiled: those that take long, and the first.
 
@@ -185,8 +198,12 @@ def _load_or_announce(kept: Any, name: str, allocates: bool) -> None:
     def load_or_announce(signature: Any, target: Any) -> Any:
         if allocates:
             rtsys.initialize(target)
-        with cache._guard_against_spurious_io_errors():  # noqa: SLF001
-            found = cache._load_overload(signature, target)  # noqa: SLF001
+        usual, environment._rebuild_env = environment._rebuild_env, _environment  # noqa: SLF001
+        try:
+            with cache._guard_against_spurious_io_errors():  # noqa: SLF001
+                found = cache._load_overload(signature, target)  # noqa: SLF001
+        finally:
+            environment._rebuild_env = usual  # noqa: SLF001
         if found is None and name in _SECONDS:
             announce(f"compiling {name!r}, once, about {_SECONDS[name]} s")
         elif found is None:

@@ -140,8 +140,7 @@ class FrontierPolicy(MapExplorer):
             )
         return wheels
 
-    def wheels(self, belief: Belief) -> FloatArray:
-        """Wheel speeds (2,), before the collision guard limits them."""
+    def _wheels(self, belief: Belief) -> FloatArray:
         self._step += 1
         if self._step == 1 and self.robot.reach < least_reach(self.robot, belief.grid.cell):
             self._wall_follower = WallFollower(self.robot, self._config)

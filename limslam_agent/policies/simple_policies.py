@@ -107,8 +107,7 @@ class ReactivePolicy(MapExplorer):
     def _plan_anew(self) -> None:
         self._known = self._since = 0
 
-    def wheels(self, belief: Belief) -> FloatArray:
-        """Wheel speeds (2,), before the collision guard limits them."""
+    def _wheels(self, belief: Belief) -> FloatArray:
         if self._has_seen_nothing_new(belief.grid):
             self.stop_reason = f"stopped: nothing new was seen {self._where} for {self._patience:g} s"
             return np.zeros(2)

@@ -113,8 +113,7 @@ class LearnedPolicy(MapExplorer):
         """Present goal of the frontier explorer (2,), m. None while the network drives."""
         return self._finisher.goal if self._is_finishing else None
 
-    def wheels(self, belief: Belief) -> FloatArray:
-        """Wheel speeds (2,), before the collision guard limits them."""
+    def _wheels(self, belief: Belief) -> FloatArray:
         self._known.append(int(np.count_nonzero(belief.grid.values)))
         if self._until_choice <= 0:
             self._choose(belief)
