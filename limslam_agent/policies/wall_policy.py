@@ -75,8 +75,7 @@ class WallPolicy(MapExplorer):
         """Present goal (2,), m, or None."""
         return self._frontiers.goal if self._look is None else self._look.view.stand
 
-    def wheels(self, belief: Belief) -> FloatArray:
-        """Wheel speeds (2,), before the collision guard limits them."""
+    def _wheels(self, belief: Belief) -> FloatArray:
         wheels = self._frontier_wheels(belief) if self._frontiers.stop_reason is None else None
         if wheels is None:
             if self._look is None and self._backing == 0:
@@ -88,7 +87,7 @@ class WallPolicy(MapExplorer):
     def _frontier_wheels(self, belief: Belief) -> FloatArray | None:
         """Wheel speeds (2,) to the next frontier. None if there is no frontier left."""
         self._exploring += 1
-        wheels = self._frontiers.wheels(belief)
+        wheels = self._frontiers.wanted(belief)
         reason = self._frontiers.stop_reason
         if reason is None:
             return wheels

@@ -6,6 +6,7 @@ from typing import Protocol
 
 import numpy as np
 
+from limslam_agent.dropouts import short_series
 from limslam_agent.kernels.tables import RAY_LENGTH, RAY_REACH, RAY_TO_X, RAY_X
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -95,22 +96,10 @@ def _missed(seen_nothing: BoolArray, measured: BoolArray) -> BoolArray:
 
     A beam that measures in some of the steps only is judged by these.
     """
-    found = dropouts(seen_nothing)
+    found = short_series(seen_nothing, LASTING)
     for beam in np.flatnonzero(~measured.all(axis=0)):
         rows = measured[:, beam]
-        found[rows, beam] = dropouts(seen_nothing[rows, beam][:, None])[:, 0]
-    return found
-
-
-def dropouts(nothing: BoolArray) -> BoolArray:
-    """Which of the readings (m, n_beams) may have seen nothing only because the sensor missed what was there.
-
-    ``nothing`` says whether each beam saw nothing in each of successive steps (m, n_beams).
-    """
-    from limslam_agent.kernels.readings import mark_dropouts
-
-    found = np.empty(nothing.shape, dtype=bool)
-    mark_dropouts(nothing, LASTING, found)
+        found[rows, beam] = short_series(seen_nothing[rows, beam][:, None], LASTING)[:, 0]
     return found
 
 
