@@ -12,7 +12,6 @@ under numba's compiler lock, and undone when the function is done. Loading code 
 
 import contextlib
 import functools
-import gc
 import weakref
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -35,6 +34,7 @@ from numba.core import (
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.environment import lookup_environment
 from numba.core.types import functions
+from numba.core.typing import context as typing_context
 from numba.extending import overload
 from numba.np import arrayobj
 
@@ -241,6 +241,12 @@ def _lifetimes(processor: Any, emit_dels: bool = False, extend_lifetimes: bool =
 _size_of = functools.cache(cpu.CPUContext.get_abi_sizeof)
 
 
+def _load_new(context: Any) -> None:
+    """Load new functions only: numba also imports all modules of its own functions, anew for each function."""
+    for registry in list(context._registries):  # noqa: SLF001
+        context.install_registry(registry)
+
+
 def _without_colour(scheme: Any, message: str, *colours: Any) -> str:
     """Leave an error message as it is: numba writes thousands of them while it tries which functions fit."""
     del scheme, colours
@@ -264,19 +270,6 @@ def _replaced(holder: Any, **values: Any) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _without_collection() -> Iterator[None]:
-    """Leave the search for unused objects until later: it takes a tenth of the time and finds next to nothing."""
-    if not gc.isenabled():
-        yield
-        return
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.enable()
-
-
-@contextlib.contextmanager
 def _linking(target: Any) -> Iterator[None]:
     """Let numba link what it compiles on the way, functions of its own included."""
 
@@ -288,9 +281,10 @@ def _linking(target: Any) -> Iterator[None]:
             return type(target).unserialize_library(target, serialized)
 
     with (
-        _without_collection(),
         _replaced(target, create_library=create, unserialize_library=load),
         _replaced(cpu.CPUContext, get_executable=_executable, get_abi_sizeof=_size_of),
+        _replaced(cpu.CPUContext, load_additional_registries=_load_new),
+        _replaced(typing_context.Context, load_additional_registries=_load_new),
         _replaced(dispatcher.Dispatcher, add_overload=_insert),
         _replaced(lowering.Lower, create_cpython_wrapper=_wrap, create_cfunc_wrapper=_wrap_for_c),
         _replaced(functions.BaseFunction, get_call_type=_call_type),
