@@ -248,9 +248,11 @@ class Mapper(Frames):
 
     def _is_to_restart(self, observations: tuple[Observation, ...]) -> bool:
         """Whether the SLAM has found errors of odometry or sensor in one of the first steps, which are kept."""
+        if self.prior_frame is not None or len(self._first_steps) >= RESTART_WITHIN:
+            return False
         before, self._known = self._known, self._found()
-        sensor, is_in_prior_map = self._known[0], self.prior_frame is not None
-        if sensor is None or is_in_prior_map or len(self._first_steps) >= RESTART_WITHIN:
+        sensor = self._known[0]
+        if sensor is None:
             return False
         self._first_steps.append(observations)
         if before[0] is not None and sensor.broken != before[0].broken:
