@@ -112,7 +112,7 @@ class JoiningMapper(Mapper):
         motions = [mapper.slam.increments[0] for mapper in self._apart]
         if self._meeting.is_open:
             self._keep(observations)
-            seen = zip(observations, self._apart, motions, strict=True)
+            seen = zip(self._steps[-1], self._apart, motions, strict=True)
             self._meeting.note([LoggedStep.of(each, mapper.slam, motion) for each, mapper, motion in seen])
         self._meeting.drive(motions)
         if self._meeting.is_due:

@@ -5,8 +5,6 @@ What a step does within a frame is in :mod:`limslam_agent.mapping.frame_mapper`,
 or sensor are found early, begins in the map of an earlier run, and goes on in other frames when the robot is lost.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from limslam_agent.belief import Belief
@@ -127,7 +125,8 @@ class Mapper(Frames):
         """
         for front, observation in zip(self.slam.robots, observations, strict=False):  # the SLAM checks their number
             self.check(observation, front)
-        told, observations = observations, tuple(self._waiting.synchronous(observations, self.slam.range_sensor.delay))
+        told = copied(observations)
+        observations = tuple(self._waiting.synchronous(told, self.slam.range_sensor.delay))
         before = self.slam.last_extraction
         has_jumped = self._present.process(observations, self.frame)
         if self.slam.last_extraction is not before and self._waiting.is_fine:
@@ -247,13 +246,15 @@ class Mapper(Frames):
         (front or self.slam.robots[0]).check(observation)
         check_travel(observation, self.robot, self.longest_travel)
 
-    def _is_to_restart(self, observations: Sequence[Observation]) -> bool:
+    def _is_to_restart(self, observations: tuple[Observation, ...]) -> bool:
         """Whether the SLAM has found errors of odometry or sensor in one of the first steps, which are kept."""
-        before, self._known = self._known, self._found()
-        sensor, is_in_prior_map = self._known[0], self.prior_frame is not None
-        if sensor is None or is_in_prior_map or len(self._first_steps) >= RESTART_WITHIN:
+        if self.prior_frame is not None or len(self._first_steps) >= RESTART_WITHIN:
             return False
-        self._first_steps.append(copied(observations))
+        before, self._known = self._known, self._found()
+        sensor = self._known[0]
+        if sensor is None:
+            return False
+        self._first_steps.append(observations)
         if before[0] is not None and sensor.broken != before[0].broken:
             self._restarts = 0  # what was found before may have been due to the broken beam
         return self._known != before and self._restarts < MOST_RESTARTS

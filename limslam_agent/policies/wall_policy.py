@@ -81,7 +81,7 @@ class WallPolicy(MapExplorer):
     def _frontier_wheels(self, belief: Belief) -> FloatArray | None:
         """Wheel speeds (2,) to the next frontier. None if there is no frontier left."""
         self._exploring += 1
-        wheels = self._frontiers.act(belief)
+        wheels = self._frontiers.wanted(belief)
         reason = self._frontiers.stop_reason
         if reason is None:
             return wheels

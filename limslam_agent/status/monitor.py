@@ -11,6 +11,7 @@ Two sequential tests compare the readings with the map (A. Wald, "Sequential tes
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -100,7 +101,7 @@ class _Check:
     beams: IntArray
     points: FloatArray
 
-    @property
+    @cached_property
     def evidence(self) -> float:
         """Logarithm of the likelihood ratio of a wrong pose and of the right one."""
         return float(self.test.sum())

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from limslam_agent.dropouts import short_series
 from limslam_agent.kernels.tables import RAY_BEAM
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.known_map import (
@@ -27,7 +28,7 @@ from limslam_agent.status.known_map import (
     drift_fit,
     slip_fit,
 )
-from limslam_agent.status.rays import LASTING, STEPS, dropouts, moved, numbered_rays_of, step_rays
+from limslam_agent.status.rays import LASTING, STEPS, moved, numbered_rays_of, step_rays
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 
@@ -283,7 +284,7 @@ def change_evidence(ranges: FloatArray, motions: FloatArray, robot: RobotSpec, s
     """
     from limslam_agent.kernels.readings import weigh_changes
 
-    usable = np.isfinite(ranges) & ~dropouts(ranges >= robot.too_far)
+    usable = np.isfinite(ranges) & ~short_series(ranges >= robot.too_far, LASTING)
     lengths = np.column_stack((np.hypot(*motions[:, :2].T), np.abs(motions[:, 2])))
     evidence = np.empty((max(len(ranges) - 2, 0), ranges.shape[1]))
     weigh_changes(ranges, usable, lengths, robot.beam_table, float(sensor.std), float(sensor.growth), evidence)

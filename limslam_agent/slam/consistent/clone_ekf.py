@@ -96,7 +96,7 @@ class CloneEKF:
     @property
     def poses(self) -> FloatArray:
         """The poses (n, 3), a copy."""
-        return np.array(self.x[: self._poses_end].reshape(-1, POSE))
+        return self.arrays.x[: self._poses_end].reshape(-1, POSE).copy()
 
     @property
     def pose(self) -> FloatArray:

@@ -10,7 +10,7 @@ import numpy as np
 
 from limslam_agent.kernels.tables import FEWEST
 from limslam_agent.slam.core.line_fit import fit_line
-from limslam_agent.slam.line_graph import line_kernels as kernels
+from limslam_agent.slam.line_graph.crossings import best_lines
 from limslam_agent.slam.line_graph.factors import expected_readings, rays
 from limslam_agent.slam.line_graph.line_merging import Lines, merge_lines, wall_kinds
 from limslam_agent.slam.line_graph.line_smoother import Solution, solve
@@ -153,12 +153,10 @@ def assigned(problem: Problem, state: State, ends: FloatArray) -> IntArray:
     ``_BEYOND`` outside.
     """
     readings = problem.readings
-    best, misfits = np.empty(len(readings), dtype=np.int64), np.empty((len(readings), 2))
     biases = state.calibration[readings.places // problem.steps, 3]
-    kernels.best_lines(
-        state.flat_poses, readings.places, problem.beams, readings.distances - biases, state.lines, state.anchors,
-        ends, _BEYOND, problem.sensor.cone, best, misfits,
-    )  # fmt: skip
+    best, misfits = best_lines(
+        state, readings.places, problem.beams, readings.distances - biases, ends, _BEYOND, problem.sensor.cone
+    )
     misfits /= problem.stds[:, None]
     is_clear = (misfits[:, 0] < _GATE) & (misfits[:, 1] > misfits[:, 0] + _MARGIN)
     return np.where(is_clear, best, -1)

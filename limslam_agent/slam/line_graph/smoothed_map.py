@@ -12,7 +12,7 @@ from limslam_agent.kernels.tables import BIN, THROUGH_SIGMAS, THROUGH_SLACK
 from limslam_agent.slam.consistent.limits import MAX_GAP, THROUGH_TOLERANCE
 from limslam_agent.slam.consistent.wall_map import WallExtent
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.line_graph import line_kernels as kernels
+from limslam_agent.slam.line_graph.crossings import count_crossings
 from limslam_agent.slam.line_graph.problem import Readings, State
 from limslam_agent.slam.line_graph.reassociation import Association, places_along
 from limslam_env.geometry import FloatArray, IntArray, no_rows
@@ -57,14 +57,11 @@ def tally(found: Association) -> Tally:
     bins -= low[labels]
     hits = np.zeros((count, int((high - low).max(initial=0)) + 1), dtype=np.int64)
     np.add.at(hits, (labels, bins), 1)
-    misses = np.zeros_like(hits)
     reached = np.stack((np.full(hits.shape, np.inf), np.full(hits.shape, -np.inf)), axis=1)
     np.minimum.at(reached[:, 0], (labels, bins), along)
     np.maximum.at(reached[:, 1], (labels, bins), along)
-    crossed = kernels.count_crossings(
-        state.flat_poses, looks.places, problem.look_beams, looks.distances, state.lines, state.anchors,
-        low, hits, THROUGH_SIGMAS * problem.range_std + THROUGH_SLACK, misses,
-    )  # fmt: skip
+    margin = THROUGH_SIGMAS * problem.range_std + THROUGH_SLACK
+    misses, crossed = count_crossings(state, looks.places, problem.look_beams, looks.distances, low, hits, margin)
     return Tally(low, hits, misses, reached, crossed)
 
 
