@@ -9,7 +9,7 @@ from limslam_agent.belief import Belief
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.mapping.mapper import Mapper
+from limslam_agent.mapping.mapper import MOST_RESTARTS, Mapper
 from limslam_agent.places.history import LoggedStep, copied
 from limslam_agent.places.localisation import KnownPlaces
 from limslam_agent.places.meeting import Meeting
@@ -215,7 +215,7 @@ class JoiningMapper(Mapper):
         if any(_has_left_its_path(mapper.places) for mapper in apart):
             self._meeting.end("a robot was carried away, or has begun a new map")
             return False
-        found = self._meeting.seek([each.slam for each in apart], [each.grid for each in apart], self._starts[1])
+        found = self._meeting.seek([each.slam for each in apart], [each.grid for each in apart], self._own[1])
         return found is not None and self._join(apart, *found)
 
     def _is_one_lost(self, apart: Sequence[Mapper]) -> bool:
@@ -231,6 +231,7 @@ class JoiningMapper(Mapper):
         slam.relocate(start, covariance, robot=1)
         self._apart = None
         self._start_at(starts, slam)
+        self._restarts = MOST_RESTARTS  # the robots are not at their starts any more
         again = self._process_again(self._steps)
         if again.was_lost:
             self._apart = apart
