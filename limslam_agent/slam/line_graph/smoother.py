@@ -26,7 +26,7 @@ from limslam_agent.slam.line_graph.problem import (
 from limslam_agent.slam.line_graph.reassociation import Association, reassociate
 from limslam_agent.slam.line_graph.smoothed_map import contradictions, smoothed_map
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.geometry.se2 import compose, inverse, wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
 
 # Chi-square of the estimated errors, of which each robot has four, from which on they are taken to be real. Felt by the
@@ -151,6 +151,20 @@ def smooth_run(
     run = run.synchronous
     found = settle(run.until(unplaced), config or SmootherConfig())
     return None if found is None else _smoothed(found, run)
+
+
+def smooth_with_unknown_start(run: FilteredRun, config: SmootherConfig | None = None) -> SmoothedRun | None:
+    """Smooth a run of two robots as :func:`smooth_run`. The second one's start is known only roughly.
+
+    It may have been carried before its first step. Its start then follows from its pose after this step.
+    """
+    usable = run.usable.copy()
+    usable[0, 1] = False
+    found = smooth_run(replace(run, usable=usable, breaks=(*run.breaks, (1, 1))), config)
+    if found is not None:
+        motion = compose(inverse(run.poses[1, 1]), run.poses[0, 1])
+        found.poses[0, 1], found.covariances[0, 1] = compose(found.poses[1, 1], motion), found.covariances[1, 1]
+    return found
 
 
 def settle(run: FilteredRun, config: SmootherConfig) -> Association | None:
