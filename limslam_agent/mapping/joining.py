@@ -9,12 +9,13 @@ import numpy as np
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.frontier import frontier_cells
-from limslam_agent.grid.occupancy import GridView
+from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.places.history import LoggedStep
 from limslam_agent.places.localisation import KnownPlaces
-from limslam_agent.places.meeting import Meeting
+from limslam_agent.places.meeting import Meeting, may_have_met
 from limslam_agent.places.revisions import PlaceHistory, Unplaced
+from limslam_agent.slam.core.late_ranges import WaitingTravel
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.status import Status
 from limslam_env.geometry import BoolArray, FloatArray
@@ -56,9 +57,8 @@ class JoiningMapper(Mapper):
     """Maps with two robots. The pose at which the second robot starts is not known in the frame of the first one.
 
     Each robot maps in a frame of its own, and the frame of the first robot is the world frame. When both maps fit
-    together in one place only, both drives are smoothed together, which says where the second robot has started. All
-    observations so far are then processed again by one SLAM with a shared map, and the robots go on as a team. Each of
-    them also goes on in its own frame, until their place is confirmed or refuted there.
+    together in one place only, both drives are smoothed as one, and the robots go on as a team, with one SLAM that
+    knows the smoothed map. Each of them also goes on in its own frame, until their place is confirmed or refuted there.
 
     Parameters
     ----------
@@ -89,10 +89,10 @@ class JoiningMapper(Mapper):
         super().reset(start_pose)
         if not self.config.can_recover or len(self._starts) != 2:
             raise ValueError("unknown starts are for two robots with the preset graph or consistent")
-        self.is_apart, self._own, self._meeting = True, self._starts, Meeting(self.robot)
+        self.is_apart, self._meeting = True, Meeting(self.robot)
         # What ends in space that is known to be free may be the body of the other robot, and contradicts no map.
         config = replace(self.config, free_space_counts=False)
-        self._alone = [Mapper(self.robot, config, start) for start in self._own]
+        self._alone = [Mapper(self.robot, config, start) for start in self._starts]
         self._changes = 0  # number of times that the robots were joined or parted
         self._rows = list[tuple[FloatArray, FloatArray, FloatArray]]()
 
@@ -239,23 +239,28 @@ class JoiningMapper(Mapper):
         return any(mapper.statuses[0].level == "lost" for mapper in self._alone)
 
     def _join(self, frame: FloatArray) -> None:
-        """Process all steps again with a shared map, with the second robot's frame at about a pose (3,)."""
+        """Go on in the map of both drives, smoothed as one, with the second robot's frame at about a pose (3,)."""
         smoothed = self._smoothed_together(frame)
         if smoothed is None:
             return
-        start, covariance = smoothed.poses[0, 1], smoothed.covariances[0, 1]
-        starts = np.array([self._own[0], start])
-        slam = self._slam_at(starts)
-        slam.relocate(start, covariance, robot=1)
-        steps = zip(*([step.observation for step in steps] for steps in self._meeting.steps), strict=True)
-        self.is_apart = False
-        self._start_at(starts, slam)
-        again = self._process_again(steps)
+        poses, start = smoothed.poses, smoothed.poses[0, 1]
+        slam = self._slam_at(poses[-1])
+        slam.know(smoothed.landmarks, smoothed.segments)
+        slam.associations.extend(smoothed.associations)
+        for number, front in enumerate(slam.robots):
+            slam.relocate(poses[-1, number], smoothed.covariances[-1, number], number)
+            front.step = len(poses) - 1
+        grid, ranges = OccupancyGrid(self.config.grid), self._meeting.ranges
+        is_of_wall = np.isfinite(ranges) & ~may_have_met(poses, ranges, self.robot)
+        grid.draw(smoothed.robot, smoothed.read_at, ranges, is_of_wall)
+        self._use(slam, grid)
+        self._waiting = WaitingTravel(2)
         odometry = np.array([row[2] for row in self._rows])
-        odometry[:, 1] = compose(compose(start, inverse(self._own[1])), odometry[:, 1])
-        self.earlier, self.odometry = Earlier(again.poses, again.covariances, odometry), odometry[-1]
+        odometry[:, 1] = compose(compose(start, inverse(self._starts[1])), odometry[:, 1])
+        self.earlier, self.odometry = Earlier(poses, smoothed.covariances, odometry), odometry[-1]
         self._changes += 1
         self.frame = self._changes + sum(mapper.frame for mapper in self._alone)
+        self.is_apart = False
         self._meeting.has_joined(start)
 
     def _smoothed_together(self, frame: FloatArray) -> "SmoothedRun | None":
@@ -264,18 +269,14 @@ class JoiningMapper(Mapper):
         from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_with_unknown_start
 
         first, second = self._slams
-        poses = np.array([row[0] for row in self._rows])
+        poses, ranges = np.array([row[0] for row in self._rows]), self._meeting.ranges
         poses[:, 1] = compose(frame, poses[:, 1])
-        wheels, ranges = (
-            np.array([[step.observation[name] for step in steps] for steps in self._meeting.steps]).swapaxes(0, 1)
-            for name in ("wheels", "ranges")
-        )
         apart = 1 + max((record.landmark for record in first.associations), default=-1)
         seconds = [replace(each, landmark=each.landmark + apart, robot=1) for each in second.associations]
         united = [replace(each, older=each.older + apart, younger=each.younger + apart) for each in second.closures]
         run = FilteredRun(
-            self.robot, self.config.noise, wheels, ranges, np.ones(ranges.shape, dtype=np.bool_), poses,
-            np.zeros((*poses.shape, 3)), [*first.associations, *seconds], [*first.closures, *united],
+            self.robot, self.config.noise, self._meeting.wheels, ranges, ~may_have_met(poses, ranges, self.robot),
+            poses, np.zeros((*poses.shape, 3)), [*first.associations, *seconds], [*first.closures, *united],
             sensor=first.sensor,
         )  # fmt: skip
         return smooth_with_unknown_start(run, self.config.run_smoothing)

@@ -13,8 +13,8 @@ from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.known_map import DECIDED, PlaceFit
 from limslam_agent.status.rays import STEPS, ends_of, moved, numbered_rays_of
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import inverse, transform_points
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.se2 import between, inverse, transform_points
 from limslam_env.interface import RobotSpec
 
 FIRST = 15.0
@@ -39,7 +39,7 @@ class _MapOfOther(KnownPlaces):
         """How well the rays (n, 7) fit the map, for poses (m, 3) of their frame."""
         return [KnownPlaces.weigh(self, pose[None], rays[self._is_clear(pose, rays)])[0] for pose in poses]
 
-    def _is_clear(self, pose: FloatArray, rays: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    def _is_clear(self, pose: FloatArray, rays: FloatArray) -> BoolArray:
         away = transform_points(pose, ends_of(rays)) - self._met
         return np.asarray(np.hypot(*away.T) > _BODY)
 
@@ -78,6 +78,16 @@ class Meeting:
         motions = np.abs([step.motion for step in steps])
         self._driven += float(np.mean(np.hypot(*motions[:, :2].T)))
         self._search.drive(motions.mean(axis=0))
+
+    @property
+    def wheels(self) -> FloatArray:
+        """Reported travel (t, 2, 2) of both robots, m."""
+        return np.array([[step.observation["wheels"] for step in steps] for steps in self.steps]).swapaxes(0, 1)
+
+    @property
+    def ranges(self) -> FloatArray:
+        """Readings (t, 2, n_beams) of both robots, m. They are NaN where there is no new reading."""
+        return np.array([[step.ranges for step in steps] for steps in self.steps]).swapaxes(0, 1)
 
     @property
     def is_due(self) -> bool:
@@ -154,6 +164,13 @@ class Meeting:
 
     def _record(self, event: str, **details: Any) -> dict[str, Any]:
         return {"event": event, "step": self._step, **details, **self._search.record}
+
+
+def may_have_met(poses: FloatArray, ranges: FloatArray, robot: RobotSpec) -> BoolArray:
+    """Which readings (t, 2, n_beams), m, of two robots at poses (t, 2, 3) may be of the body of the other one."""
+    points = robot.beam_origins + ranges[..., None] * robot.beam_directions
+    others = between(poses, poses[:, ::-1])[..., None, :2]
+    return np.asarray(np.hypot(*np.moveaxis(points - others, -1, 0)) < _BODY)
 
 
 def _refuted(maps: Sequence[_MapOfOther], frame: FloatArray) -> bool:
