@@ -28,13 +28,10 @@ class ProcessedAgain(NamedTuple):
     ----------
     poses, covariances
         Poses (t, n, 3), m and rad, and covariances (t, n, 3, 3) of the robots after each step.
-    was_lost
-        Whether a robot was lost after any of the steps.
     """
 
     poses: FloatArray
     covariances: FloatArray
-    was_lost: bool
 
 
 class Frames:
@@ -97,18 +94,15 @@ class Frames:
 
     def _process_again(self, steps: Iterable[Sequence[Observation]]) -> ProcessedAgain:
         """Process stored observations, one of each robot in each step, in the present frame."""
-        poses, covariances, was_lost = list[FloatArray](), list[FloatArray](), False
+        poses, covariances = list[FloatArray](), list[FloatArray]()
         for observations in steps:
             # The caller has later steps already, which a renewal would not move.
             self._present.process(observations, self.frame, may_renew=False)
             self.slam_ms += self._present.slam_ms
             poses.append(self.slam.poses)
             covariances.append(self.slam.covariances)
-            was_lost = was_lost or any(monitor.status.level == "lost" for monitor in self._present.monitors)
         count = len(self.slam.robots)
-        return ProcessedAgain(
-            np.array(poses).reshape(-1, count, 3), np.array(covariances).reshape(-1, count, 3, 3), was_lost
-        )
+        return ProcessedAgain(np.array(poses).reshape(-1, count, 3), np.array(covariances).reshape(-1, count, 3, 3))
 
     def _replay(self, log: StepLog, begin: int, end: int) -> ProcessedAgain:
         """Process the logged steps from ``begin`` to before ``end`` again, and log their new poses."""

@@ -8,13 +8,13 @@ import numpy as np
 
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import AgentConfig
-from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.places.history import LoggedStep
 from limslam_agent.places.localisation import KnownPlaces
 from limslam_agent.places.meeting import Meeting, may_have_met
 from limslam_agent.places.revisions import PlaceHistory, Unplaced
+from limslam_agent.policies.targets import islands, open_frontier
 from limslam_agent.slam.core.late_ranges import WaitingTravel
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.status import Status
@@ -85,7 +85,8 @@ class JoiningMapper(Mapper):
 
     def reset(self, start_pose: FloatArray) -> None:
         """Forget everything. The poses (2, 3): the first robot's in the world, the second one's in its own frame."""
-        self.is_apart, self.earlier = False, None
+        self.is_apart = False
+        self.earlier: Earlier | None = None
         super().reset(start_pose)
         if not self.config.can_recover or len(self._starts) != 2:
             raise ValueError("unknown starts are for two robots with the preset graph or consistent")
@@ -100,6 +101,8 @@ class JoiningMapper(Mapper):
         """Process one observation of each robot; the errors are those of :meth:`Mapper.step`."""
         if len(observations) != 2:
             raise ValueError(f"{len(observations)} observations for 2 robots")
+        if not all("wheels" in observation for observation in observations):
+            raise ValueError("two robots whose starts are unknown have to report wheel travel")
         for mapper, observation in zip(self._alone, observations, strict=False):
             mapper.check(observation)
         if not self.is_apart:
@@ -285,9 +288,10 @@ class JoiningMapper(Mapper):
         """Confirm a joining, or take it back."""
         if self._is_one_lost:
             return
-        is_complete = not frontier_cells(self.grid, self.config.policy.min_frontier).any()
-        shared = KnownPlaces(self.slam.segments, self.grid, self.slam.range_sensor)
-        objection = self._meeting.objection(self._slams, self._grids, shared, is_complete=is_complete)
+        grid = self.grid
+        left = open_frontier(grid, self.config.policy.min_frontier, islands(grid, self.poses[0]), self.robot)
+        shared = KnownPlaces(self.slam.segments, grid, self.slam.range_sensor)
+        objection = self._meeting.objection(self._slams, self._grids, shared, is_complete=not left.any())
         if objection:
             self._part(objection)
         elif not self._meeting.is_open:

@@ -11,7 +11,7 @@ from limslam_agent.places.localisation import KnownPlaces
 from limslam_agent.places.search import CONFIRMED, FAR_CONFIRMED, LONGEST, PlaceSearch, other_place
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.known_map import DECIDED, PlaceFit
+from limslam_agent.status.known_map import DECIDED, PlaceFit, drift_fit
 from limslam_agent.status.rays import STEPS, ends_of, moved, numbered_rays_of
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import between, inverse, transform_points
@@ -127,8 +127,9 @@ class Meeting:
         the place was found fit nowhere else in the shared map.
         """
         self._search.wait()
-        maps = self._maps(slams, grids)
-        if _refuted(maps, maps[0].refined(self._frame[None], maps[0].rays)[0]):
+        first, _ = self._maps(slams, grids)
+        drift = slams[0].covariance + slams[1].covariance
+        if drift_fit(first, moved(first.rays, self._frame), drift).fit.is_on_map < -DECIDED:
             return "the readings contradict the other robot's map"
         driven = self._driven - self._joined_at
         if driven < CONFIRMED or not (is_complete or driven >= FAR_CONFIRMED):
