@@ -37,9 +37,10 @@ class _MapOfOther(KnownPlaces):
 
     def weigh(self, poses: FloatArray, rays: FloatArray) -> list[PlaceFit]:
         """How well the rays (n, 7) fit the map, for poses (m, 3) of their frame."""
-        return [KnownPlaces.weigh(self, pose[None], rays[self._is_clear(pose, rays)])[0] for pose in poses]
+        return [KnownPlaces.weigh(self, pose[None], rays[self.is_clear(pose, rays)])[0] for pose in poses]
 
-    def _is_clear(self, pose: FloatArray, rays: FloatArray) -> BoolArray:
+    def is_clear(self, pose: FloatArray, rays: FloatArray) -> BoolArray:
+        """Which of the rays (n, 7) cannot have met the body, for a pose (3,) of their frame."""
         away = transform_points(pose, ends_of(rays)) - self._met
         return np.asarray(np.hypot(*away.T) > _BODY)
 
@@ -106,9 +107,12 @@ class Meeting:
         maps = self._maps(slams, grids)
         self._search.place = maps[0]
         found = self._search.seek(maps[0].rays, may_be_bent=False)
-        if found is not None and found.fit is not None and not _refuted(maps, found.fit.pose):
-            self._frame, self._rays = found.fit.pose, moved(maps[0].rays, found.fit.pose)
-            return self._frame
+        if found is not None and found.fit is not None:
+            frame, (first, second) = found.fit.pose, maps
+            (back,) = second.weigh(inverse(frame)[None], second.rays)
+            if back.is_on_map >= -DECIDED:
+                self._frame, self._rays = frame, moved(first.rays[first.is_clear(frame, first.rays)], frame)
+                return frame
         if len(self.steps[0]) >= LONGEST:
             self.end("the search took too long")
         return None
@@ -172,9 +176,3 @@ def may_have_met(poses: FloatArray, ranges: FloatArray, robot: RobotSpec) -> Boo
     points = robot.beam_origins + ranges[..., None] * robot.beam_directions
     others = between(poses, poses[:, ::-1])[..., None, :2]
     return np.asarray(np.hypot(*np.moveaxis(points - others, -1, 0)) < _BODY)
-
-
-def _refuted(maps: Sequence[_MapOfOther], frame: FloatArray) -> bool:
-    """Whether readings of one robot contradict the map of the other one, with the second frame at a pose (3,)."""
-    both = zip(maps, (frame, inverse(frame)), strict=True)
-    return any(known.weigh(pose[None], known.rays)[0].is_on_map < -DECIDED for known, pose in both)
