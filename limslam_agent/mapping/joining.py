@@ -23,7 +23,7 @@ from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import Observation, RobotSpec
 
 if TYPE_CHECKING:
-    from limslam_agent.slam.line_graph.smoother import SmoothedRun
+    from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun
 
 NOT_YET_JOINED = Status("unsure", "the second robot's place relative to the first one is not known yet")
 """The status of the second robot before the maps of both robots fit together."""
@@ -269,20 +269,23 @@ class JoiningMapper(Mapper):
     def _smoothed_together(self, frame: FloatArray) -> "SmoothedRun | None":
         """Both drives, smoothed as one, with the second robot's frame at about a pose (3,); None if that fails."""
         # The kernels of the smoother load numba, which takes time that other commands do not need.
-        from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_with_unknown_start
+        from limslam_agent.slam.line_graph.smoother import beside, smooth_with_unknown_start
 
-        first, second = self._slams
-        poses, ranges = np.array([row[0] for row in self._rows]), self._meeting.ranges
-        poses[:, 1] = compose(frame, poses[:, 1])
-        apart = 1 + max((record.landmark for record in first.associations), default=-1)
-        seconds = [replace(each, landmark=each.landmark + apart, robot=1) for each in second.associations]
-        united = [replace(each, older=each.older + apart, younger=each.younger + apart) for each in second.closures]
-        run = FilteredRun(
-            self.robot, self.config.noise, self._meeting.wheels, ranges, ~may_have_met(poses, ranges, self.robot),
-            poses, np.zeros((*poses.shape, 3)), [*first.associations, *seconds], [*first.closures, *united],
-            sensor=first.sensor,
+        run = beside(self._own_run(0), self._own_run(1), frame)
+        usable = run.usable & ~may_have_met(run.poses, run.ranges, self.robot)
+        return smooth_with_unknown_start(replace(run, usable=usable), self.config.run_smoothing)
+
+    def _own_run(self, number: int) -> "FilteredRun":
+        """The drive of a robot in its own frame."""
+        from limslam_agent.slam.line_graph.smoother import FilteredRun
+
+        slam, ranges = self._slams[number], self._meeting.ranges[:, number, None]
+        wheels = np.array([step.observation["wheels"] for step in self._meeting.steps[number]])[:, None]
+        poses = np.array([row[0][number] for row in self._rows])[:, None]
+        return FilteredRun(
+            self.robot, self.config.noise, wheels, ranges, np.isfinite(ranges), poses, np.zeros((*poses.shape, 3)),
+            slam.associations, slam.closures, sensor=slam.sensor,
         )  # fmt: skip
-        return smooth_with_unknown_start(run, self.config.run_smoothing)
 
     def _check_joining(self) -> None:
         """Confirm a joining, or take it back."""

@@ -81,11 +81,6 @@ class Meeting:
         self._search.drive(motions.mean(axis=0))
 
     @property
-    def wheels(self) -> FloatArray:
-        """Reported travel (t, 2, 2) of both robots, m."""
-        return np.array([[step.observation["wheels"] for step in steps] for steps in self.steps]).swapaxes(0, 1)
-
-    @property
     def ranges(self) -> FloatArray:
         """Readings (t, 2, n_beams) of both robots, m. They are NaN where there is no new reading."""
         return np.array([[step.ranges for step in steps] for steps in self.steps]).swapaxes(0, 1)
