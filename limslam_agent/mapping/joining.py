@@ -225,17 +225,13 @@ class JoiningMapper(Mapper):
 
         A lost robot is not in its map. The search goes on when both know their places again.
         """
-        frame = None if self._is_one_lost else self._meeting.seek(self._slams, self._grids)
+        frame = None if self._is_one_lost else self._meeting.seek(self._own_maps)
         if frame is not None:
             self._join(frame)
 
     @property
-    def _slams(self) -> list[LineSlam]:
-        return [mapper.slam for mapper in self._alone]
-
-    @property
-    def _grids(self) -> list[GridView]:
-        return [mapper.grid for mapper in self._alone]
+    def _own_maps(self) -> list[tuple[LineSlam, GridView]]:
+        return [(mapper.slam, mapper.grid) for mapper in self._alone]
 
     @property
     def _is_one_lost(self) -> bool:
@@ -279,9 +275,9 @@ class JoiningMapper(Mapper):
         """The drive of a robot in its own frame."""
         from limslam_agent.slam.line_graph.smoother import FilteredRun
 
-        slam, ranges = self._slams[number], self._meeting.ranges[:, number, None]
-        wheels = np.array([step.observation["wheels"] for step in self._meeting.steps[number]])[:, None]
-        poses = np.array([row[0][number] for row in self._rows])[:, None]
+        slam, steps, ranges = self._alone[number].slam, self._meeting.steps[number], self._meeting.ranges[:, [number]]
+        wheels = np.array([step.observation["wheels"] for step in steps])[:, None]
+        poses = np.array([step.pose for step in steps])[:, None]
         return FilteredRun(
             self.robot, self.config.noise, wheels, ranges, np.isfinite(ranges), poses, np.zeros((*poses.shape, 3)),
             slam.associations, slam.closures, sensor=slam.sensor,
@@ -294,7 +290,7 @@ class JoiningMapper(Mapper):
         grid = self.grid
         left = open_frontier(grid, self.config.policy.min_frontier, islands(grid, self.poses[0]), self.robot)
         shared = KnownPlaces(self.slam.segments, grid, self.slam.range_sensor)
-        objection = self._meeting.objection(self._slams, self._grids, shared, is_complete=not left.any())
+        objection = self._meeting.objection(self._own_maps, shared, is_complete=not left.any())
         if objection:
             self._part(objection)
         elif not self._meeting.is_open:

@@ -90,7 +90,7 @@ class Meeting:
         """Whether the maps are to be compared now."""
         return self.is_open and self._driven >= FIRST and self._search.is_due
 
-    def seek(self, slams: Sequence[LineSlam], grids: Sequence[GridView]) -> FloatArray | None:
+    def seek(self, own_maps: Sequence[tuple[LineSlam, GridView]]) -> FloatArray | None:
         """Search the map of the first robot for the place of the second one.
 
         Returns
@@ -99,7 +99,7 @@ class Meeting:
             The pose (3,) of the second robot's frame in the first map, if two searches in succession find the same
             place, and the readings of neither robot contradict the map of the other one there. None otherwise.
         """
-        maps = self._maps(slams, grids)
+        maps = self._maps(own_maps)
         self._search.place = maps[0]
         found = self._search.seek(maps[0].rays, may_be_bent=False)
         if found is not None and found.fit is not None:
@@ -118,7 +118,7 @@ class Meeting:
         self.records.append(self._record("joined", start=start.tolist()))
 
     def objection(
-        self, slams: Sequence[LineSlam], grids: Sequence[GridView], shared: KnownPlaces, *, is_complete: bool
+        self, own_maps: Sequence[tuple[LineSlam, GridView]], shared: KnownPlaces, *, is_complete: bool
     ) -> str:
         """Why the robots are no team after all, in words; empty if nothing speaks against it.
 
@@ -126,8 +126,8 @@ class Meeting:
         the place was found fit nowhere else in the shared map.
         """
         self._search.wait()
-        first, _ = self._maps(slams, grids)
-        drift = slams[0].covariance + slams[1].covariance
+        (first, _), ((slam, _), (other, _)) = self._maps(own_maps), own_maps
+        drift = slam.covariance + other.covariance
         if drift_fit(first, moved(first.rays, self._frame), drift).fit.is_on_map < -DECIDED:
             return "the readings contradict the other robot's map"
         driven = self._driven - self._joined_at
@@ -149,10 +149,10 @@ class Meeting:
         self.records.append(self._record("not joined", reason=reason))
         self.is_open = False
 
-    def _maps(self, slams: Sequence[LineSlam], grids: Sequence[GridView]) -> list[_MapOfOther]:
+    def _maps(self, own_maps: Sequence[tuple[LineSlam, GridView]]) -> list[_MapOfOther]:
         """The map of each robot, with what the other one has read."""
         maps = []
-        for slam, grid, own, other in zip(slams, grids, self.steps, self.steps[::-1], strict=True):
+        for (slam, grid), own, other in zip(own_maps, self.steps, self.steps[::-1], strict=True):
             rays, numbers = numbered_rays_of(other[-STEPS:], self._robot, slam.range_sensor)
             met = np.array([step.pose[:2] for step in own[-STEPS:]])[numbers]
             maps.append(_MapOfOther(slam, grid, rays, met))
