@@ -211,14 +211,13 @@ class JoiningMapper(Mapper):
         self.odometry.setflags(write=False)
 
     def _compare(self) -> None:
-        """Compare the maps of both robots, if their frames still begin at their starts."""
-        if any(_has_left_its_path(mapper.places) for mapper in self._alone):
-            if self.is_apart:
-                self._meeting.end("a robot was carried away, or has begun a new map")
-        elif self.is_apart:
-            self._seek_other()
-        else:
+        """Compare the maps of both robots."""
+        if not self.is_apart:
             self._check_joining()
+        elif self._is_one_elsewhere:
+            self._meeting.end("a robot was carried away, or has begun a new map")
+        else:
+            self._seek_other()
 
     def _seek_other(self) -> None:
         """Search for the second robot in the map of the first one, and go on as a team if it fits in one place only.
@@ -232,6 +231,12 @@ class JoiningMapper(Mapper):
     @property
     def _own_maps(self) -> list[tuple[LineSlam, GridView]]:
         return [(mapper.slam, mapper.grid) for mapper in self._alone]
+
+    @property
+    def _is_one_elsewhere(self) -> bool:
+        """Whether the wheels of a robot do not tell all its motions, or its map does not begin at its start."""
+        places = [mapper.places for mapper in self._alone]
+        return any(each.breaks or any(record["event"] == "begun anew" for record in each.records) for each in places)
 
     @property
     def _is_one_lost(self) -> bool:
@@ -284,13 +289,11 @@ class JoiningMapper(Mapper):
         )  # fmt: skip
 
     def _check_joining(self) -> None:
-        """Confirm a joining, or take it back."""
-        if self._is_one_lost:
-            return
-        grid = self.grid
+        """Confirm a joining, or take it back. The own map of a robot that is lost or elsewhere says nothing of it."""
+        own_maps, grid = [] if self._is_one_lost or self._is_one_elsewhere else self._own_maps, self.grid
         left = open_frontier(grid, self.config.policy.min_frontier, islands(grid, self.poses[0]), self.robot)
         shared = KnownPlaces(self.slam.segments, grid, self.slam.range_sensor)
-        objection = self._meeting.objection(self._own_maps, shared, is_complete=not left.any())
+        objection = self._meeting.objection(own_maps, shared, is_complete=not left.any())
         if objection:
             self._part(objection)
         elif not self._meeting.is_open:
@@ -303,8 +306,3 @@ class JoiningMapper(Mapper):
         self._changes += 1
         self._meeting.has_parted(reason)
         self._follow_both()
-
-
-def _has_left_its_path(places: PlaceHistory) -> bool:
-    """Whether a robot's wheels do not tell all its motions, or its map does not begin at its start."""
-    return bool(places.breaks) or any(record["event"] == "begun anew" for record in places.records)

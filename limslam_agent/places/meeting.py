@@ -123,13 +123,13 @@ class Meeting:
         """Why the robots are no team after all, in words; empty if nothing speaks against it.
 
         The place is confirmed if the shared map is complete, or the robots have driven far, and the readings by which
-        the place was found fit nowhere else in the shared map.
+        the place was found fit nowhere else in the shared map. ``own_maps`` are empty if they say nothing of the place.
         """
         self._search.wait()
-        (first, _), ((slam, _), (other, _)) = self._maps(own_maps), own_maps
-        drift = slam.covariance + other.covariance
-        if drift_fit(first, moved(first.rays, self._frame), drift).fit.is_on_map < -DECIDED:
-            return "the readings contradict the other robot's map"
+        if own_maps:
+            first, drift = self._maps(own_maps)[0], own_maps[0][0].covariance + own_maps[1][0].covariance
+            if drift_fit(first, moved(first.rays, self._frame), drift).fit.is_on_map < -DECIDED:
+                return "the readings contradict the other robot's map"
         driven = self._driven - self._joined_at
         if driven < CONFIRMED or not (is_complete or driven >= FAR_CONFIRMED):
             return ""
