@@ -69,8 +69,6 @@ class JoiningMapper(Mapper):
 
     Attributes
     ----------
-    is_apart
-        Whether each robot maps in a frame of its own.
     earlier
         The steps until the robots were joined or parted for the last time; None if they were never joined.
 

@@ -65,6 +65,8 @@ class Mapper(Frames):
     longest_travel
         Longest travel of a wheel in one step that is accepted, m: 300 times what the robot's largest wheel speed allows
         in a control period. Set it higher if observations may be farther apart than 300 control periods.
+    is_apart
+        Whether each robot maps in a frame of its own, since their relative starts are unknown.
     prior_frame
         Pose (3,) of the robot's first frame in the frame of ``prior_map``; None until its place there is found.
 
@@ -73,6 +75,8 @@ class Mapper(Frames):
     ValueError
         If a start pose has another shape or is not finite, or an earlier map does not go with the other settings.
     """
+
+    is_apart = False
 
     def __init__(
         self,

@@ -8,7 +8,7 @@ import numpy as np
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.places.history import LoggedStep
 from limslam_agent.places.localisation import KnownPlaces
-from limslam_agent.places.search import CONFIRMED, FAR_CONFIRMED, LONGEST, PlaceSearch, other_place
+from limslam_agent.places.search import CONFIRMED, FAR_CONFIRMED, PlaceSearch, other_place
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.known_map import DECIDED, PlaceFit, drift_fit
@@ -108,8 +108,6 @@ class Meeting:
             if back.is_on_map >= -DECIDED:
                 self._frame, self._rays = frame, moved(first.rays[first.is_clear(frame, first.rays)], frame)
                 return frame
-        if len(self.steps[0]) >= LONGEST:
-            self.end("the search took too long")
         return None
 
     def has_joined(self, start: FloatArray) -> None:
