@@ -301,8 +301,8 @@ class Mapper(Frames):
         self._use(slam, OccupancyGrid.of(lookup.saved.grid, self.config.grid))
         self._number_map(is_own=True)
         self._recovery = self._new_recovery()
-        again = self._process_again((step.observation,) for step in lookup.steps)
+        again = self._process_again(step.observation for step in lookup.steps)
         if self._recovery is not None:
-            self._recovery.arrive(lookup.steps, again.poses[:, 0], found.rays)
+            self._recovery.arrive(lookup.steps, again.poses, found.rays)
         self.odometry = compose(self.prior_frame, self.odometry)
         self.odometry.setflags(write=False)
