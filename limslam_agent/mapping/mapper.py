@@ -63,6 +63,8 @@ class Mapper(Frames):
     longest_travel
         Longest travel of a wheel in one step that is accepted, m: 300 times what the robot's largest wheel speed allows
         in a control period. Set it higher if observations may be farther apart than 300 control periods.
+    is_apart
+        Whether each robot maps in a frame of its own, since their relative starts are unknown.
     prior_frame
         Pose (3,) of the robot's first frame in the frame of ``prior_map``; None until its place there is found.
 
@@ -71,6 +73,8 @@ class Mapper(Frames):
     ValueError
         If a start pose has another shape or is not finite, or an earlier map does not go with the other settings.
     """
+
+    is_apart = False
 
     def __init__(
         self,
@@ -298,8 +302,8 @@ class Mapper(Frames):
         self._use(slam, OccupancyGrid.of(lookup.saved.grid, self.config.grid))
         self._number_map(is_own=True)
         self._recovery = self._new_recovery()
-        again = self._process_again((step.observation,) for step in lookup.steps)
+        again = self._process_again(step.observation for step in lookup.steps)
         if self._recovery is not None:
-            self._recovery.arrive(lookup.steps, again.poses[:, 0], found.rays)
+            self._recovery.arrive(lookup.steps, again.poses, found.rays)
         self.odometry = compose(self.prior_frame, self.odometry)
         self.odometry.setflags(write=False)

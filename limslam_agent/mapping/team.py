@@ -154,7 +154,7 @@ class LimSlamTeam:
         """
         beliefs = self.mapper.beliefs
         self._renew_in_another_frame()
-        if not self._is_apart:
+        if not self.mapper.is_apart:
             self._restart_stopped(beliefs[0].grid)
         # The robots decide in order, so that each one knows the new goals of those before it.
         return [
@@ -243,12 +243,8 @@ class LimSlamTeam:
                 self.policies[number] = explorer(self.robot, self.config)
                 self._known_at_stop[number] = known
 
-    @property
-    def _is_apart(self) -> bool:
-        return isinstance(self.mapper, JoiningMapper) and self.mapper.is_apart
-
     def _goals_of_others(self, number: int) -> FloatArray:
-        if self._is_apart:
+        if self.mapper.is_apart:
             return np.zeros((0, 2))
         goals = [getattr(policy, "goal", None) for other, policy in enumerate(self.policies) if other != number]
         return np.array([goal for goal in goals if goal is not None]).reshape(-1, 2)

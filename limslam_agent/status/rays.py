@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -37,6 +37,13 @@ class Seen(Protocol):
     @property
     def ranges(self) -> FloatArray:
         """Readings (n_beams,), m. They are NaN where there is no new reading."""
+
+
+class Look(NamedTuple):
+    """A step of which nothing else is known: its pose (3,), and its readings (n_beams,), m, NaN where none is new."""
+
+    pose: FloatArray
+    ranges: FloatArray
 
 
 def rays_of(steps: Sequence[Seen], robot: RobotSpec, sensor: RangeSensor | None = None) -> FloatArray:

@@ -12,8 +12,7 @@ from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph.problem import RELATIVE_PRIOR, expected, state_from_poses
 from limslam_agent.slam.line_graph.reassociation import solve_labels
-from limslam_agent.slam.line_graph.smoother import FilteredRun, settle, smooth_run
-from limslam_agent.two_logs.by_lines import joined_run
+from limslam_agent.slam.line_graph.smoother import FilteredRun, beside, settle, smooth_run, smooth_with_unknown_start
 from limslam_env import NominalNoise
 
 CONFIG = SmootherConfig()
@@ -57,7 +56,7 @@ def test_the_sensor_that_the_filter_found_is_taken_over():
 def test_two_runs_with_known_turns_are_smoothed_as_one():
     problem, poses = noisy_run(6, 0.02)
     run = run_of(problem, poses, RangeSensor(0.02, turns=(0.01,) * 6))
-    smoothed = smooth_run(joined_run(run, run, np.zeros(3)), CONFIG)
+    smoothed = smooth_with_unknown_start(beside(run, run, np.zeros(3)), CONFIG)
     assert smoothed.robot.beam_angles == pytest.approx(problem.robot.beam_angles + 0.01)
 
 
