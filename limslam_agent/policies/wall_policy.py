@@ -4,12 +4,13 @@ import numpy as np
 
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import AgentConfig, PolicyConfig
+from limslam_agent.grid.unfinished import Faces
 from limslam_agent.policies.controller import BACK_STEPS, back_off
 from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.policies.policy import NOT_EXPLORED, MapExplorer, Policy
 from limslam_agent.policies.right_of_way import RightOfWay
 from limslam_agent.policies.wall_look import Look
-from limslam_agent.policies.wall_views import LookMemory, next_view
+from limslam_agent.policies.wall_views import next_view
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 
@@ -30,7 +31,7 @@ def explorer(robot: RobotSpec, config: AgentConfig, index: int = 0) -> Policy:
     """
     if config.policy.until == "seen":
         return FrontierPolicy(robot, config.policy, index)
-    return WallPolicy(robot, config.policy, index, config.range_std)
+    return WallPolicy(robot, config.policy, index)
 
 
 class WallPolicy(MapExplorer):
@@ -38,8 +39,8 @@ class WallPolicy(MapExplorer):
 
     A :class:`FrontierPolicy` explores the frontiers. After it has stopped, the robot drives to the nearest place from
     which a stretch without a wall is visible. There the robot turns slowly, so that beams sweep along the stretch. A
-    frontier that appears meanwhile is explored first. Each stretch is looked at a limited number of times, each time
-    from another place, and the time for all looks is limited, so exploration always ends.
+    frontier that appears meanwhile is explored first. Each stretch is looked at once, and the time for all looks is
+    limited, so exploration always ends.
 
     Parameters
     ----------
@@ -47,12 +48,10 @@ class WallPolicy(MapExplorer):
         Body and settings.
     index
         The robot's place in its team. Of two robots that meet, the one with the higher index waits.
-    range_std
-        Assumed standard deviation of a range, m. Noisy ranges need slower sweeps.
     """
 
-    def __init__(self, robot: RobotSpec, config: PolicyConfig, index: int = 0, range_std: float = 0.02) -> None:
-        self._config, self._std = config, range_std
+    def __init__(self, robot: RobotSpec, config: PolicyConfig, index: int = 0) -> None:
+        self._config = config
         self._right_of_way = RightOfWay(index, robot)
         self._frontiers = FrontierPolicy(robot, config, index)
         super().__init__(robot)
@@ -63,7 +62,7 @@ class WallPolicy(MapExplorer):
         self._frontiers.enter(belief)
 
     def _forget_map(self) -> None:
-        self._memory = LookMemory()
+        self._looked_at: list[Faces] = []
         self._exploring = self._looking = 0
 
     def _plan_anew(self) -> None:
@@ -105,9 +104,9 @@ class WallPolicy(MapExplorer):
         """After the last frontier: explore a frontier that has appeared, begin the next look, or stop."""
         if self._frontiers.resume(belief):
             return
-        view = None if self._is_late else next_view(belief, self._memory, self.robot, self._config)
+        view = None if self._is_late else next_view(belief, self._looked_at, self.robot, self._config)
         if view is not None:
-            self._look = Look(view, self.robot, self._config, self._std)
+            self._look = Look(view, self.robot, self._config)
             return
         end = "the time for looking at walls is over" if self._is_late else "all walls were looked at"
         self.stop_reason = f"{self._frontiers.stop_reason}, and {end}"
@@ -127,6 +126,6 @@ class WallPolicy(MapExplorer):
 
     def _end(self, look: Look) -> None:
         if not look.is_needless:
-            self._memory.add(look.view.faces, look.view.stand)
+            self._looked_at.append(look.view.faces)
         self._backing = BACK_STEPS if look.is_stuck else 0
         self._look = None
