@@ -4,13 +4,12 @@ import numpy as np
 
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import AgentConfig, PolicyConfig
-from limslam_agent.grid.unfinished import Faces
 from limslam_agent.policies.controller import BACK_STEPS, back_off
 from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.policies.policy import NOT_EXPLORED, MapExplorer, Policy
 from limslam_agent.policies.right_of_way import RightOfWay
 from limslam_agent.policies.wall_look import Look
-from limslam_agent.policies.wall_views import next_view
+from limslam_agent.policies.wall_views import next_view, open_border
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 
@@ -62,7 +61,7 @@ class WallPolicy(MapExplorer):
         self._frontiers.enter(belief)
 
     def _forget_map(self) -> None:
-        self._looked_at: list[Faces] = []
+        self._looks: list[Look] = []
         self._exploring = self._looking = 0
 
     def _plan_anew(self) -> None:
@@ -104,11 +103,15 @@ class WallPolicy(MapExplorer):
         """After the last frontier: explore a frontier that has appeared, begin the next look, or stop."""
         if self._frontiers.resume(belief):
             return
-        view = None if self._is_late else next_view(belief, self._looked_at, self.robot, self._config)
+        border = open_border(belief, [look.view.faces for look in self._looks])
+        view = None if self._is_late else next_view(belief, border, self.robot, self._config)
         if view is not None:
             self._look = Look(view, self.robot, self._config)
             return
-        end = "the time for looking at walls is over" if self._is_late else "all walls were looked at"
+        end = "all walls were looked at"
+        if len(border) or any(look.is_stuck for look in self._looks):
+            late = "the time for looking at walls is over"
+            end = late if self._is_late else "some walls cannot be looked at"
         self.stop_reason = f"{self._frontiers.stop_reason}, and {end}"
 
     def _look_wheels(self, belief: Belief) -> FloatArray:
@@ -126,6 +129,6 @@ class WallPolicy(MapExplorer):
 
     def _end(self, look: Look) -> None:
         if not look.is_needless:
-            self._looked_at.append(look.view.faces)
+            self._looks.append(look)
         self._backing = BACK_STEPS if look.is_stuck else 0
         self._look = None

@@ -99,12 +99,16 @@ def is_unfinished(belief: Belief, view: View) -> bool:
     return bool(_same(view.faces, unfinished_border(belief)).any())
 
 
-def next_view(belief: Belief, looked_at: Sequence[Faces], robot: RobotSpec, config: PolicyConfig) -> View | None:
-    """The cheapest view of a part of the border that was not looked at. None if there is no part left."""
+def open_border(belief: Belief, looked_at: Sequence[Faces]) -> Faces:
+    """The unfinished border without the parts that were looked at, in stretches that are long enough."""
     border = unfinished_border(belief)
     for faces in looked_at:
-        border = border.select(~_same(border, faces).any(axis=1))
-    border = border.select(in_long_stretches(border, _SHORTEST, belief.grid.cell))
+        border = border.select(np.logical_not(_same(border, faces).any(axis=1)))
+    return border.select(in_long_stretches(border, _SHORTEST, belief.grid.cell))
+
+
+def next_view(belief: Belief, border: Faces, robot: RobotSpec, config: PolicyConfig) -> View | None:
+    """The cheapest view of a part of a border. None if no place shows any part of it."""
     return _cheapest(belief, _ways(belief, robot, config), border, robot) if len(border) else None
 
 

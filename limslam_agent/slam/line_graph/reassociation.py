@@ -18,7 +18,7 @@ from limslam_agent.slam.line_graph.new_lines import with_new_lines
 from limslam_agent.slam.line_graph.problem import Problem, State
 from limslam_agent.slam.line_graph.straightness import straight_labels
 from limslam_agent.slam.line_graph.wall_faces import NEGATIVE, POSITIVE, SURE, board_odds
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import direction
 
 _ROUNDS = 8  # of merging, association and solving, at most
@@ -61,9 +61,8 @@ def reassociate(problem: Problem, state: State, labels: IntArray) -> Association
         If the readings do not determine the poses.
     """
     found = settled(solve_labels(problem, state, labels))
-    seen = seen_ends(problem, found.state, found.labels)
-    _, unexplained = assigned(problem, found.state, seen)
-    labels = with_new_lines(problem, found.state, found.labels, np.flatnonzero(unexplained & (found.labels < 0)))
+    _, best = assigned(problem, found.state, seen_ends(problem, found.state, found.labels))
+    labels = with_new_lines(problem, found.state, found.labels, np.flatnonzero((best < 0) & (found.labels < 0)))
     if np.array_equal(labels, found.labels):
         return found
     return settled(solve_again(problem, with_lines(problem, found.state, labels), labels))
@@ -158,8 +157,8 @@ def seen_ends(problem: Problem, state: State, labels: IntArray) -> FloatArray:
     return ends.reshape(-1, 2, 2)
 
 
-def assigned(problem: Problem, state: State, ends: FloatArray) -> tuple[IntArray, BoolArray]:
-    """For each reading (k,), the line that predicts it, or -1 if none or two do; and whether no line predicts it.
+def assigned(problem: Problem, state: State, ends: FloatArray) -> tuple[IntArray, IntArray]:
+    """For each reading (k,), the line that predicts it, or -1 if none or two do; and the best one, or -1 if none does.
 
     A line can explain the readings from a side between the ends (m, 2, 2) on this side, and up to
     ``_BEYOND`` outside.
@@ -173,7 +172,7 @@ def assigned(problem: Problem, state: State, ends: FloatArray) -> tuple[IntArray
     )  # fmt: skip
     misfits /= problem.stds[:, None]
     is_clear = (misfits[:, 0] < _GATE) & (misfits[:, 1] > misfits[:, 0] + _MARGIN)
-    return np.where(is_clear, best, -1), misfits[:, 0] >= _GATE
+    return np.where(is_clear, best, -1), np.where(misfits[:, 0] < _GATE, best, -1)
 
 
 def straightened(found: Association) -> Association:
