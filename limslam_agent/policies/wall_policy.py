@@ -13,9 +13,8 @@ from limslam_agent.policies.wall_views import next_view, open_border
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 
-# Looking at walls takes at most as many steps as exploring frontiers has taken so far, but at most the second number,
-# and the first number more. In a large building there is always another stretch to look at, and little is gained by it.
-_FREE_STEPS, _MOST_STEPS = 600, 9000
+# Steps of looking at walls. In a large building there is always another stretch, and little is gained by it.
+_MOST_STEPS = 9600
 
 
 def explorer(robot: RobotSpec, config: AgentConfig, index: int = 0) -> Policy:
@@ -62,7 +61,7 @@ class WallPolicy(MapExplorer):
 
     def _forget_map(self) -> None:
         self._looks: list[Look] = []
-        self._exploring = self._looking = 0
+        self._looking = 0
 
     def _plan_anew(self) -> None:
         self._look: Look | None = None
@@ -84,7 +83,6 @@ class WallPolicy(MapExplorer):
 
     def _frontier_wheels(self, belief: Belief) -> FloatArray | None:
         """Wheel speeds (2,) to the next frontier. None if there is no frontier left."""
-        self._exploring += 1
         wheels = self._frontiers.act(belief)
         reason = self._frontiers.stop_reason
         if reason is None:
@@ -97,7 +95,7 @@ class WallPolicy(MapExplorer):
     @property
     def _is_late(self) -> bool:
         """Whether the time for looking at walls is over."""
-        return self._looking > min(self._exploring, _MOST_STEPS) + _FREE_STEPS
+        return self._looking > _MOST_STEPS
 
     def _choose(self, belief: Belief) -> None:
         """After the last frontier: explore a frontier that has appeared, begin the next look, or stop."""
