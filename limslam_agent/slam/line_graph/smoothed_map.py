@@ -134,7 +134,9 @@ def _drawn(found: Association) -> tuple[FloatArray, IntArray]:
     along = places_along(found.problem, found.state, found.labels)
     for index, extent in wall_extents(found).items():
         pieces, own = drawn_pieces(extent), along[found.labels == index, None]
-        pieces = pieces[np.sum((own >= pieces[:, 0]) & (own <= pieces[:, 1]), axis=0) >= FEWEST]
+        count = np.sum((own >= pieces[:, 0]) & (own <= pieces[:, 1]), axis=0)
+        # Many beams that end at one point show no wall.
+        pieces = pieces[(count >= FEWEST) & (np.ptp(pieces, axis=1) >= BIN)]
         drawn.append(_points(found.state, index, pieces).reshape(-1, 4))
         owners.append(np.full(len(pieces), index))
     return np.concatenate(drawn), np.concatenate(owners)
