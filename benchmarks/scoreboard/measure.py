@@ -163,8 +163,8 @@ def _exploration(row: Row, job: Job, jitter: float) -> Scores:
     spent = time.process_time() - driven
     found, placed = score(episode), slice(episode.placed_robots)
     true, estimated = episode.true[:, placed], episode.estimated[:, placed]
-    paths = (path[episode.placed_steps, 0, :2] for path in (episode.true, episode.final_map.poses))
-    alignment = metrics.rigid_alignment(*paths)
+    first = (episode.placed_steps, 0, slice(2))
+    alignment = metrics.rigid_alignment(episode.true[first], episode.final_map.poses[first])
     faces = _faces(episode.world, config.robot, episode.final_map.segments, alignment)
     walls = {"f1_5cm": found["wall_f1_5cm"], "f1_aligned_5cm": found["wall_f1_aligned_5cm"], **faces}
     if kidnap_at is None:
