@@ -113,9 +113,8 @@ class StatusMonitor:
     moved far enough, it compares the readings with the map. The level follows from the two tests, from the uncertainty
     of the heading, and from jumps of the odometry.
 
-    A robot that is lost is compared with the map of the moment when it became lost. Otherwise the wrong pose would
-    erase the walls that contradict it. Until the readings fit that map again, the status stays ``lost`` and the
-    covariance of the pose gets larger with each metre.
+    While a robot is lost, the covariance of its pose gets larger with each metre. It stays lost for 3 m, and until no
+    test doubts its pose any more.
 
     Parameters
     ----------
@@ -150,8 +149,7 @@ class StatusMonitor:
         # heading since then.
         self._turned, beams = 0.0, len(robot.beams)
         self._steady, self._times, self._headings = np.full(beams, math.nan), np.zeros(beams), np.zeros((2, beams))
-        self._reference: KnownMap | None = None
-        self.jump, self._driven, self._lost_at = 0.0, 0.0, 0.0
+        self.jump, self._driven = 0.0, 0.0
         self.loss: Loss | None = None
         self.broken: int | None = None
         self.status = self.by_readings = Status()
@@ -207,20 +205,14 @@ class StatusMonitor:
             The map as it is now, without the latest readings in its grid.
         """
         self._checked = self._place
-        if self._reference is None:
-            present.sensor = self.sensor
-            self._changes.look(self._sights, self._first, self._place, present, covariance)
-        self._compare(covariance, self._reference or present)
+        present.sensor = self.sensor
+        self._changes.look(self._sights, self._first, self._place, present, covariance)
+        self._compare(covariance, present)
         begin = max(min(self._changes.oldest, self._step - 2 * LASTING) - self._first, 0)
         self._sights, self._first = self._sights[begin:], self._first + begin
         self._checks = [check for check in self._checks if self._place - check.place <= WINDOW]
-        if self._reference is None:
-            self.broken = self._broken_beam(present)
-            self._judge(float(covariance[2, 2]), present)
-        elif self._fits_again():
-            self._reference, self.loss, self.jump = None, None, 0.0
-            self._changes.forget()
-            self.status = self.by_readings = Status()
+        self.broken = self._broken_beam(present)
+        self._judge(float(covariance[2, 2]))
 
     @property
     def is_suspicious(self) -> bool:
@@ -230,7 +222,7 @@ class StatusMonitor:
     @property
     def added_covariance(self) -> FloatArray:
         """What has to be added to the covariance (3, 3) of the pose; zero if the robot is not lost."""
-        return np.zeros((3, 3)) if self._reference is None else covariance_of_lost(self.jump, self._driven)
+        return np.zeros((3, 3)) if self.loss is None else covariance_of_lost(self.jump, self._driven)
 
     def _compare(self, covariance: FloatArray, known: KnownMap) -> None:
         """Compare the latest readings with a map, and note the outcome.
@@ -238,7 +230,7 @@ class StatusMonitor:
         Readings of neighbouring steps show nearly the same, so that only the latest ones count. A reading that saw
         nothing, shortly after one that saw a wall, may be a dropout of the sensor.
         """
-        last, known.sensor = self._sights[-1], self.sensor
+        last = self._sights[-1]
         nothing = np.array([sight.ranges >= self._robot.too_far for sight in self._sights[-LASTING:]])
         ranges = np.where(nothing[-1] & ~nothing.all(axis=0), np.nan, last.ranges)
         rays = moved(step_rays(ranges, self.sensor.mounted(self._robot), self.sensor.bias), last.pose)
@@ -278,23 +270,25 @@ class StatusMonitor:
         rays = rays[rays[:, RAY_BEAM] == beam]
         return bool(places_test(rays, present.explained(rays)).sum() > 2.0 * DECIDED)
 
-    def _judge(self, heading_variance: float, present: KnownMap) -> None:
-        """Find the status of a robot that was not lost so far. If it is lost now, keep the map of this moment."""
-        self.loss = self._loss()
-        self.status = self.by_readings = self._doubts() if self.loss is None else self.loss.status
+    def _judge(self, heading_variance: float) -> None:
+        """Find the status."""
+        doubts, found = self._doubts(), self._loss()
+        if found is None and (self._driven < WINDOW or doubts.level != "ok"):
+            found = self.loss
+        if found is None or self.loss is None:
+            self._driven = 0.0
+        if found is None:
+            self.jump = 0.0
+        self.loss = found
+        self.status = self.by_readings = doubts if found is None else found.status
         heading_std = math.sqrt(max(heading_variance, 0.0))
         if self.status.level == "ok" and heading_std > UNSURE_HEADING:
             words = f"the heading's standard deviation is {math.degrees(heading_std):.1f} deg"
             self.status = Status("unsure", words)
-        if self.loss is not None:
-            found = self._changes.suspicion
-            self._reference = present.frozen if found is None else found.change.known
-            self._driven, self._lost_at = 0.0, self._place
-            self._checks = []
 
     def _loss(self) -> Loss | None:
         """Why the robot is lost now; None if it is not."""
-        if self.jump:
+        if self.jump and self.loss is None:
             return Loss(Status("lost", f"the odometry reports a motion of {self.jump:.1f} m in one step"), 0)
         recent = self._checks
         # Contradictions alone make a robot lost only when it is known whether the readings changed suddenly before.
@@ -323,11 +317,6 @@ class StatusMonitor:
         if len(beams) == 1 and len(_beams(recent)) > 1:
             words += f", all of the beam at {math.degrees(self._robot.beam_angles[beams[0]]):.0f} deg"
         return Status("unsure", words)
-
-    def _fits_again(self) -> bool:
-        """Whether the readings of the last metres fit the map of the moment when the robot became lost."""
-        fits = sum(check.evidence for check in self._checks) < -DECIDED
-        return self._place - self._lost_at >= WINDOW and fits
 
 
 def covariance_of_lost(jump: float, driven: float, *, knows_heading: bool = True) -> FloatArray:

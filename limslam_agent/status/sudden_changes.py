@@ -177,48 +177,38 @@ class SuddenChanges:
     ) -> None:
         """Weigh the changes by the readings since then, and find the likeliest one that makes the robot doubtful.
 
-        The robot is still here, it has slipped, or it is elsewhere. Both the evidence of the readings and the test of
-        their contradictions can speak for the last one. A doubt remains until the readings since the last contradiction
-        clearly fit. No robot is lost whose change is outweighed by all readings since then.
+        The robot is still here, it has slipped, or it is elsewhere. A change is remembered for some metres, and longer
+        while the readings speak for it.
         """
-        oldest, latest = self._candidates[0].change.step, first + len(sights) - 1
+        oldest = self._candidates[0].change.step
         rays, steps = numbered_rays_of(sights[oldest - first :], self._robot, known.sensor)
         self.suspicion, most, since = None, DOUBTED, steps + oldest
+        kept = list[_Candidate]()
         for candidate in self._candidates:
             change = candidate.change
             change.known.sensor = known.sensor
             later = change.known.counting(rays[since >= change.step])
             here = change.known.explained(later)
-            contradicting = np.flatnonzero(here.against)
-            since_then = here.evidence[contradicting[-1] + 1 :] if len(contradicting) else here.evidence
-            if since_then.sum() > _SUPPORTED:
-                candidate.is_doubted = False
-                continue
             found = self._carried(change, later, here, covariance)
             slipped = self._slipped(change, later, here, covariance)
             if slipped is not None and slipped.evidence >= found.evidence:
                 found = slipped
             if found.evidence >= most:
                 most, self.suspicion = found.evidence, found
-            is_held = candidate.is_doubted and latest - change.step <= STEPS
-            candidate.is_doubted = found.evidence >= DOUBTED or is_held
-        self._candidates = [each for each in self._candidates if each.is_doubted or place - each.place <= WINDOW]
-        doubted = [each.change for each in self._candidates if each.is_doubted]
-        if self.suspicion is None and doubted:
-            self.suspicion = Suspicion(doubted[0], 0.0)
+            if found.evidence >= DOUBTED or place - candidate.place <= WINDOW:
+                kept.append(candidate)
+        self._candidates = kept
 
     def _carried(self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray) -> Suspicion:
         """That the robot is elsewhere since a change, by the rays (n, 7) since then."""
-        by_ray = max(-here.evidence, places_test(later, here), key=np.sum)
+        by_ray = -here.evidence
         evidence = change.evidence + float(by_ray.sum())
         if evidence >= DOUBTED:  # or it has drifted
             near = drift_fit(change.known, later, covariance)
             there = max(-near.evidence, contradiction_test(near.fit.contradictions, near.fit.tested))
             evidence = min(evidence, change.evidence + there)
-        # The readings since a change must not speak for the place: bodies pass, and beams meet edges at once.
-        least = min(evidence, change.evidence - float(here.evidence.sum()))
         others = without_the_worst(change.by_beam + by_beam(later, by_ray, self._robot))
-        return Suspicion(change, evidence, is_certain=least >= UNLIKELY and others >= DECIDED)
+        return Suspicion(change, evidence, is_certain=evidence >= UNLIKELY and others >= DECIDED)
 
     def _slipped(self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray) -> Suspicion | None:
         """That the robot has slipped at a change, by the rays (n, 7) since then; None if that is not certain.
