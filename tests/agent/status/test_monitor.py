@@ -117,12 +117,12 @@ def test_a_beam_alone_is_no_proof():
 
 
 @pytest.mark.parametrize("counts", [True, False])
-def test_a_body_beside_the_robot_makes_it_lost_only_if_free_space_counts(counts):
+def test_bodies_around_the_robot_make_it_lost_only_if_free_space_counts(counts):
     watched, levels = monitor(), []
     known = KnownMap(WALLS, FREE, SENSOR, free_space_counts=counts)
     drive(watched, 40, known=known)
     for number in range(40, 80):
-        ranges = np.where(np.arange(6) < 3, 0.25, ranges_at(place(number), WALLS))
+        ranges = np.where(np.arange(6) < 5, 0.25, ranges_at(place(number), WALLS))
         if watched.observe(Sight(place(number), ranges, np.array([0.11, 0.0, 0.0])), is_busy=True):
             watched.check(SURE, known)
         levels.append(watched.status.level)
