@@ -12,7 +12,7 @@ import numpy as np
 
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.known_map import DECIDED, DOUBTED, Explained, KnownMap
-from limslam_agent.status.rays import LASTING, rays_of
+from limslam_agent.status.rays import LASTING, STEPS, rays_of
 from limslam_agent.status.status import LARGE_CORRECTION, UNSURE_HEADING, Status
 from limslam_agent.status.sudden_changes import LONGEST_SPACING, WINDOW, Sight, SuddenChanges, by_beam
 from limslam_env.geometry import FloatArray
@@ -165,7 +165,8 @@ class StatusMonitor:
         self._checked = self._place
         present.sensor = self.sensor
         self._changes.look(self._sights, self._first, self._place, present, covariance)
-        begin = max(min(self._changes.oldest, self._step - 2 * LASTING) - self._first, 0)
+        oldest = max(self._changes.oldest, self._step - STEPS)  # more would count no more
+        begin = max(min(oldest, self._step - 2 * LASTING) - self._first, 0)
         self._sights, self._first = self._sights[begin:], self._first + begin
         self.broken = self._broken_beam(present)
         self._judge(float(covariance[2, 2]))

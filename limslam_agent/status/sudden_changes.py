@@ -126,7 +126,7 @@ class SuddenChanges:
         Parameters
         ----------
         sights, first
-            The latest steps, at least since the oldest change, and the number of the first of them.
+            The latest steps, since the oldest change as far as they are kept, and the number of the first of them.
         place
             Where in the drive the robot is, m.
         known, covariance
@@ -157,9 +157,9 @@ class SuddenChanges:
         The robot is still here, it has slipped, or it is elsewhere. A change is remembered for some metres, and longer
         while the readings speak for it.
         """
-        oldest = self._changes[0].step
-        rays, steps = numbered_rays_of(sights[oldest - first :], self._robot, known.sensor)
-        self.suspicion, most, since, kept = None, DOUBTED, steps + oldest, list[Change]()
+        begin = max(self._changes[0].step, first)
+        rays, steps = numbered_rays_of(sights[begin - first :], self._robot, known.sensor)
+        self.suspicion, most, since, kept = None, DOUBTED, steps + begin, list[Change]()
         for change in self._changes:
             change.known.sensor = known.sensor
             later = change.known.counting(rays[since >= change.step])
