@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.known_map import DECIDED, DOUBTED, Explained, KnownMap
+from limslam_agent.status.known_map import DECIDED, DOUBTED, KnownMap
 from limslam_agent.status.rays import LASTING, STEPS, rays_of
 from limslam_agent.status.status import LARGE_CORRECTION, UNSURE_HEADING, Status
 from limslam_agent.status.sudden_changes import LONGEST_SPACING, WINDOW, Sight, SuddenChanges, by_beam
@@ -32,8 +32,6 @@ _MAX_JUMP = 1.0  # m: the estimate is lost if the odometry reports a longer moti
 
 BLIND = 300
 """A beam that has seen nothing so often in succession may see nothing at all."""
-
-_PLACE = 0.3  # m: contradictions less far apart may have one cause, as a short wall that is missing
 
 CARRIED = Status("lost", "the latest readings do not fit the place, as if the robot had been carried away")
 MAYBE_CARRIED = Status("unsure", CARRIED.reason)
@@ -202,7 +200,7 @@ class StatusMonitor:
         The walls there were seen later by other beams, which speak for the pose.
         """
         rays = rays_of(self._sights, self._robot, self.sensor)
-        test = by_beam(rays, _places_test(rays, present.explained(rays)), self._robot)
+        test = by_beam(rays, present.explained(rays).by_place(rays), self._robot)
         return bool(test[beam] > 2.0 * DECIDED and test.sum() - test[beam] < 0.0)
 
     def _judge(self, heading_variance: float) -> None:
@@ -242,11 +240,3 @@ def covariance_of_lost(jump: float, driven: float, *, knows_heading: bool = True
     position = jump + min(POSITION_GROWTH * driven, POSITION_LIMIT)
     heading = min(_HEADING_GROWTH * driven, UNIFORM_HEADING) if knows_heading else UNIFORM_HEADING
     return np.diag([position**2, position**2, heading**2])
-
-
-def _places_test(rays: FloatArray, explained: Explained) -> FloatArray:
-    """What rays (n, 7) contribute (n,) to the test of contradictions, if those at one place count once."""
-    test, contradicting = explained.test, np.flatnonzero(explained.against)
-    _, first = np.unique(np.floor(explained.contradicted_at(rays) / _PLACE), axis=0, return_index=True)
-    test[np.delete(contradicting, first)] = 0.0
-    return test
