@@ -154,12 +154,13 @@ class SuddenChanges:
     ) -> None:
         """Weigh the changes by the readings since then, and find the likeliest one that makes the robot doubtful.
 
-        The robot is still here, it has slipped, or it is elsewhere. A change is remembered for some metres, and longer
-        while the readings speak for it.
+        The robot is still here, it has slipped, or it is elsewhere. A doubt ends when the readings refute it as clearly
+        as they have to speak for it at first. Until then, its change is remembered.
         """
         begin = max(self._changes[0].step, first)
         rays, steps = numbered_rays_of(sights[begin - first :], self._robot, known.sensor)
-        self.suspicion, most, since, kept = None, DOUBTED, steps + begin, list[Change]()
+        since, kept, before = steps + begin, list[Change](), self.suspicion
+        self.suspicion = None
         for change in self._changes:
             change.known.sensor = known.sensor
             later = change.known.counting(rays[since >= change.step])
@@ -168,9 +169,11 @@ class SuddenChanges:
             slipped = self._slipped(change, later, here, covariance)
             if slipped is not None and slipped.evidence >= found.evidence:
                 found = slipped
-            if found.evidence >= most:
-                most, self.suspicion = found.evidence, found
-            if found.evidence >= DOUBTED or place - change.place <= WINDOW:
+            was_doubted = before is not None and before.change is change
+            is_doubted = found.evidence >= (-DOUBTED if was_doubted else DOUBTED)
+            if is_doubted and (self.suspicion is None or found.evidence >= self.suspicion.evidence):
+                self.suspicion = found
+            if is_doubted or place - change.place <= WINDOW:
                 kept.append(change)
         self._changes = kept
 
