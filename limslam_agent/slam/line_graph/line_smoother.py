@@ -147,7 +147,7 @@ def solve(problem: Problem, state: State, labels: IntArray) -> Solution:
     for iteration in range(_MOST_ITERATIONS):
         readings = expected(problem, state, labels)
         if iteration < _CHOOSING:
-            weights = not_grazing(readings, labels) / problem.stds**2
+            weights = not_grazing(readings, labels) / problem.variances(state, readings)
         graph.linearise(state, readings, weights)
         factors = graph.equations.factorise()
         step = -graph.equations.solved(factors, graph.equations.gradient)
