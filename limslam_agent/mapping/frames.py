@@ -83,7 +83,8 @@ class Frames:
         sensor, is_calibrated = self._found()
         config = self_calibrating(self.config) if any(is_calibrated) else self.config
         slam = LineSlam(self.robot, config, starts, sensor)
-        slam.ticks = self.slam.ticks.copy()
+        if slam.range_sensor.delay:  # it cannot find them in travel that waits
+            slam.ticks = self.slam.ticks.copy()
         return slam
 
     def _use(self, slam: LineSlam, grid: OccupancyGrid) -> None:

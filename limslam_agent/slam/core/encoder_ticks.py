@@ -45,7 +45,7 @@ def tick_variances(ticks: FloatArray) -> FloatArray:
 def jitter_of(ticks: FloatArray, axle: float) -> FloatArray:
     """Covariance (3, 3) of a pose, in its frame, about the sum of what encoders with ticks (2,), m, have reported."""
     by_wheels = np.array([[0.5, 0.0, -1.0 / axle], [0.5, 0.0, 1.0 / axle]])
-    return by_wheels.T @ (tick_variances(ticks).reshape(2, 1) * by_wheels)
+    return np.asarray(by_wheels.T @ (tick_variances(ticks).reshape(2, 1) * by_wheels))
 
 
 def first_jitter(before: FloatArray, ticks: FloatArray, axle: float) -> FloatArray:
