@@ -16,7 +16,7 @@ from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.least_squares.normal_equations import DegenerateError
 from limslam_agent.slam.line_graph.factors import motion_jacobians, motions_between
-from limslam_agent.slam.line_graph.line_smoother import Solution, solve
+from limslam_agent.slam.line_graph.line_smoother import Solution, solve, where_read
 from limslam_agent.slam.line_graph.problem import (
     CALIBRATION_PRIOR,
     RELATIVE_PRIOR,
@@ -254,10 +254,12 @@ def filter_labels(
 
 def _smoothed(found: Association, run: FilteredRun) -> SmoothedRun:
     problem = found.problem
-    poses = np.moveaxis(found.state.poses, 0, 1).copy()
+    covariances = np.moveaxis(found.solution.of_poses + problem.jitters(found.state), 0, 1)
+    state = where_read(problem, found.state, found.labels)
+    found = replace(found, solution=replace(found.solution, state=state))
+    poses = np.moveaxis(state.poses, 0, 1).copy()
     poses[..., 2] = wrap_angle(poses[..., 2])
     landmarks, segments = smoothed_map(found)
-    covariances = np.moveaxis(found.solution.of_poses + problem.jitters(found.state), 0, 1)
     read_at = np.concatenate((poses, run.poses[len(poses) :]))
     return SmoothedRun(
         poses=read_at if run.waiting is None else ahead(read_at, run.waiting, run.robot.axle),
