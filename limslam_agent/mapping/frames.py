@@ -79,7 +79,10 @@ class Frames:
         """A SLAM with an empty map and robots at these poses, with what is known of odometry and sensor."""
         sensor, is_calibrated = self._found()
         config = self_calibrating(self.config) if any(is_calibrated) else self.config
-        return LineSlam(self.robot, config, starts, sensor)
+        slam = LineSlam(self.robot, config, starts, sensor)
+        if slam.range_sensor.delay:  # it cannot find them in travel that waits
+            slam.ticks = self.slam.ticks.copy()
+        return slam
 
     def _use(self, slam: LineSlam, grid: OccupancyGrid) -> None:
         """Go on with another SLAM and grid, in another frame, with what is known of odometry and sensor."""

@@ -133,7 +133,7 @@ class Mapper(Frames):
         observations = tuple(self._waiting.synchronous(told, self.slam.range_sensor.delay))
         before = self.slam.last_extraction
         has_jumped = self._present.process(observations, self.frame)
-        if self.slam.last_extraction is not before and self._waiting.is_fine:
+        if self.slam.last_extraction is not before:
             self.slam.correct_delay()
         self.slam_ms, motions = self._present.slam_ms, self.slam.increments
         if has_jumped:

@@ -179,5 +179,6 @@ class Renewal:
             closures=self._slam.closures[self._closures :],
             first_step=self._first_step,
             sensor=self._slam.sensor,
+            ticks=self._slam.ticks,
         )
         return renewed(self._start, stretch, settings)

@@ -15,7 +15,7 @@ from limslam_agent.slam.line_graph.factors import expected_readings, rays
 from limslam_agent.slam.line_graph.line_merging import Lines, merge_lines, wall_kinds
 from limslam_agent.slam.line_graph.line_smoother import Solution, solve
 from limslam_agent.slam.line_graph.new_lines import with_new_lines
-from limslam_agent.slam.line_graph.problem import Problem, State
+from limslam_agent.slam.line_graph.problem import Problem, State, expected
 from limslam_agent.slam.line_graph.straightness import straight_labels
 from limslam_agent.slam.line_graph.wall_faces import NEGATIVE, POSITIVE, SURE, board_odds
 from limslam_env.geometry import FloatArray, IntArray
@@ -168,7 +168,7 @@ def assigned(problem: Problem, state: State, ends: FloatArray) -> tuple[IntArray
     best, misfits = best_lines(
         state, readings.places, problem.beams, readings.distances - biases, ends, _BEYOND, problem.sensor.cone
     )
-    misfits /= problem.stds[:, None]
+    misfits /= np.sqrt(problem.variances(state, expected(problem, state, best)))[:, None]
     is_clear = (misfits[:, 0] < _GATE) & (misfits[:, 1] > misfits[:, 0] + _MARGIN)
     return np.where(is_clear, best, -1), np.where(misfits[:, 0] < _GATE, best, -1)
 

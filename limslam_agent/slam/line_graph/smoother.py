@@ -11,12 +11,13 @@ from scipy.linalg import block_diag
 from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.kernels.tables import FEWEST
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
+from limslam_agent.slam.core.encoder_ticks import ticks_of
 from limslam_agent.slam.core.late_ranges import ahead, behind, held_back
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.least_squares.normal_equations import DegenerateError
 from limslam_agent.slam.line_graph.factors import motion_jacobians, motions_between
-from limslam_agent.slam.line_graph.line_smoother import Solution, solve
+from limslam_agent.slam.line_graph.line_smoother import Solution, solve, where_read
 from limslam_agent.slam.line_graph.problem import (
     CALIBRATION_PRIOR,
     RELATIVE_PRIOR,
@@ -62,6 +63,8 @@ class FilteredRun:
         Robots and parts of the drive, from a step to before another one, in one step of which a robot has slipped.
     sensor
         How the sensor measures, as the filter has found out. None if it is as ``robot`` and ``noise`` state.
+    ticks
+        The ticks (n, 2) of the encoders, m, as the filter has found them; by ``wheels`` if left out.
     waiting
         Travel (t, n, 2) that waits for late ranges, m. With it, each pose is that of the readings of its step.
     """
@@ -79,6 +82,7 @@ class FilteredRun:
     breaks: tuple[tuple[int, int], ...] = ()
     slips: tuple[tuple[int, int, int], ...] = ()
     sensor: RangeSensor | None = None
+    ticks: FloatArray | None = None
     waiting: FloatArray | None = None
 
     @property
@@ -89,7 +93,8 @@ class FilteredRun:
             return self
         wheels = held_back(self.wheels, delay)
         waiting = np.cumsum(self.wheels - wheels, axis=0)
-        return replace(self, wheels=wheels, poses=behind(self.poses, waiting, self.robot.axle), waiting=waiting)
+        poses, ticks = behind(self.poses, waiting, self.robot.axle), ticks_of(self.wheels)
+        return replace(self, wheels=wheels, poses=poses, ticks=ticks, waiting=waiting)
 
     def until(self, step: int | None) -> "FilteredRun":
         """The run before a step of its own, with what the filter had found out by then."""
@@ -208,8 +213,9 @@ def settle(run: FilteredRun, config: SmootherConfig) -> Association | None:
         return None
     prior = CALIBRATION_PRIOR if config.calibrate == "always" else None
     problem = make_problem(
-        run.robot, run.noise, run.poses[0], run.wheels, run.ranges, run.usable, prior, run.first_step, run.sensor
-    )
+        run.robot, run.noise, run.poses[0], run.wheels, run.ranges, run.usable, prior, run.first_step, run.sensor,
+        run.ticks,
+    )  # fmt: skip
     problem = with_breaks(with_slips(problem, run), run)
     labels = filter_labels(problem, run.associations, run.closures, run.first_step)
     if np.count_nonzero(labels >= 0) < FEWEST:
@@ -297,10 +303,12 @@ def filter_labels(
 
 def _smoothed(found: Association, run: FilteredRun) -> SmoothedRun:
     problem = found.problem
-    poses = np.moveaxis(found.state.poses, 0, 1).copy()
+    covariances = np.moveaxis(found.solution.of_poses + problem.jitters(found.state), 0, 1)
+    state = where_read(problem, found.state, found.labels)
+    found = replace(found, solution=replace(found.solution, state=state))
+    poses = np.moveaxis(state.poses, 0, 1).copy()
     poses[..., 2] = wrap_angle(poses[..., 2])
     landmarks, segments = smoothed_map(found)
-    covariances = np.moveaxis(found.solution.of_poses, 0, 1)
     read_at = np.concatenate((poses, run.poses[len(poses) :]))
     return SmoothedRun(
         poses=read_at if run.waiting is None else ahead(read_at, run.waiting, run.robot.axle),
