@@ -88,9 +88,9 @@ def test_normal_numbers_are_normal():
 def test_uniform_numbers_are_uniform_and_of_their_key():
     keys = derive_keys(np.arange(100, dtype=np.uint64), np.ones(100, dtype=np.int64), 1)
     numbers, again = np.empty((100, 100)), np.empty((1, 100))
-    rows, bounds = np.zeros(100, dtype=np.int64), (np.zeros((1, 100)), np.ones((1, 100)), np.arange(100))
-    draw_rows(keys, rows, *bounds, numbers)
-    draw_rows(keys[41:42], rows, *bounds, again)
+    bounds = np.zeros(100), np.ones(100), np.arange(100)
+    draw_rows(keys, *bounds, numbers)
+    draw_rows(keys[41:42], *bounds, again)
     np.testing.assert_array_equal(numbers[41], again[0])
     assert len(np.unique(numbers)) == numbers.size
     assert stats.kstest(numbers.ravel(), "uniform").pvalue > 0.001
