@@ -7,24 +7,18 @@ the end the model is scored beside the frontier explorer, on the same floor plan
 import argparse
 
 import gymnasium as gym
-import numpy as np
-from gymnasium.spaces import Discrete
-from gymnasium.wrappers import FlattenObservation, FrameStackObservation, TransformAction
 from stable_baselines3 import PPO
 from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.monitor import Monitor
 
 import limslam_env  # noqa: F401 (registers the environments)
 from limslam_agent import evaluate, medians
-from limslam_env.envs.wrappers import NormalizedObservation
-
-MOVES = np.array([(1.0, 1.0), (-0.4, 0.4), (0.4, -0.4)], dtype=np.float32)  # ahead, left, right
+from limslam_env.envs.wrappers import DiscreteAction, FlattenObservation, FrameStackObservation, NormalizedObservation
 
 
 def wrapped(env: gym.Env) -> gym.Env:
     """The environment as the model sees it: scaled and stacked observations, three moves."""
-    moves = TransformAction(NormalizedObservation(env), lambda move: MOVES[move], Discrete(len(MOVES)))
-    return FrameStackObservation(FlattenObservation(moves), 4)
+    return FrameStackObservation(FlattenObservation(DiscreteAction(NormalizedObservation(env))), 4)
 
 
 def make_env() -> Monitor:

@@ -208,6 +208,13 @@ class ReplayOptions(Bounded):
         bool,
         told(_TABLE, "A range of 0 or less says that nothing was seen. Else 0 is too near, and less is no reading."),
     ] = False
+    columns: Annotated[
+        str | None,
+        told(
+            _TABLE,
+            "What the columns hold, in place of the header: t,left,right,r_90,..., and - for one not used.",
+        ),
+    ] = None
     noise: _AssumedStd = 0.02
     preset: _Preset = DEFAULT_PRESET
     map: _Map = None

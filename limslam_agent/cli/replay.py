@@ -231,8 +231,9 @@ def _table_options(options: ReplayOptions, robot: "RobotSpec | None") -> "TableO
     from limslam_agent.replay.options import numbers
 
     axes = () if options.zone_axes is None else tuple(numbers("--zone-axes", options.zone_axes))
+    columns = () if options.columns is None else tuple(name.strip().lower() for name in options.columns.split(","))
     ticks, units = (options.metres_per_tick, options.accumulated), (options.range_unit, options.time_unit)
-    return TableOptions(robot, *ticks, *units, axes, options.zero_is_nothing)
+    return TableOptions(robot, *ticks, *units, axes, options.zero_is_nothing, columns)
 
 
 def _check_options(log: Path, options: ReplayOptions, recorded: "RecordedLog") -> None:

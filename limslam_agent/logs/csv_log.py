@@ -39,19 +39,23 @@ from limslam_agent.logs.recorded_log import (
     FilePath,
     RecordedLog,
     check_beams,
+    is_number,
     naming,
     numbered_lines,
     parse_number,
     parse_range,
     read_lines,
 )
-from limslam_agent.logs.table_options import TableOptions, check_travel
+from limslam_agent.logs.table_options import CLOCK_COUNTS, TableOptions, check_travel
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec, SensorSpec
 
 NO_SCAN = b"-"
 """Marks an event with odometry only. It stands in all range columns, or once instead of all of them."""
+
+NOT_USED = "-"
+"""Name of a column that is not used."""
 
 _TIME = {"t", "time", "stamp"}
 _POSE = (_TIME, {"x", "odom_x"}, {"y", "odom_y"}, {"theta", "yaw", "odom_theta", "odom_yaw"})
@@ -118,29 +122,41 @@ class _Rows:
         self.metres: list[float] = []
         self.header = b""
         self.separator: bytes | None = None
+        self.used: list[int] = []
         self.directions: list[float] = []
         self.moves = array("d")
         self.ranges = array("d")
         self.has_scan = bytearray()
+        self.time_before = 0.0
 
     def add(self, line: bytes) -> None:
         """Process one line. The first line that is neither blank nor a remark is the header."""
         text = line.strip().replace(b'"', b"")
         if not self.directions:
             names, self.separator = _names(line)
-            if names and not _is_remark(line, names):
-                self._add_header(names)
-                self.header = text
+            columns = list(self.options.columns)
+            if names and not (line.startswith(b"#") if columns else _is_remark(line, names)):
+                self._add_header(columns or names)
+                if columns and is_number(names[0].replace(",", ".")):
+                    self._add_row(text)
+                else:
+                    self.header = text
         elif not line.startswith(b"#") and text and text != self.header:
             self._add_row(text)
 
     def _add_header(self, names: list[str]) -> None:
-        self.leading, self.directions = _leading(names), _directions(names)
+        # Only the chosen columns are stored: a header may name thousands.
+        self.used = [place for place, name in enumerate(names) if name != NOT_USED]
+        if self.options.columns:
+            self.used = _in_order(self.used, names)
+        names = [names[place] for place in self.used]
+        self.leading, self.directions = _leading(names), _directions(names, self.options.columns)
         check_beams(len(names) - self.leading)
         if self.max_range is not None:
             check_max_range(self.max_range)
         if self.options.robot is not None:
-            beams = [_mounted(self.options.robot, degrees, self.max_range) for degrees in self.directions]
+            source = _source(self.options.columns)
+            beams = [_mounted(self.options.robot, degrees, self.max_range, source) for degrees in self.directions]
         elif self.leading == len(_WHEELS):
             raise ValueError("a table of wheel travel needs --robot FILE, with the robot's axle, radius and beams")
         else:
@@ -160,14 +176,11 @@ class _Rows:
             is_doubled = self.separator == b"," and 1.3 * count < len(fields) <= 2 * count
             hint = "if commas are decimal marks here, separate the columns by ; or tabs" if is_doubled else NO_ROW
             if not (self.has_scan or is_doubled):
-                hint += ", or correct the header"
+                hint += ", or correct the header: --columns can name all columns in its place"
             raise ValueError(f"{len(fields)} columns where the header names {count}: {hint}")
         names = ("t", "left", "right") if self.leading == len(_WHEELS) else ("t", "x", "y", "theta")
         move = [parse_number(field, name) for field, name in zip(fields, names, strict=False)]
-        move[0] *= self.options.seconds
-        if self.moves and (back := self.moves[-self.leading] - move[0]) > LARGEST_STEP_BACK:
-            back_by = f"the time steps back by {back:.1f} s"
-            raise ValueError(f"{back_by}: if the robot was switched on again, replay the parts as logs of their own")
+        move[0] = self._take_time(move[0])
         values = [math.nan] * len(self.directions) if is_silent else [_reading(field) for field in readings]
         if self.options.zero_is_nothing:
             values = [math.inf if value <= 0.0 else value for value in values]
@@ -176,14 +189,45 @@ class _Rows:
         self.has_scan.append(not is_silent)
 
     def _fields_of(self, text: bytes) -> list[bytes]:
-        """The fields of a row, without empty ones after the end of the header."""
+        """The fields of a row that are used, in the order of the header, without empty ones after its end."""
         fields = [field.strip() for field in text.split(self.separator)]
         if self.separator != b",":
             fields = [field.replace(b",", b".") for field in fields]
-        most = self.leading + len(self.directions)
+        named = len(self.options.columns)
+        most = named or self.leading + len(self.directions)
         while not fields[-1] and (len(fields) > most or fields[-2:-1] == [NO_SCAN]):
             fields.pop()
-        return fields
+        if not named:
+            return fields
+        # A mark that stands once instead of the ranges comes after all other columns that are used.
+        is_short = fields[-1] == NO_SCAN and max(self.used[: self.leading]) < len(fields) - 1
+        if is_short and len(fields) <= min(self.used[self.leading :]) + 1:
+            return [*(fields[place] for place in self.used[: self.leading]), fields[-1]]
+        if len(fields) != named:
+            raise ValueError(f"{len(fields)} columns where --columns names {named}: {NO_ROW}")
+        return [fields[place] for place in self.used]
+
+    def _take_time(self, time: float) -> float:
+        """The time of a row, s, on the clock of the log.
+
+        A clock that is full begins again. A late row after that is still from before.
+
+        Raises
+        ------
+        ValueError
+            If the time steps back for another reason.
+        """
+        time *= self.options.seconds
+        before = self.moves[-self.leading] - self.time_before if self.moves else time
+        turn = CLOCK_COUNTS * self.options.seconds
+        if time < before - LARGEST_STEP_BACK:
+            if not self.options.is_clock_full(time, before):
+                back = f"the time steps back by {before - time:.1f} s"
+                raise ValueError(f"{back}: if the robot was switched on again, replay the parts as logs of their own")
+            self.time_before += turn
+        elif time < turn and abs(time - turn - before) <= LARGEST_STEP_BACK:
+            return time + self.time_before - turn
+        return time + self.time_before
 
     def log(self) -> RecordedLog:
         """The rows as a log."""
@@ -213,8 +257,8 @@ class _Rows:
         )
 
 
-def _mounted(robot: RobotSpec, degrees: float, max_range: float | None) -> SensorSpec:
-    """The robot's beam in a direction that the header names. A reading of a table is a new measurement in each row.
+def _mounted(robot: RobotSpec, degrees: float, max_range: float | None, source: str) -> SensorSpec:
+    """The robot's beam in a direction that ``source`` names. A reading of a table is a new measurement in each row.
 
     Raises
     ------
@@ -225,7 +269,7 @@ def _mounted(robot: RobotSpec, degrees: float, max_range: float | None) -> Senso
     nearest = int(np.argmin(apart))
     if apart[nearest] > WORST_BEAM_MISMATCH_DEG + 1e-9:
         known = ", ".join(f"{angle:g}" for angle in np.round(np.degrees(robot.beam_angles), 1))
-        raise ValueError(f"the header names a beam at {degrees:g} deg, but the robot's beams are at {known} deg")
+        raise ValueError(f"{source} names a beam at {degrees:g} deg, but the robot's beams are at {known} deg")
     found = robot.beams[nearest]
     reach = found.max_range if max_range is None else min(found.max_range, max_range)
     if reach <= found.min_range:
@@ -253,11 +297,29 @@ def _leading(names: list[str]) -> int:
     return len(next(known, ()))
 
 
-def _directions(names: list[str]) -> list[float]:
-    """Directions of the range columns, deg."""
+def _in_order(used: list[int], names: list[str]) -> list[int]:
+    """Places of the columns that are used, with those first that stand before the ranges of a header."""
+    for form in (_POSE, _WHEELS):
+        leading = [next((place for place in used if names[place] in known), None) for known in form]
+        if None not in leading:
+            return sorted(used, key=lambda place: leading.index(place) if place in leading else len(leading))
+    return used
+
+
+def _source(chosen: Sequence[str]) -> str:
+    """What names the columns, in messages. ``chosen`` are those that stand in place of the header, if any."""
+    return "--columns" if chosen else "the header"
+
+
+def _directions(names: list[str], chosen: Sequence[str]) -> list[float]:
+    """Directions of the range columns, deg. ``chosen`` are the columns that stand in place of the header, if any."""
     leading = _leading(names)
+    source = _source(chosen)
     if not leading:
-        raise ValueError(f"the header must be {_FORMS}, not {','.join(names)[:60]!r}")
+        found = ",".join(chosen or names)[:60]
+        if chosen:
+            raise ValueError(f"--columns must name {_FORMS}, not {found!r}")
+        raise ValueError(f"the header must be {_FORMS}, not {found!r}; --columns names the columns of another header")
     directions: list[float] = []
     columns = names[leading:]
     for place, name in enumerate(columns):
@@ -266,11 +328,11 @@ def _directions(names: list[str]) -> list[float]:
         else:
             directions.append(_direction(name))
     if not directions:
-        raise ValueError(f"the header names no ranges: r_<deg>,... must follow {names[leading - 1]}")
+        raise ValueError(f"{source} names no ranges: r_<deg>,... must follow {names[leading - 1]}")
     turns = [degrees % 360.0 for degrees in directions]
     if len(set(turns)) < len(turns):
         twice = next(degrees for degrees, turn in zip(directions, turns, strict=True) if turns.count(turn) > 1)
-        raise ValueError(f"the header names the beam at {twice:g} deg twice")
+        raise ValueError(f"{source} names the beam at {twice:g} deg twice")
     return directions
 
 

@@ -67,7 +67,7 @@ def read_log(
             raise LogError(f"{fspath(path)}: the log fixes its {chosen}, which cannot be chosen")
         _refuse_options(path, table)
         return read_npz(path)
-    if fspath(path).endswith(_TEXT_ENDINGS) or is_csv(path):
+    if fspath(path).endswith(_TEXT_ENDINGS) or (table is not None and table.columns) or is_csv(path):
         return read_csv(path, beams_deg, max_range, table)
     _refuse_options(path, table)
     return read_carmen(path, DEFAULT_BEAMS_DEG if beams_deg is None else beams_deg, reach)
@@ -76,5 +76,6 @@ def read_log(
 def _refuse_options(path: FilePath, table: TableOptions | None) -> None:
     if table is not None and table != TableOptions():
         raise LogError(
-            f"{fspath(path)}: is not a table in plain text, so --robot, units and --zero-is-nothing do not go with it"
+            f"{fspath(path)}: is not a table in plain text, so --robot, units, --columns and --zero-is-nothing do not "
+            "go with it"
         )

@@ -17,6 +17,12 @@ TIMES = {"s": 1.0, "ms": 1e-3, "us": 1e-6}
 LARGEST_OFF_AXIS_DEG = 45.0
 """Directions of zones lie at most this far from the optical axis of their sensor, deg."""
 
+CLOCK_COUNTS = 2.0**32
+"""A clock in ms or us begins again after so many counts: that in us every 72 minutes."""
+
+LONGEST_PAUSE = 10.0
+"""Longest time between two rows in which a clock begins again because it is full, s."""
+
 FEWEST_COUNTER_BITS = 8
 """Counters that begin again have at least so many bits."""
 
@@ -55,6 +61,9 @@ class TableOptions:
     zero_is_nothing
         Whether a range of 0 or less says that nothing was seen. Otherwise 0 says that something may be too near to be
         measured, and a negative number is no reading.
+    columns
+        What the columns hold, in place of the file's own header: the names that a header would have, in any order, and
+        ``-`` for a column that is not used. Empty if the header of the file is read.
 
     Raises
     ------
@@ -70,6 +79,7 @@ class TableOptions:
     time_unit: str = "s"
     zone_axes: tuple[float, ...] = ()
     zero_is_nothing: bool = False
+    columns: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         if not (math.isfinite(self.metres_per_tick) and self.metres_per_tick > 0.0):
@@ -112,6 +122,10 @@ class TableOptions:
                 f"--zone-axes: no axis lies within {LARGEST_OFF_AXIS_DEG:g} deg of the column at {degrees:g} deg"
             )
         return self.metres / math.cos(apart)
+
+    def is_clock_full(self, time: float, before: float) -> bool:
+        """Whether a clock that steps back between two rows of time, s, was full, and so began again at 0."""
+        return 0.0 <= time - before + CLOCK_COUNTS * self.seconds < LONGEST_PAUSE
 
     def wheel_travel(self, columns: FloatArray, robot: RobotSpec) -> FloatArray:
         """Travel of both wheels (n, 2), m, since the row before, from the columns ``left`` and ``right`` (n, 2).

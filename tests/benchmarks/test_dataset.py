@@ -1,8 +1,12 @@
 """Datasets: what is recorded, what Minari loads, and what is refused."""
 
 import json
+import runpy
 import shutil
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -201,3 +205,41 @@ def test_what_is_no_dataset_is_refused_in_one_line(tmp_path, arguments, message)
     assert (done.returncode, done.stderr.count("\n")) == (2, 1)
     assert message in done.stderr
     assert not (tmp_path / "dataset").exists()
+
+
+EXAMPLE = Path(__file__).parents[2] / "examples" / "offline_rl.py"
+
+
+def test_the_example_learns_from_it(made):
+    pytest.importorskip("torch", reason="needs torch, as the extra rl does")
+    options = ["--data", made[0], "--policies", "learned,random", "--held-out", "1", "--updates", "2"]
+    command = [sys.executable, EXAMPLE, *options]
+    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    lines = done.stdout.splitlines()
+    count, words = lines[0].split(" ", 1)
+    assert (int(count) > 0, words) == (True, "decisions on 1 plans")
+    assert [line.split("|")[0].strip() for line in lines[-5:]] == ["", "learned", "random", "clone", "IQL"]
+
+
+def test_the_example_knows_left_from_right(minari):  # noqa: ARG001 (skips where it is missing)
+    pytest.importorskip("torch", reason="needs torch, as the extra rl does")
+    example = runpy.run_path(str(EXAMPLE))
+    # Ahead for 0.3 m, then to the left; and standing still.
+    ahead = np.column_stack((np.linspace(0.0, 0.3, 11), np.zeros(11), np.zeros(11)))
+    left = np.column_stack((np.full(9, 0.3), np.linspace(0.03, 0.27, 9), np.full(9, 0.5 * np.pi)))
+    assert example["directions"](np.concatenate((ahead, left))).tolist() == [0, 3, 6, -1]
+    # Free in front, a wall to the left, and unknown behind: the way to the frontier is behind.
+    grid = np.zeros((1, 40, 40), dtype=np.uint8)
+    grid[:, 10:25, 12:28] = 127
+    grid[:, 10:25, 11] = grid[:, 9, 11:29] = grid[:, 10:25, 28] = 255
+    grid[:, 10:25, 13] = 255
+    seen = example["view"](grid, np.linspace(0.2, 1.2, 6, dtype=np.float32))
+    around = seen[: 33 * 24].reshape(33, 24)
+    assert around[20:30, 12].max() == 1.0 > around[20:30, 0].max(), "nearer to the frontier behind than ahead"
+    assert around[10:20, 5:8].max() > 0.0 == around[10:14, 17:20].max(), (
+        "a wall to the left is nearer than to the right"
+    )
+    flipped = example["view"](grid[:, :, ::-1], np.linspace(1.2, 0.2, 6, dtype=np.float32))
+    difference = np.abs(example["mirrored"](seen[None])[0] - flipped)
+    assert difference.mean() < 0.1 * np.abs(seen - flipped).mean()

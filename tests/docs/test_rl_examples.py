@@ -15,7 +15,10 @@ pytestmark = pytest.mark.skipif(not EXAMPLES.is_dir(), reason="the examples do n
 NEEDS = {
     "rl_sb3": ["stable_baselines3"],
     "rl_batch": ["stable_baselines3"],
+    "rl_recurrent": ["sb3_contrib"],
     "rl_two_robots": ["stable_baselines3", "supersuit"],
+    "rl_cleanrl": ["torch"],
+    "rl_torchrl": ["torchrl"],
 }
 
 
@@ -27,7 +30,7 @@ def test_no_example_is_left_out():
 def test_it_learns_for_some_steps(name, tmp_path):
     path = EXAMPLES / f"{name}.py"
     if missing := [library for library in NEEDS[name] if find_spec(library) is None]:
-        pytest.skip(f"needs {', '.join(missing)}: pip install 'limslam[rl]'")
+        pytest.skip(f"needs {', '.join(missing)}: pip install 'limslam[rl]', or TorchRL on its own")
     few = {"rl_batch": ["--envs", "4", "--plans", "1"], "rl_sb3": ["--plans", "1"]}.get(name, [])
     command = [sys.executable, str(path), "--steps", "256", *few]
     result = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)

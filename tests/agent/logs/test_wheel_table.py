@@ -1,6 +1,7 @@
 """Tables of wheel travel: units, the robot that recorded them, and one line for every fault."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -63,7 +64,7 @@ def test_a_table_of_poses_takes_the_places_of_the_beams_from_the_robot(write):
         (
             HEAD + "0,0,0,1,1,1,7\n",
             TableOptions(ROBOT),
-            "or begin it with #, or correct the header",
+            "or begin it with #, or correct the header: --columns can name all columns in its place",
         ),
         (HEAD + "0,0,0,1,1,1\n-5,0,0,1,1,1\n", TableOptions(ROBOT), "the time steps back by 5.0 s: if the robot was"),
         (HEAD + METRES, TableOptions(ROBOT, 100.0), "a wheel travels 2 m in 0.1 s at time 0.1 s"),
@@ -72,6 +73,14 @@ def test_a_table_of_poses_takes_the_places_of_the_beams_from_the_robot(write):
 )
 def test_a_table_that_cannot_be_used_is_refused_in_one_line(write, text, options, words):
     assert words in refusal(write(text), table=options)
+
+
+@pytest.mark.parametrize(("unit", "begin"), [("us", 2**32 - 150_000), ("ms", 2**32 - 150)])
+def test_a_clock_of_32_bits_is_continued_where_it_begins_again(write, unit, begin):
+    step = {"us": 100_000, "ms": 100}[unit]
+    rows = "".join(f"{(begin + row * step) % 2**32},0,0,1,1,1\n" for row in range(5))
+    log = read_log(write(HEAD + rows), table=TableOptions(ROBOT, time_unit=unit))
+    np.testing.assert_allclose(np.diff(log.time), 0.1, atol=1e-6)
 
 
 @pytest.mark.parametrize(("bits", "has_sign"), [(16, False), (16, True), (12, False), (32, True)])
@@ -99,6 +108,37 @@ def test_counters_that_pass_0_in_a_gap_are_read(write):
     )
     log = read_log(write(HEAD + rows), table=TableOptions(ROBOT, 1e-3, accumulated=True))
     np.testing.assert_allclose(log.wheels[:, 0], [0.0, 0.02, 0.02, 0.06])
+
+
+NAMES = "millis;encL;encR;IR1;IR2;IR3"
+
+
+@pytest.mark.parametrize("head", [f"{NAMES}\n", f"# my robot\n{NAMES}\n", ""])
+def test_columns_can_be_named_in_place_of_the_header(write, head):
+    ticks = read_log(write(HEAD + TICKS), table=TICK_OPTIONS)
+    options = replace(TICK_OPTIONS, columns=("t", "left", "right", "r_90", "r_54", "r_-90"))
+    named = read_log(write(head + TICKS.replace(",", ";"), "named.log"), table=options)
+    np.testing.assert_array_equal(named.ranges, ticks.ranges)
+    np.testing.assert_array_equal(named.wheels, ticks.wheels)
+    without = replace(options, columns=("t", "left", "right", "-", "r_54", "r_-90"))
+    fewer = read_log(write(head + TICKS.replace(",", ";"), "named.log"), table=without)
+    np.testing.assert_array_equal(fewer.ranges, ticks.ranges[:, 1:])
+
+
+def test_columns_that_do_not_fit_are_refused(write):
+    assert "--columns names the columns of another header" in refusal(write(f"{NAMES}\n{TICKS}"))
+    for columns, words in (
+        ("", "--columns must name t,x,y,theta,r_<deg>,... or t,left,right,r_<deg>,..., not ''"),
+        ("-", "r_<deg>,..., not '-'"),
+        ("t,left,r_90", "r_<deg>,..., not 't,left,r_90'"),
+        ("t,left,right", "--columns names no ranges"),
+        ("t,left,right,r_90,r_90", "--columns names the beam at 90 deg twice"),
+    ):
+        assert words in refusal(write(HEAD + TICKS), table=replace(TICK_OPTIONS, columns=tuple(columns.split(","))))
+    options = replace(TICK_OPTIONS, columns=("t", "left", "right", "r_0"))
+    assert "--columns names a beam at 0 deg" in refusal(write(HEAD + TICKS), table=options)
+    options = replace(TICK_OPTIONS, columns=("t", "left", "right", "r_90", "r_54"))
+    assert "line 2: 6 columns where --columns names 5" in refusal(write(HEAD + TICKS), table=options)
 
 
 def test_a_clock_that_steps_back_without_its_counters_is_refused(write):

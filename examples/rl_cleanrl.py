@@ -1,0 +1,99 @@
+"""PPO in one file, in the style of CleanRL: ``python examples/rl_cleanrl.py`` (needs torch, as the extra ``rl`` does).
+
+Environments, network, rollout, advantages and update follow each other in this file. Any vector of Gymnasium
+environments works that ends an episode and begins the next one in the same step.
+"""
+
+import argparse
+
+import gymnasium as gym
+import numpy as np
+import torch
+from gymnasium.vector import AutoresetMode, SyncVectorEnv
+from torch import Tensor, nn
+from torch.distributions import Normal
+
+import limslam_env  # noqa: F401 (registers the environments)
+from limslam_env.envs.wrappers import FlattenObservation, NormalizedObservation
+
+NUM_ENVS, ROLLOUT, EPOCHS, MINIBATCHES = 4, 32, 4, 4
+GAMMA, LAMBDA, CLIP, ENTROPY, VALUE = 0.99, 0.95, 0.2, 0.001, 0.5
+
+
+def make_env() -> gym.Env:
+    """One environment with a flat, scaled observation of ranges and wheel travel."""
+    env = gym.make("LimSlam-Random-v0", sensor_noise=0.02, max_episode_steps=600)
+    return FlattenObservation(NormalizedObservation(env))
+
+
+class Agent(nn.Module):
+    """A policy with a Gaussian over both wheels, and a value."""
+
+    def __init__(self, inputs: int) -> None:
+        super().__init__()
+        self.critic = nn.Sequential(nn.Linear(inputs, 64), nn.Tanh(), nn.Linear(64, 1))
+        self.actor = nn.Sequential(nn.Linear(inputs, 64), nn.Tanh(), nn.Linear(64, 2))
+        self.log_std = nn.Parameter(torch.full((2,), -0.5))
+
+    def forward(self, observation: Tensor) -> tuple[Normal, Tensor]:
+        """The distribution of the action (n, 2), and the value (n,)."""
+        return Normal(self.actor(observation), self.log_std.exp()), self.critic(observation).squeeze(-1)
+
+
+def advantages(rewards: Tensor, values: Tensor, dones: Tensor) -> Tensor:
+    """Generalised advantage estimates (t, n); ``values`` has one more row, for the last observation.
+
+    A truncated episode counts as ended here, as in CleanRL.
+    """
+    found, after = torch.zeros_like(rewards), torch.zeros(rewards.shape[1])
+    for step in reversed(range(len(rewards))):
+        goes_on = 1.0 - dones[step]
+        error = rewards[step] + GAMMA * goes_on * values[step + 1] - values[step]
+        found[step] = after = error + GAMMA * LAMBDA * goes_on * after
+    return found
+
+
+def main() -> None:
+    """Collect rollouts and learn from them in turns."""
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("--steps", type=int, default=100_000)
+    options = arguments.parse_args()
+    torch.manual_seed(0)
+    envs = SyncVectorEnv([make_env] * NUM_ENVS, autoreset_mode=AutoresetMode.SAME_STEP)
+    observation = torch.as_tensor(envs.reset(seed=0)[0])
+    agent = Agent(observation.shape[1])
+    optimizer = torch.optim.Adam(agent.parameters(), lr=3e-4)
+    for update in range(1, max(options.steps // (NUM_ENVS * ROLLOUT), 1) + 1):
+        rows: list[list[Tensor]] = []
+        for _ in range(ROLLOUT):
+            with torch.no_grad():
+                policy, value = agent(observation)
+                action = policy.sample()
+            told, reward, terminated, truncated, _ = envs.step(action.clamp(-1.0, 1.0).numpy())
+            done = torch.as_tensor(np.logical_or(terminated, truncated), dtype=torch.float32)
+            rows.append(
+                [observation, action, policy.log_prob(action).sum(-1), value, torch.as_tensor(reward).float(), done]
+            )
+            observation = torch.as_tensor(told)
+        observations, actions, old, values, rewards, dones = (torch.stack(part) for part in zip(*rows, strict=True))
+        with torch.no_grad():
+            gain = advantages(rewards, torch.cat((values, agent(observation)[1][None])), dones)
+        batch = [part.flatten(0, 1) for part in (observations, actions, old, gain, gain + values)]
+        for _ in range(EPOCHS):
+            for rows_of in torch.randperm(NUM_ENVS * ROLLOUT).chunk(MINIBATCHES):
+                seen, chosen, before, better, worth = (part[rows_of] for part in batch)
+                policy, value = agent(seen)
+                ratio = (policy.log_prob(chosen).sum(-1) - before).exp()
+                better = (better - better.mean()) / (better.std() + 1e-8)
+                surrogate = torch.min(ratio * better, ratio.clamp(1.0 - CLIP, 1.0 + CLIP) * better).mean()
+                loss = VALUE * (value - worth).square().mean() - surrogate - ENTROPY * policy.entropy().sum(-1).mean()
+                optimizer.zero_grad()
+                loss.backward()
+                nn.utils.clip_grad_norm_(agent.parameters(), 0.5)
+                optimizer.step()
+        if update % 20 == 1:
+            print(f"{update * NUM_ENVS * ROLLOUT} steps: reward {float(rewards.mean()):.4f} a step")
+
+
+if __name__ == "__main__":
+    main()
