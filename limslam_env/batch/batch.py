@@ -18,9 +18,10 @@ from limslam_env.kernels.coverage import BODY_MARGIN, RAY_MARGIN
 from limslam_env.kernels.random_numbers import Words, derive_keys, draw_rows
 from limslam_env.kernels.tables import LONGEST_RANGE, NUM_NOISES, OFFSET
 from limslam_env.kernels.tiles import LONGEST_LOOK
-from limslam_env.simulation.coverage import CELL
+from limslam_env.simulation.coverage import CELL, CoverageGrid
 from limslam_env.simulation.noise import noise_table
 from limslam_env.simulation.sensors import beam_table
+from limslam_env.worlds.world import World
 
 __all__ = ["BatchSimulation", "Results"]
 
@@ -85,6 +86,7 @@ class BatchSimulation:
         self._task = _as_numbers(task, max_steps)
         self._homes: Words = np.zeros(count, dtype=np.uint64)
         self._numbers = np.zeros(count, dtype=np.int64)
+        self._place_keys: Words = np.zeros(count, dtype=np.uint64)
         self._episodes = _no_episodes(places.world_of, robots, num_beams)
         self._scratch = scratch_for(robots, num_beams)
         self._threads = num_threads or cores()
@@ -127,6 +129,7 @@ class BatchSimulation:
         episodes = self._episodes
         episodes.poses[envs] = self._places.begin(envs, places, None if start is None else start[envs])
         self._homes, self._numbers, episodes.keys[envs] = homes, numbers, keys
+        self._place_keys[envs] = places
         noise = np.empty((len(envs), NUM_NOISES))
         draw_rows(settings, *self._settings, noise)
         episodes.noise[envs] = noise
@@ -152,6 +155,15 @@ class BatchSimulation:
         """Which coverable cells of an environment's grid (rows, columns) have been seen."""
         slot, sites = int(self._places.world_of[env]), self._places.sites
         return sites.to_cells(slot, sites.tiles[slot] & ~self._episodes.unseen[env])
+
+    def world(self, env: int) -> World:
+        """The world that an environment has in its episode."""
+        return self._places.world(env, self._place_keys[[env]])
+
+    def coverage_grid(self, env: int) -> CoverageGrid:
+        """The cells that count for the coverage of an environment."""
+        slot, sites = int(self._places.world_of[env]), self._places.sites
+        return CoverageGrid(sites.worlds.areas[slot, :2], sites.to_cells(slot, sites.tiles[slot]))
 
     def close(self) -> None:
         """End the threads. May be called again; a later step starts new ones."""

@@ -130,9 +130,7 @@ class Places:
         if self._config is not None and not self._seeds:
             return self._begin_drawn(self._config, envs, keys, start)
         poses = np.zeros((len(envs), self.num_robots, 3))
-        slots = self.home[envs]
-        if self._seeds:
-            slots = ((keys >> np.uint64(11)) % np.uint64(len(self._seeds))).astype(np.int64)
+        slots = self._slots(envs, keys)
         moves: list[_Move] = []
         for slot, rows in _groups(slots):
             if start is None:
@@ -144,6 +142,18 @@ class Places:
             slots[move.rows] = self._slot_of(move)
         self.world_of[envs] = slots
         return poses
+
+    def world(self, env: int, key: Words) -> World:
+        """The world that :meth:`begin` gave an environment by a key (1,). Floor plans are drawn again."""
+        if self._config is not None and not self._seeds:
+            return self._plan(self._config, int(key[0]))
+        return self._world(int(self._slots(np.array([env]), key)[0]))
+
+    def _slots(self, envs: IntArray, keys: Words) -> IntArray:
+        """The slots (k,) of the worlds that environments (k,) get by keys (k,)."""
+        if self._seeds:
+            return ((keys >> np.uint64(11)) % np.uint64(len(self._seeds))).astype(np.int64)
+        return self.home[envs].copy()
 
     def _plan(self, config: FloorPlanConfig, seed: int) -> World:
         return floor_plan(config, np.random.default_rng(seed), self._robot.radius)

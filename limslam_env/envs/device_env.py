@@ -33,7 +33,11 @@ class LimSlamDeviceEnv(LimSlamVectorEnv):
     _kind: ClassVar[type[BatchSimulation]] = DeviceSimulation
     _simulation: DeviceSimulation
 
+    metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
+
     def __init__(self, world: BatchSource, num_envs: int = 1, **arguments: Any) -> None:
+        if arguments.get("render_mode") is not None:
+            raise ValueError("a batch on a device has no render_mode")
         super().__init__(world, num_envs, autoreset_mode=AutoresetMode.NEXT_STEP, **arguments)
 
     def reset(

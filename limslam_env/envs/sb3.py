@@ -1,5 +1,6 @@
 """Batches of environments for Stable-Baselines3, which has its own interface for them (extra ``rl``)."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -36,6 +37,8 @@ class Sb3VecEnv(VecEnv):
         self._actions: NDArray[Any] | None = None
         self._returns, self._lengths = np.zeros(env.num_envs), np.zeros(env.num_envs, dtype=np.int64)
         super().__init__(env.num_envs, env.single_observation_space, env.single_action_space)
+        if "render_fps" in env.metadata:
+            self.metadata["render_fps"] = env.metadata["render_fps"]
 
     def reset(self) -> VecEnvObs:
         """Begin new episodes with the seed and the options that were set since the last reset."""
@@ -89,6 +92,11 @@ class Sb3VecEnv(VecEnv):
         """Always false: single environments in a batch have no wrappers."""
         del wrapper_class
         return [False] * len(list(self._get_indices(indices)))
+
+    def get_images(self) -> Sequence[NDArray[Any] | None]:
+        """A picture (height, width, 3) of each environment; None where the batch has no ``render_mode``."""
+        pictures: Sequence[Any] | None = self.env.render()
+        return pictures or [None] * self.num_envs
 
     def _costs(self, found: dict[str, Any]) -> list[dict[str, Any]]:
         """An info for each environment with the cost of its step; without it if the batch has none."""

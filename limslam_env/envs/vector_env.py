@@ -21,9 +21,11 @@ from limslam_env.envs.batch_adapter import (
     infos_of,
     observation_of,
 )
+from limslam_env.envs.batch_pictures import BatchPictures
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.messages import described
+from limslam_env.rendering.painter import RENDER_FPS
 
 
 def vector_env(*, device: str = "cpu", **arguments: Any) -> gym.vector.VectorEnv[Any, Any, Any]:
@@ -89,12 +91,15 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
     | autoreset_mode    | NEXT_STEP        | see Episode End                                                      |
     | plans             | None             | number or seeds of floor plans that are generated once and then drawn from; None generates a new floor plan for each environment at each reset, which takes about 10 ms |
     | num_threads       | None             | largest number of threads; None for one per core                                 |
+    | render_mode       | None             | `"rgb_array"`: `render` draws a picture (640, 640, 3) of each environment        |
 
     ## Version History
     * v0: first release.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
+        "render_modes": ["rgb_array"],
+        "render_fps": RENDER_FPS,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
     }
 
@@ -112,12 +117,17 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         plans: Plans = None,
         num_threads: int | None = None,
+        render_mode: str | None = None,
     ) -> None:
+        if render_mode not in {None, "rgb_array"}:
+            raise ValueError(f"render_mode of a batch must be rgb_array or None, not {render_mode!r}")
         self._set_up(
             world, num_envs, 1, max_episode_steps, robot=robot, sensor_noise=sensor_noise, noise=noise,
             coverage_goal=coverage_goal, rewards=rewards, autoreset_mode=autoreset_mode, plans=plans,
             num_threads=num_threads,
         )  # fmt: skip
+        self.render_mode = render_mode
+        self._pictures = None if render_mode is None else BatchPictures(self._simulation)
         self.metadata = {**self.metadata, "autoreset_mode": self.autoreset_mode}
         self.single_action_space, self.single_observation_space = action_space(), observation_space(self.robot)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
@@ -144,6 +154,8 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
             If a start cannot be used. Then episodes go on as if nothing had been asked.
         """
         results, mask = self._begun(seed, options)
+        if self._pictures is not None:
+            self._pictures.begin(results)
         return observation_of(results, 0), info_of(results, 0, mask)
 
     def step(self, actions: ArrayLike) -> tuple[BatchObservation, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
@@ -159,8 +171,14 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
         if not self._is_running:
             raise gym.error.ResetNeeded("call reset before step")
         outcome = self._drive(checked_actions(actions, self.num_envs)[:, None])
+        if self._pictures is not None:
+            self._pictures.follow(outcome.now)
         rewards = outcome.rewards[:, 0]
         return observation_of(outcome.now, 0), rewards, outcome.terminated, outcome.truncated, infos_of(outcome, 0)
+
+    def render(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """A picture (640, 640, 3) of each environment; None without a render mode, and before the first reset."""
+        return None if self._pictures is None else self._pictures.paint()
 
     def _begun(self, seed: int | None, options: dict[str, Any] | None) -> tuple[Results, BoolArray]:
         generator = self.np_random if seed is None else seeding.np_random(seed)[0]

@@ -2,6 +2,7 @@
 
 import functools
 import math
+import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -127,16 +128,38 @@ class _Canvas:
 
 
 @dataclass(frozen=True, eq=False)
-class _Background:
+class Background:
     """What of a picture does not change: a canvas with the unseen world, and how much lighter it is where seen."""
 
     canvas: _Canvas
     light: Image
 
 
-def render(state: RenderState) -> Image:
-    """The state as a picture (height, width, 3), RGB, as wide as its world needs it."""
-    background = _background(state.world)
+_SQUARES: weakref.WeakValueDictionary[World, Background] = weakref.WeakValueDictionary()
+
+
+def square_background(world: World) -> Background:
+    """The background of a picture that is as wide as high whatever the world.
+
+    It is drawn once for equal worlds as long as a caller keeps it, since nothing else in a picture takes as long.
+    """
+    background = _SQUARES.get(world)
+    if background is None:
+        background = _SQUARES[world] = _background(world, least_width=HEIGHT, most_width=HEIGHT, least_height=HEIGHT)
+    return background
+
+
+def render(state: RenderState, *, background: Background | None = None) -> Image:
+    """The state as a picture (height, width, 3), RGB. The same state gives the same picture.
+
+    Parameters
+    ----------
+    state
+        What is drawn.
+    background
+        Of the same world, by :func:`square_background`. None makes a picture as wide as its world needs it.
+    """
+    background = background or _fitting_background(state.world)
     canvas = background.canvas.on(background.canvas.image.copy())
     mask = _seen_mask(canvas, state.seen, state.seen_low)
     cv2.add(canvas.image, cv2.multiply(background.light, cv2.merge((mask, mask, mask)), scale=1 / 255), canvas.image)
@@ -154,26 +177,32 @@ def render(state: RenderState) -> Image:
 
 
 @functools.lru_cache(maxsize=8)
-def _background(world: World) -> _Background:
-    canvas = _new_canvas(world)
+def _fitting_background(world: World) -> Background:
+    """The background of a picture that is as wide as its world needs it."""
+    return _background(world, least_width=_NARROWEST, most_width=_WIDEST)
+
+
+def _background(world: World, *, least_width: int, most_width: int, least_height: int = 0) -> Background:
+    canvas = _new_canvas(world, least_width=least_width, most_width=most_width, least_height=least_height)
     everything_seen = canvas.on(canvas.image.copy())
     for layer, floor in ((canvas, _UNSEEN), (everything_seen, _SEEN)):
         _draw_floor(layer, world, floor)
         _draw_walls(layer, world)
         _draw_scale(layer)
     light = np.asarray(cv2.subtract(everything_seen.image, canvas.image), dtype=np.uint8)
-    return _Background(canvas, light)
+    return Background(canvas, light)
 
 
-def _new_canvas(world: World) -> _Canvas:
-    """A canvas around a world."""
+def _new_canvas(world: World, *, least_width: int, most_width: int, least_height: int) -> _Canvas:
+    """A canvas around a world; the sizes are in pixels."""
     corners = world.edges.reshape(-1, 2)
     low, extent = corners.min(axis=0), np.maximum(np.ptp(corners, axis=0), 1e-3)
-    scale = float(((_WIDEST - 2 * _MARGIN, HEIGHT - 2 * _MARGIN) / extent).min())
+    scale = float(((most_width - 2 * _MARGIN, HEIGHT - 2 * _MARGIN) / extent).min())
     columns, rows = np.ceil(extent * scale).astype(int) + 2 * _MARGIN
     # Video codecs want even sides.
-    columns, rows = max(columns + columns % 2, _NARROWEST), rows + rows % 2
-    origin = np.array([0.5 * (columns - extent[0] * scale), rows - _MARGIN])
+    columns, rows = max(columns + columns % 2, least_width + least_width % 2), rows + rows % 2
+    origin = np.array([0.5 * (columns - extent[0] * scale), rows - _MARGIN + max(least_height - rows, 0) // 2])
+    rows = max(rows, least_height)
     return _Canvas(np.full((rows, columns, 3), _PAPER, dtype=np.uint8), low, origin, scale)
 
 

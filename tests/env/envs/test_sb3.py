@@ -68,6 +68,16 @@ def test_every_step_has_its_cost_the_last_one_of_an_episode_too():
     assert costs[-1] == [1.0] * 3
 
 
+def test_it_has_the_pictures_of_the_batch():
+    assert Sb3VecEnv(batch()).get_images() == [None] * 3
+    env = Sb3VecEnv(batch(render_mode="rgb_array"))
+    env.reset()
+    assert [picture.shape for picture in env.get_images()] == [(640, 640, 3)] * 3
+    assert env.render("rgb_array").shape == (1280, 1280, 3)
+    # A VecVideoRecorder reads it here.
+    assert env.metadata["render_fps"] == 10
+
+
 def test_episodes_that_begin_a_step_later_are_refused():
     with pytest.raises(ValueError, match="autoreset_mode"):
         Sb3VecEnv(batch(autoreset_mode="NextStep"))
