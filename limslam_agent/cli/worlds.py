@@ -60,20 +60,20 @@ def check(
 @worlds.command()
 def convert(
     source: Annotated[str, typer.Argument(help="A world file of any kind, or the name of a shipped world.")],
-    target: Annotated[Path, typer.Argument(help="Where to write it: .toml.")],
+    target: Annotated[Path, typer.Argument(help="Where to write it: .toml, or .yaml with a .pgm beside it.")],
     *,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
-    """Write a world of any kind as TOML."""
-    from limslam_agent.output.atomic_write import atomic_write, check_target
+    """Write a world in another format."""
+    from limslam_agent.output.atomic_write import check_target
     from limslam_env.messages import printable
     from limslam_env.worlds.formats.loading import load_world
-    from limslam_env.worlds.formats.toml import world_toml
+    from limslam_env.worlds.formats.writing import write_world
 
-    check_target(target, "a world", (".toml",), force=force)
-    text = world_toml(load_world(source))
-    with atomic_write(target) as beside:
-        beside.write_text(text, encoding="utf-8", newline="\n")
+    files = [target, target.with_suffix(".pgm")] if target.suffix in {".yaml", ".yml"} else [target]
+    for file in files:
+        check_target(file, force=force)
+    write_world(load_world(source), target)
     typer.echo(printable(f"world       {target}"))
 
 

@@ -312,6 +312,7 @@ def test_wrappers_of_gymnasium_work():
         ({"plans": 4}, "plans are for worlds that are drawn"),
         ({"world": "random", "plans": 0}, "plans must be 1 or more"),
         ({"world": ["random", "env1", "env1"]}, "floor plans are drawn for all"),
+        ({"render_mode": "human"}, "render_mode of a batch must be rgb_array or None, not 'human'"),
         ({"autoreset_mode": "sometimes"}, "not a valid AutoresetMode"),
         ({"num_envs": True}, "num_envs must be a whole number, 1 or more, not True"),
         ({"max_episode_steps": 2.5}, "the steps of an episode must be a whole number, 1 or more, or None, not 2.5"),
