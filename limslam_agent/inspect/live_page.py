@@ -42,9 +42,9 @@ class LivePage:
     def __init__(self, title: str, address: str, edges: FloatArray | None = None) -> None:
         self.title, self.address, self.is_over = title, address, False
         self._fixed = {} if edges is None else {"edges": edges.astype(np.float32)}
-        self._lock = threading.Lock()
-        self._state: tuple[dict[str, NDArray[Any]], dict[str, Any]] | None = None
-        self._version, self._text, self._text_version = 0, "", 0
+        # Each is replaced as a whole, so that the run never waits for a page.
+        self._state: tuple[int, dict[str, NDArray[Any]], dict[str, Any]] = 0, {}, {}
+        self._text = 0, ""
         self._due = 0.0
 
     def update(self, recorder: Recorder) -> None:
@@ -63,19 +63,18 @@ class LivePage:
         self.is_over = True
 
     def _offer(self, recorder: Recorder) -> None:
-        state = self._fixed | recorder.arrays(), {**recorder.meta(), "check": ""}
-        with self._lock:
-            self._state, self._version = state, self._version + 1
+        self._state = self._state[0] + 1, self._fixed | recorder.arrays(), {**recorder.meta(), "check": ""}
 
     def newest(self, version: int) -> tuple[int, str]:
         """The number of the latest state, and the state as the page reads it; empty if its number is ``version``."""
-        with self._lock:
-            if self._state is None or self._version == version:
-                return self._version, ""
-            if self._version != self._text_version:
-                arrays, meta = self._state
-                self._text, self._text_version = packed(arrays, told_to_page(self.title, meta), level=1), self._version
-            return self._version, self._text
+        number, arrays, meta = self._state
+        if number in {0, version}:
+            return number, ""
+        packed_number, text = self._text
+        if packed_number != number:
+            text = packed(arrays, told_to_page(self.title, meta), level=1)
+            self._text = number, text
+        return number, text
 
 
 class Follower:
