@@ -60,6 +60,17 @@ class Dropouts:
         return math.ceil(math.log(_RARE) / math.log(min(share, 0.5))) if share else 1
 
 
+def short_series(nothing: BoolArray, lasting: int) -> BoolArray:
+    """Which of the readings (m, n_beams) of successive steps saw nothing, but not in ``lasting`` steps in succession.
+
+    ``nothing`` says which of them saw nothing.
+    """
+    rows, count = np.arange(len(nothing))[:, None], len(nothing)
+    last_seen = np.maximum.accumulate(np.where(nothing, -1, rows), axis=0)
+    next_seen = np.minimum.accumulate(np.where(nothing, count, rows)[::-1], axis=0)[::-1]
+    return nothing & (next_seen - last_seen <= lasting)
+
+
 def without_dropouts(robot: RobotSpec, ranges: FloatArray, measured: BoolArray) -> BoolArray:
     """The new readings (t, n_beams) of a finished stretch that are no drop-outs.
 
@@ -68,8 +79,6 @@ def without_dropouts(robot: RobotSpec, ranges: FloatArray, measured: BoolArray) 
     ranges, measured
         Readings (t, n_beams), m, and which of them are new.
     """
-    from limslam_agent.kernels.readings import mark_dropouts
-
     dropouts = Dropouts(robot)
     for row, new in zip(np.array(ranges, dtype=float), np.array(measured), strict=True):
         dropouts.note(row, new)
@@ -77,7 +86,5 @@ def without_dropouts(robot: RobotSpec, ranges: FloatArray, measured: BoolArray) 
     for beam in range(ranges.shape[1]):
         rows = np.flatnonzero(measured[:, beam])
         nothing = (ranges[rows, beam] >= robot.too_far[beam])[:, None]
-        missed = np.empty_like(nothing)
-        mark_dropouts(nothing, dropouts.enough, missed)
-        kept[rows, beam] = ~missed[:, 0]
+        kept[rows, beam] = ~short_series(nothing, dropouts.enough)[:, 0]
     return kept

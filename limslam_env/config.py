@@ -13,9 +13,6 @@ NOISE_PRESETS_M = {"none": 0.0, "low": 0.02, "high": 0.04}
 """Standard deviations of the ranges in the paper's experiments, m."""
 
 
-# The smallest number above 0.
-_SMALLEST_GOAL = math.ulp(0.0)
-
 _BOUNDS = {
     "sensor_noise": (0.0, 1e3),
     "range_noise_growth": (0.0, 1e3),
@@ -106,7 +103,7 @@ class NoiseConfig:
         }
         return cls(**{**typical, **changes})
 
-    def drawn(self, generator: np.random.Generator) -> "DrawnNoise":
+    def drawn(self, generator: np.random.Generator) -> "NoiseConfig":
         """The same settings with a value drawn from each range.
 
         A number is drawn for every setting, so that making one of them a range shifts no other.
@@ -115,25 +112,7 @@ class NoiseConfig:
         for (name, setting), share in zip(vars(self).items(), generator.random(len(vars(self))), strict=True):
             low, high = bounds_of(setting)
             values[name] = low + (high - low) * float(share)
-        return DrawnNoise(**values)
-
-
-@dataclass(frozen=True)
-class DrawnNoise(NoiseConfig):
-    """Noise of one episode: every number is one number."""
-
-    sensor_noise: float = 0.0
-    range_noise_growth: float = 0.0
-    range_resolution: float = 0.0
-    dropout: float = 0.0
-    fold_back: float = 0.0
-    cone: float = 0.0
-    wheel_variance: float = 2e-5
-    encoder_resolution: float = 0.0
-    wheel_mismatch: float = 0.0
-    axle_mismatch: float = 0.0
-    slip_rate: float = 0.0
-    slip_share: float = 0.5
+        return NoiseConfig(**values)
 
 
 @dataclass(frozen=True)
@@ -175,8 +154,9 @@ class TaskConfig:
     reward: RewardConfig = field(default_factory=RewardConfig)
 
     def __post_init__(self) -> None:
-        if self.coverage_goal is not None and not _lies_within(self.coverage_goal, _SMALLEST_GOAL, 1.0):
-            raise ValueError(f"coverage_goal must lie in (0, 1] or be None, not {self.coverage_goal}")
+        goal = self.coverage_goal
+        if goal is not None and not (_lies_within(goal, 0.0, 1.0) and goal > 0.0):
+            raise ValueError(f"coverage_goal must lie in (0, 1] or be None, not {goal}")
 
     def is_over(self, coverage: float) -> bool:
         """Whether a coverage (0 to 1) reaches the goal."""

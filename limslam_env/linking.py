@@ -12,7 +12,6 @@ under numba's compiler lock, and undone when the function is done. Loading code 
 
 import contextlib
 import functools
-import gc
 import weakref
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -25,7 +24,6 @@ from numba.core import (
     cpu,
     dispatcher,
     errors,
-    ir,
     lowering,
     postproc,
     targetconfig,
@@ -35,6 +33,7 @@ from numba.core import (
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.environment import lookup_environment
 from numba.core.types import functions
+from numba.core.typing import context as typing_context
 from numba.extending import overload
 from numba.np import arrayobj
 
@@ -167,32 +166,6 @@ def _shape_error(source: Any, target: Any) -> Any:
     return fail
 
 
-_usual_equal = compiler.Flags.__eq__
-
-
-_OPTIONS_HASH: int = hash(compiler.Flags())
-
-
-def _hash(options: Any) -> int:
-    """The hash of compiler options: numba makes it of their names only, and computes it anew each time."""
-    del options
-    return _OPTIONS_HASH
-
-
-def _equal(first: Any, second: Any) -> Any:
-    """Whether compiler options are equal; only those that differ from their defaults are compared."""
-    if type(first) is not type(second):
-        return _usual_equal(first, second)
-    ours, theirs = first._values, second._values  # noqa: SLF001
-    if ours == theirs:
-        return True
-    defaults = first.options
-    return all(
-        ours.get(name, defaults[name].default) == theirs.get(name, defaults[name].default)
-        for name in {**ours, **theirs}
-    )
-
-
 _usual_call_type = functions.BaseFunction.get_call_type
 _call_types: dict[tuple[Any, ...], Any] = {}
 
@@ -206,23 +179,6 @@ def _call_type(function: Any, context: Any, arguments: Any, named: Any) -> Any:
         if known is not None and known.return_type.is_precise():
             _call_types[key] = known
     return known
-
-
-_usual_variables = ir.Inst._rec_list_vars  # noqa: SLF001
-_NO_VARIABLES = frozenset((str, int, float, bool, type(None), ir.Loc))
-
-
-def _variables(instruction: Any, parts: Any) -> Any:
-    """Variables of an instruction: numba asks what each of its parts is, most of which are plain."""
-    if type(parts) is not dict:
-        return _usual_variables(instruction, parts)
-    found: list[Any] = []
-    for part in parts.values():
-        if type(part) is ir.Var:
-            found.append(part)
-        elif type(part) not in _NO_VARIABLES:
-            found += instruction._rec_list_vars(part)  # noqa: SLF001
-    return found
 
 
 _usual_lifetimes = postproc.PostProcessor.run
@@ -239,6 +195,12 @@ def _lifetimes(processor: Any, emit_dels: bool = False, extend_lifetimes: bool =
 
 
 _size_of = functools.cache(cpu.CPUContext.get_abi_sizeof)
+
+
+def _load_new(context: Any) -> None:
+    """Load new functions only: numba also imports all modules of its own functions, anew for each function."""
+    for registry in list(context._registries):  # noqa: SLF001
+        context.install_registry(registry)
 
 
 def _without_colour(scheme: Any, message: str, *colours: Any) -> str:
@@ -264,19 +226,6 @@ def _replaced(holder: Any, **values: Any) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _without_collection() -> Iterator[None]:
-    """Leave the search for unused objects until later: it takes a tenth of the time and finds next to nothing."""
-    if not gc.isenabled():
-        yield
-        return
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.enable()
-
-
-@contextlib.contextmanager
 def _linking(target: Any) -> Iterator[None]:
     """Let numba link what it compiles on the way, functions of its own included."""
 
@@ -288,16 +237,15 @@ def _linking(target: Any) -> Iterator[None]:
             return type(target).unserialize_library(target, serialized)
 
     with (
-        _without_collection(),
         _replaced(target, create_library=create, unserialize_library=load),
         _replaced(cpu.CPUContext, get_executable=_executable, get_abi_sizeof=_size_of),
+        _replaced(cpu.CPUContext, load_additional_registries=_load_new),
+        _replaced(typing_context.Context, load_additional_registries=_load_new),
         _replaced(dispatcher.Dispatcher, add_overload=_insert),
         _replaced(lowering.Lower, create_cpython_wrapper=_wrap, create_cfunc_wrapper=_wrap_for_c),
         _replaced(functions.BaseFunction, get_call_type=_call_type),
         _replaced(postproc.PostProcessor, run=_lifetimes),
-        _replaced(ir.Inst, _rec_list_vars=_variables),
         _replaced(arrayobj, raise_with_shape_context=_raise_of_shapes),
-        _replaced(compiler.Flags, __hash__=_hash, __eq__=_equal),
         _replaced(type(errors.termcolor()), _markup=_without_colour),
     ):
         yield

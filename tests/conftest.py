@@ -9,8 +9,6 @@ import pytest
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 # Tests look at stderr, which must not depend on what was compiled before.
 os.environ.setdefault("LIMSLAM_QUIET", "1")
-# Tests of the cache of floor plans have folders of their own.
-os.environ["LIMSLAM_CACHE"] = "off"
 
 FOLDER = Path(__file__).parent
 NOT_QUICK = [

@@ -10,8 +10,8 @@ from pathlib import Path
 import pytest
 
 GEOMETRY, INTERFACE = "limslam_env.geometry", "limslam_env.interface"
-# The last two are about text only.
-WHAT_AN_AGENT_MAY_KNOW = {GEOMETRY, INTERFACE, "limslam_env.messages", "limslam_env.toml_text"}
+# The last one is about text only.
+WHAT_AN_AGENT_MAY_KNOW = {GEOMETRY, INTERFACE, "limslam_env.messages"}
 
 
 def env(*names: str) -> set[str]:
@@ -25,11 +25,9 @@ def agent(*names: str) -> set[str]:
 # For each package, and each module beside the packages: which others it may import. A package may always import itself.
 ENV = {
     "limslam_env": env("config", "interface"),
-    "limslam_env.__main__": {"limslam_env"},
     "limslam_env.geometry": set(),
     "limslam_env.interface": {GEOMETRY},
     "limslam_env.messages": set(),
-    "limslam_env.toml_text": set(),
     "limslam_env.config": set(),
     "limslam_env.robots": {INTERFACE},
     "limslam_env.worlds": {GEOMETRY, *env("messages", "kernels")},
@@ -77,7 +75,7 @@ AGENT = {
     "limslam_agent.slam.online_graph": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.graph", "slam.least_squares")},
     "limslam_agent.slam": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "slam.core"), *ESTIMATORS},
     "limslam_agent.grid": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "dropouts", "kernels")},
-    "limslam_agent.status": {*WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid", "kernels", "slam.core")},
+    "limslam_agent.status": {*WHAT_AN_AGENT_MAY_KNOW, *agent("dropouts", "config", "grid", "kernels", "slam.core")},
     "limslam_agent.belief": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "status")},
     "limslam_agent.places": {
         *WHAT_AN_AGENT_MAY_KNOW,

@@ -31,7 +31,7 @@ _MAX_BYTES = 10_000_000
 _DIGITS = 5
 
 _HEADER = (
-    "row", "n", "filter ATE m", "aligned", "smoothed ATE m", "aligned", "NEES/3 filter / smoothed", "F1 5 cm",
+    "row", "n", "filter ATE m", "aligned", "smoothed ATE m", "aligned", "NEES/3 filter / smoothed", "F1 / faces 5 cm",
     "wrong and ok s (at the end)", "false alarms s", "status", "CPU s drive / smoothing",
 )  # fmt: skip
 
@@ -139,14 +139,18 @@ def _line(name: str, all_cells: Sequence[Cell]) -> str:
     placed = [cell["placed"] for cell in cells if "placed" in cell]
     counts += f", {sum(placed)} of {len(placed)} placed" if placed else ""
     paths = [_spread(cells, f"ate{kind}_m") for kind in ("", "_aligned", "_smoothed", "_smoothed_aligned")]
-    nees, cpu = (
+    nees, walls, cpu = (
         " / ".join(_median(cells, each, digits) for each in names)
-        for names, digits in ((("nees", "nees_smoothed"), 1), (("drive_cpu_s", "smoothing_cpu_s"), 1))
+        for names, digits in (
+            (("nees", "nees_smoothed"), 1),
+            (("f1_5cm", "faces_5cm"), 2),
+            (("drive_cpu_s", "smoothing_cpu_s"), 1),
+        )
     )
     wrong = f"{_total(cells, 'wrong_ok_s')} ({_total(cells, 'wrong_ok_end')})"
     count = f"{len(cells)} ({failed} failed)" if failed else str(len(cells))
     figures = (
-        name, count, *paths, nees, _median(cells, "f1_5cm", 2), wrong, _total(cells, "false_alarm_s"), counts, cpu
+        name, count, *paths, nees, walls, wrong, _total(cells, "false_alarm_s"), counts, cpu
     )  # fmt: skip
     return f"| {' | '.join(figures)} |"
 

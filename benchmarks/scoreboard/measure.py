@@ -24,7 +24,9 @@ from limslam_agent.runs.results import score
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.status.status import LEVELS
 from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.interface import NominalNoise
+from limslam_env.geometry.se2 import transform_points
+from limslam_env.geometry.segment import distances
+from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.metrics import metrics
 from limslam_env.worlds.world import World
 
@@ -92,7 +94,18 @@ def _wall_scores(world: World, log: RecordedLog, found: Replay, drawn_from: Floa
     visible = metrics.visible_samples(world, log.robot.radius, log.robot.reach)
     alignment = metrics.rigid_alignment(log.true_pose[:, :2], drawn_from[:, :2])
     walls = metrics.wall_metrics(visible, world.edges, found.segments, alignment)
-    return {"f1_5cm": walls["wall_f1_5cm"], "f1_aligned_5cm": walls["wall_f1_aligned_5cm"]}
+    faces = _faces(world, log.robot, found.segments, alignment)
+    return {"f1_5cm": walls["wall_f1_5cm"], "f1_aligned_5cm": walls["wall_f1_aligned_5cm"], **faces}
+
+
+def _faces(world: World, robot: RobotSpec, segments: FloatArray, alignment: FloatArray) -> Scores:
+    """The share of the visible sides of obstacles, however short, that aligned segments (k, 4) are within 5 cm of."""
+    points, _, owner = metrics.visible_samples(world, robot.radius, robot.reach, shortest=0.0)
+    points, moved = points[owner >= len(world.walls)], transform_points(alignment, segments.reshape(-1, 2))
+    if not len(points):
+        return {}
+    away = distances(points, moved.reshape(-1, 4)).min(axis=1, initial=np.inf)
+    return {"faces_5cm": float(np.mean(away <= metrics.NEARER))}
 
 
 def path_scores(true: FloatArray, poses: FloatArray, covariances: FloatArray | None, suffix: str) -> Scores:
@@ -150,7 +163,10 @@ def _exploration(row: Row, job: Job, jitter: float) -> Scores:
     spent = time.process_time() - driven
     found, placed = score(episode), slice(episode.placed_robots)
     true, estimated = episode.true[:, placed], episode.estimated[:, placed]
-    walls = {"f1_5cm": found["wall_f1_5cm"], "f1_aligned_5cm": found["wall_f1_aligned_5cm"]}
+    first = (episode.placed_steps, 0, slice(2))
+    alignment = metrics.rigid_alignment(episode.true[first], episode.final_map.poses[first])
+    faces = _faces(episode.world, config.robot, episode.final_map.segments, alignment)
+    walls = {"f1_5cm": found["wall_f1_5cm"], "f1_aligned_5cm": found["wall_f1_aligned_5cm"], **faces}
     if kidnap_at is None:
         paths = path_scores(true, estimated, episode.covariances[:, placed], "")
         paths |= {} if smoothed is None else path_scores(true, smoothed.poses, smoothed.covariances, "_smoothed")

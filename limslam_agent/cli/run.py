@@ -19,6 +19,8 @@ if TYPE_CHECKING:
     from limslam_agent.runs.run_config import RunConfig
     from limslam_env.envs.parallel_env import LimSlamParallelEnv
 
+_SHOWN = 10  # steps between two states of the progress bar
+
 
 @takes(RunOptions)
 def run(
@@ -102,8 +104,9 @@ def _shown_run(config: "RunConfig", advance: Advance, options: RunOptions) -> "E
             follower = Follower(page, steps)
 
         def show(team: "LimSlamTeam", env: "LimSlamParallelEnv", time: float, coverage: float) -> None:
-            # An exploration is over when all is seen, and laps have no such end.
-            advance(time if config.laps else coverage, f"{time:6.1f} s  {coverage:6.1%} covered  {team.status}")
+            if round(time / config.robot.control_period) % _SHOWN == 0:
+                # An exploration is over when all is seen, and laps have no such end.
+                advance(time if config.laps else coverage, f"{time:6.1f} s  {coverage:6.1%} covered  {team.status}")
             if follower is not None:
                 recorder = follower.note(team.mapper, team.policies, time, env.true_poses)
                 if film is not None:

@@ -39,19 +39,13 @@ def check(
     from limslam_env.messages import LONGEST_VALUE, counted, one_line
     from limslam_env.worlds.formats.loading import load_world
     from limslam_env.worlds.regions import start_region
-    from limslam_env.worlds.world import OpenWorldError, WorldError
+    from limslam_env.worlds.world import named
 
     if not _SMALLEST_RADIUS <= radius <= _LARGEST_RADIUS:
         raise ValueError(f"--radius: {_SMALLEST_RADIUS:g} to {_LARGEST_RADIUS:g} m can be checked, not {radius:g}")
     place = load_world(world)
-    try:
+    with named(world):
         place.check(radius)
-    except OpenWorldError as error:
-        gap = start_region(place, radius).gap
-        where = f"; the outer wall is open near ({gap[0]:.1f}, {gap[1]:.1f})" if gap else ""
-        raise WorldError(f"{world}: {error}{where}") from error
-    except WorldError as error:
-        raise WorldError(f"{world}: {error}") from error
     region = start_region(place, radius)
     width, height = place.size
     typer.echo(
@@ -66,20 +60,20 @@ def check(
 @worlds.command()
 def convert(
     source: Annotated[str, typer.Argument(help="A world file of any kind, or the name of a shipped world.")],
-    target: Annotated[Path, typer.Argument(help="Where to write it: .toml, or .yaml with a .pgm beside it.")],
+    target: Annotated[Path, typer.Argument(help="Where to write it: .toml.")],
     *,
     force: Annotated[bool, typer.Option("--force", help="Replace an existing file.")] = False,
 ) -> None:
-    """Write a world in another format."""
-    from limslam_agent.output.atomic_write import check_target
+    """Write a world of any kind as TOML."""
+    from limslam_agent.output.atomic_write import atomic_write, check_target
     from limslam_env.messages import printable
     from limslam_env.worlds.formats.loading import load_world
-    from limslam_env.worlds.formats.writing import write_world
+    from limslam_env.worlds.formats.toml import world_toml
 
-    files = [target, target.with_suffix(".pgm")] if target.suffix in {".yaml", ".yml"} else [target]
-    for file in files:
-        check_target(file, force=force)
-    write_world(load_world(source), target)
+    check_target(target, "a world", (".toml",), force=force)
+    text = world_toml(load_world(source))
+    with atomic_write(target) as beside:
+        beside.write_text(text, encoding="utf-8", newline="\n")
     typer.echo(printable(f"world       {target}"))
 
 

@@ -6,7 +6,7 @@ The word "ours" marks a choice of this project.
 from dataclasses import dataclass
 from typing import Annotated
 
-from limslam_agent.config.bounds import Bounded, Bounds, Count, CountOrNone, NonNegative, Positive
+from limslam_agent.config.bounds import Bounded, Bounds, Count, CountOrNone, Positive
 
 UNTIL = ("seen", "walls")
 """When an exploration is over: when everything was seen, or when the walls are whole, too."""
@@ -44,20 +44,12 @@ class PolicyConfig(Bounded):
         no wall.
     speed
         Cruising speed while exploring, m/s. A slower robot measures more points on each metre of wall.
-    large_map
-        Size of the map, m, from which on a metre of path without a wall in sight costs three times as much. Paths then
-        stay near walls, and frontiers near walls are explored first.
-    longest_excursion
-        Distance that the robot drives without a wall in sight before it comes back to a wall of the map, m. A frontier
-        that is farther away from all walls is approached all the same.
     min_frontier
         Least number of cells of a frontier: smaller ones are mostly gaps between beams.
     """
 
     until: str = "seen"
     speed: Positive = 0.20
-    large_map: NonNegative = 12.0
-    longest_excursion: NonNegative = 8.0
     min_frontier: Count = 3
 
     def __post_init__(self) -> None:

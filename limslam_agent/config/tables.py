@@ -1,5 +1,6 @@
 """Settings as TOML tables: read with the checks of their dataclasses, and written."""
 
+import tomllib
 import types
 from collections.abc import Collection, Mapping
 from dataclasses import MISSING, Field, asdict, fields, is_dataclass
@@ -33,14 +34,11 @@ def read_toml(path: Path) -> dict[str, Any]:
     SettingsError
         If there is no such file, or it is not TOML.
     """
-    # The simulator's package loads numpy, which the options of the command line do without.
-    from limslam_env.toml_text import parse_toml
-
     try:
-        return parse_toml(read_limited(path, MAX_FILE_BYTES).decode("utf-8-sig").replace("\r\n", "\n"))
+        return tomllib.loads(read_limited(path, MAX_FILE_BYTES).decode("utf-8-sig").replace("\r\n", "\n"))
     except OSError as error:
         raise SettingsError(f"{path}: cannot be read: {error.strerror or error}") from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise SettingsError(f"{path}: is not TOML: {error}") from error
 
 

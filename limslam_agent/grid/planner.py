@@ -77,18 +77,19 @@ def routes(
     coast
         Distance from occupied cells beyond which a step costs three times as much, m.
     """
-    from limslam_agent.kernels.paths import price_cells, search_paths
+    from limslam_agent.kernels.paths import search_paths
 
     row, column = (int(index) for index in grid.cells(start[None])[0])
     (rows, columns), size = grid.values.shape, grid.values.size
     ways = Routes(np.full((rows, columns), np.inf), np.full(size, -1, dtype=np.int32))
     if not (0 <= row < rows and 0 <= column < columns):
         return ways
-    open_cells, prices = grid.free if closed is None else grid.free & ~closed, np.empty((rows, columns))
+    open_cells, away = grid.free if closed is None else grid.free & ~closed, wall_distance(grid)
     open_cells[row, column] = True
-    price_cells(wall_distance(grid), radius, comfort, coast, grid.cell, _TIGHT, _OPEN, prices)
+    factors = np.where(away > coast, _OPEN, 1.0) + np.where(away < radius, _TIGHT, 0.0)
+    factors += 2.0 * np.clip((radius + comfort - away) / comfort, 0.0, 1.0)
     search_paths(
-        open_cells, prices, _NO_TARGETS if targets is None else targets.copy(),
+        open_cells, grid.cell * factors, _NO_TARGETS if targets is None else targets.copy(),
         _NO_COSTS if extra is None else extra.copy(), row * columns + column,
         np.empty(size, dtype=np.int32), np.empty(size, dtype=np.int32), ways.cost.ravel(), ways.predecessors,
     )  # fmt: skip

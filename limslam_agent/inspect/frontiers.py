@@ -7,8 +7,9 @@ import numpy as np
 from scipy import ndimage
 
 from limslam_agent.config.presets import PolicyConfig
+from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.policies.targets import LAST_FRONTIER, open_frontier, ways_from
+from limslam_agent.policies.targets import ways_from
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 
@@ -26,11 +27,11 @@ def frontiers_of(grid: GridView, poses: Sequence[FloatArray], robot: RobotSpec, 
 
     Frontiers that the policy ignores, because it could not see anything new there, are among them.
     """
-    cells = open_frontier(grid, LAST_FRONTIER, np.zeros(grid.values.shape, dtype=bool), robot)
+    cells = frontier_cells(grid, config.min_frontier)
     labels, count = ndimage.label(cells, structure=np.ones((3, 3), dtype=int))
     if not count:
         return []
-    costs = [ways_from(pose[:2], grid, robot, config).cost for pose in poses]
+    costs = [ways_from(pose[:2], grid, robot).cost for pose in poses]
     groups = sorted((np.argwhere(labels == label) for label in range(1, count + 1)), key=len, reverse=True)
     return [
         (grid.centres(group), [_finite(float(each[tuple(group.T)].min())) for each in costs])

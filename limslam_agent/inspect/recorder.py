@@ -12,7 +12,6 @@ from limslam_agent.inspect.event_log import EventLog
 from limslam_agent.inspect.events import Event, rounded
 from limslam_agent.inspect.frontiers import frontiers_of
 from limslam_agent.inspect.grid_changes import GridChanges
-from limslam_agent.mapping.joining import JoiningMapper
 from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.policies.policy import Policy, checked_plan
 from limslam_agent.slam.slam import LineSlam
@@ -265,7 +264,7 @@ class Recorder:
             return
         self._last_goals, self._frontiers_at = goals, self._row
         mapper, found = self._mapper, []
-        shown = slice(1) if isinstance(mapper, JoiningMapper) and mapper.is_apart else slice(None)
+        shown = slice(1) if mapper.is_apart else slice(None)
         for cells, costs in frontiers_of(mapper.grid, list(mapper.poses[shown]), mapper.robot, mapper.config.policy):
             self._cells.add(cells)
             found.append({"cells": len(self._cells) - 1, "costs": costs})

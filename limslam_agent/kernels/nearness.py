@@ -1,4 +1,4 @@
-"""Ends of beams beside walls and beside the body, and lines near a place."""
+"""Ends of beams beside the body and on other robots."""
 
 import math
 
@@ -121,25 +121,6 @@ def room_ahead(ranges: FloatArray, beams: FloatArray, front: float, radius: floa
             room = min(room, x - math.sqrt(radius * radius - lateral * lateral))
     # Without a reading nothing is known of what is ahead.
     return 0.0 if has_front and not has_reading else room
-
-
-@lean_entry
-def count_on_walls(pose: FloatArray, ranges: FloatArray, beams: FloatArray, segments: FloatArray, near: float) -> int:
-    """Number of readings (b,), m, from a pose (3,) that end nearer than ``near`` (m) to one of the walls (k, 4), m."""
-    cos, sin, count = math.cos(pose[2]), math.sin(pose[2]), 0
-    for beam in range(len(ranges)):
-        if not beams[beam, TOO_NEAR] < ranges[beam] < beams[beam, TOO_FAR]:
-            continue
-        x, y = beam_end(pose, cos, sin, beams, beam, ranges[beam])
-        for wall in range(len(segments)):
-            span_x, span_y = segments[wall, 2] - segments[wall, 0], segments[wall, 3] - segments[wall, 1]
-            away_x, away_y = x - segments[wall, 0], y - segments[wall, 1]
-            along = (away_x * span_x + away_y * span_y) / max(span_x**2 + span_y**2, 1e-300)
-            along = min(max(along, 0.0), 1.0)
-            if math.sqrt((away_x - along * span_x) ** 2 + (away_y - along * span_y) ** 2) < near:
-                count += 1
-                break
-    return count
 
 
 @lean_entry

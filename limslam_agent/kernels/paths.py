@@ -15,34 +15,6 @@ _NEIGHBOURS = (*STEPS, *((-down, -right, length) for down, right, length in reve
 Cells = NDArray[np.int32]
 
 
-@lean_entry
-def price_cells(
-    distances: FloatArray, radius: float, comfort: float, coast: float, cell: float, tight: float, wide: float,
-    prices: FloatArray,
-) -> None:  # fmt: skip
-    """Costs of a step of the length of a cell in each cell.
-
-    Parameters
-    ----------
-    distances, prices
-        Distance of each cell from the nearest wall (rows, columns), m; set to the costs (rows, columns), m.
-    radius, comfort, coast
-        Distances from walls within which a step costs ``tight`` times as much, within which it costs up to three times
-        as much beyond the radius, and beyond which it costs ``wide`` times as much, m.
-    cell
-        Side of a cell, m.
-    """
-    for row in range(distances.shape[0]):
-        for column in range(distances.shape[1]):
-            distance = distances[row, column]
-            factor = 1.0 + 2.0 * min(max((radius + comfort - distance) / comfort, 0.0), 1.0)
-            if distance < radius:
-                factor += tight
-            if distance > coast:
-                factor *= wide
-            prices[row, column] = factor * cell
-
-
 @compiled
 def comes_first(cost: FloatArray, cell: int, other: int) -> bool:
     """Whether a search visits a cell before another one: the cheaper one, or of equally cheap ones the later one."""

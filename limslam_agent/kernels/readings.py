@@ -143,21 +143,6 @@ def weigh_changes(
 
 
 @lean_entry
-def mark_dropouts(nothing: BoolArray, lasting: int, found: BoolArray) -> None:
-    """Find the readings (m, b) that saw nothing, but not in ``lasting`` steps in succession."""
-    for beam in range(nothing.shape[1]):
-        begin = 0
-        for row in range(nothing.shape[0] + 1):
-            if row < nothing.shape[0] and nothing[row, beam]:
-                continue
-            for each in range(begin, row):
-                found[each, beam] = row - begin < lasting
-            if row < nothing.shape[0]:
-                found[row, beam] = False
-            begin = row + 1
-
-
-@lean_entry
 def count_misses(
     ranges: FloatArray, measured: BoolArray, beams: FloatArray, last: FloatArray, in_a_row: IntArray, counts: IntArray
 ) -> None:

@@ -27,8 +27,8 @@ class Connection(Protocol):
         The host's clock, s.
     bad_lines
         Number of lines, or messages, that could not be read.
-    late, doubled
-        Numbers of measurements that the connection itself has left out, because they came after a later one, or twice.
+    late
+        Number of measurements that the connection itself has left out, because they came after a later one, or twice.
     """
 
     clock: Callable[[], float]
@@ -38,9 +38,6 @@ class Connection(Protocol):
 
     @property
     def late(self) -> int: ...  # noqa: D102
-
-    @property
-    def doubled(self) -> int: ...  # noqa: D102
 
     def first_hello(self, patience: float) -> Hello:
         """Wait for the robot. Raises a :class:`NoRobotError` if there is none after ``patience`` s."""
@@ -77,11 +74,11 @@ class Link:
     ----------
     bad_lines
         Number of lines that were no messages.
-    late, doubled
+    late
         Always 0. Such lines are found by their sequence numbers, in the recording.
     """
 
-    late = doubled = 0
+    late = 0
 
     def __init__(self, transport: Transport, clock: Callable[[], float] = time.monotonic) -> None:
         self.transport, self.clock, self.bad_lines = transport, clock, 0

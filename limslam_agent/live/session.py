@@ -150,7 +150,7 @@ class Session:
             "packets": len(self.recording),
             "packets_lost": self.recording.lost,
             "packets_late": self.recording.late + self.link.late,
-            "packets_doubled": self.recording.doubled + self.link.doubled,
+            "packets_doubled": self.recording.doubled,
             "packets_implausible": self.recording.implausible,
             "lines_bad": self.link.bad_lines,
             "reconnections": self.reconnections,

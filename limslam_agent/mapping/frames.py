@@ -1,6 +1,6 @@
 """Frames: the frames in which robots map one after the other, and how a lost robot goes from one to the next."""
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -22,19 +22,16 @@ WRONG_PLACE = Loss(Status("lost", "the readings contradict the map at the place 
 
 
 class ProcessedAgain(NamedTuple):
-    """Stored steps that were processed again.
+    """Stored steps of a robot that were processed again.
 
     Attributes
     ----------
     poses, covariances
-        Poses (t, n, 3), m and rad, and covariances (t, n, 3, 3) of the robots after each step.
-    was_lost
-        Whether a robot was lost after any of the steps.
+        Poses (t, 3), m and rad, and covariances (t, 3, 3) after each step.
     """
 
     poses: FloatArray
     covariances: FloatArray
-    was_lost: bool
 
 
 class Frames:
@@ -82,7 +79,10 @@ class Frames:
         """A SLAM with an empty map and robots at these poses, with what is known of odometry and sensor."""
         sensor, is_calibrated = self._found()
         config = self_calibrating(self.config) if any(is_calibrated) else self.config
-        return LineSlam(self.robot, config, starts, sensor)
+        slam = LineSlam(self.robot, config, starts, sensor)
+        if slam.range_sensor.delay:  # it cannot find them in travel that waits
+            slam.ticks = self.slam.ticks.copy()
+        return slam
 
     def _use(self, slam: LineSlam, grid: OccupancyGrid) -> None:
         """Go on with another SLAM and grid, in another frame, with what is known of odometry and sensor."""
@@ -95,25 +95,21 @@ class Frames:
         self._maps += 1
         self.map_number, self._own_map = self._maps, self._maps if is_own else self._own_map
 
-    def _process_again(self, steps: Iterable[Sequence[Observation]]) -> ProcessedAgain:
-        """Process stored observations, one of each robot in each step, in the present frame."""
-        poses, covariances, was_lost = list[FloatArray](), list[FloatArray](), False
-        for observations in steps:
+    def _process_again(self, observations: Iterable[Observation]) -> ProcessedAgain:
+        """Process stored observations of the only robot in the present frame."""
+        poses, covariances = list[FloatArray](), list[FloatArray]()
+        for observation in observations:
             # The caller has later steps already, which a renewal would not move.
-            self._present.process(observations, self.frame, may_renew=False)
+            self._present.process((observation,), self.frame, may_renew=False)
             self.slam_ms += self._present.slam_ms
-            poses.append(self.slam.poses)
-            covariances.append(self.slam.covariances)
-            was_lost = was_lost or any(monitor.status.level == "lost" for monitor in self._present.monitors)
-        count = len(self.slam.robots)
-        return ProcessedAgain(
-            np.array(poses).reshape(-1, count, 3), np.array(covariances).reshape(-1, count, 3, 3), was_lost
-        )
+            poses.append(self.slam.pose)
+            covariances.append(self.slam.covariance)
+        return ProcessedAgain(np.array(poses).reshape(-1, 3), np.array(covariances).reshape(-1, 3, 3))
 
     def _replay(self, log: StepLog, begin: int, end: int) -> ProcessedAgain:
         """Process the logged steps from ``begin`` to before ``end`` again, and log their new poses."""
-        again = self._process_again((log[number].observation,) for number in range(begin, end))
-        log.move(begin, again.poses[:, 0])
+        again = self._process_again(log[number].observation for number in range(begin, end))
+        log.move(begin, again.poses)
         return again
 
     def _follow(self, recovery: Recovery, observation: Observation, motion: FloatArray) -> None:
@@ -215,6 +211,6 @@ class Frames:
 
     def _revise(self, begin: int, *parts: ProcessedAgain) -> None:
         """Note that the poses from a step on are known better now."""
-        poses = np.concatenate([part.poses[:, 0] for part in parts])
-        covariances = np.concatenate([part.covariances[:, 0] for part in parts])
+        poses = np.concatenate([part.poses for part in parts])
+        covariances = np.concatenate([part.covariances for part in parts])
         self._revisions.append(Revision(begin, poses, covariances))

@@ -5,8 +5,6 @@ What a step does within a frame is in :mod:`limslam_agent.mapping.frame_mapper`,
 or sensor are found early, begins in the map of an earlier run, and goes on in other frames when the robot is lost.
 """
 
-from collections.abc import Sequence
-
 import numpy as np
 
 from limslam_agent.belief import Belief
@@ -65,6 +63,8 @@ class Mapper(Frames):
     longest_travel
         Longest travel of a wheel in one step that is accepted, m: 300 times what the robot's largest wheel speed allows
         in a control period. Set it higher if observations may be farther apart than 300 control periods.
+    is_apart
+        Whether each robot maps in a frame of its own, since their relative starts are unknown.
     prior_frame
         Pose (3,) of the robot's first frame in the frame of ``prior_map``; None until its place there is found.
 
@@ -73,6 +73,8 @@ class Mapper(Frames):
     ValueError
         If a start pose has another shape or is not finite, or an earlier map does not go with the other settings.
     """
+
+    is_apart = False
 
     def __init__(
         self,
@@ -127,10 +129,11 @@ class Mapper(Frames):
         """
         for front, observation in zip(self.slam.robots, observations, strict=False):  # the SLAM checks their number
             self.check(observation, front)
-        told, observations = observations, tuple(self._waiting.synchronous(observations, self.slam.range_sensor.delay))
+        told = copied(observations)
+        observations = tuple(self._waiting.synchronous(told, self.slam.range_sensor.delay))
         before = self.slam.last_extraction
         has_jumped = self._present.process(observations, self.frame)
-        if self.slam.last_extraction is not before and self._waiting.is_fine:
+        if self.slam.last_extraction is not before:
             self.slam.correct_delay()
         self.slam_ms, motions = self._present.slam_ms, self.slam.increments
         if has_jumped:
@@ -247,13 +250,15 @@ class Mapper(Frames):
         (front or self.slam.robots[0]).check(observation)
         check_travel(observation, self.robot, self.longest_travel)
 
-    def _is_to_restart(self, observations: Sequence[Observation]) -> bool:
+    def _is_to_restart(self, observations: tuple[Observation, ...]) -> bool:
         """Whether the SLAM has found errors of odometry or sensor in one of the first steps, which are kept."""
-        before, self._known = self._known, self._found()
-        sensor, is_in_prior_map = self._known[0], self.prior_frame is not None
-        if sensor is None or is_in_prior_map or len(self._first_steps) >= RESTART_WITHIN:
+        if self.prior_frame is not None or len(self._first_steps) >= RESTART_WITHIN:
             return False
-        self._first_steps.append(copied(observations))
+        before, self._known = self._known, self._found()
+        sensor = self._known[0]
+        if sensor is None:
+            return False
+        self._first_steps.append(observations)
         if before[0] is not None and sensor.broken != before[0].broken:
             self._restarts = 0  # what was found before may have been due to the broken beam
         return self._known != before and self._restarts < MOST_RESTARTS
@@ -297,8 +302,8 @@ class Mapper(Frames):
         self._use(slam, OccupancyGrid.of(lookup.saved.grid, self.config.grid))
         self._number_map(is_own=True)
         self._recovery = self._new_recovery()
-        again = self._process_again((step.observation,) for step in lookup.steps)
+        again = self._process_again(step.observation for step in lookup.steps)
         if self._recovery is not None:
-            self._recovery.arrive(lookup.steps, again.poses[:, 0], found.rays)
+            self._recovery.arrive(lookup.steps, again.poses, found.rays)
         self.odometry = compose(self.prior_frame, self.odometry)
         self.odometry.setflags(write=False)

@@ -3,7 +3,6 @@
 import copy
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -14,7 +13,7 @@ from limslam_agent.slam.consistent.limits import ONE_WALL_GATE
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.known_map import DECIDED, DRIFT, KnownMap
-from limslam_agent.status.rays import rays_of
+from limslam_agent.status.rays import Look, rays_of
 from limslam_agent.status.status import LARGE_CORRECTION
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose, inverse, wrap_angle
@@ -22,13 +21,6 @@ from limslam_env.interface import Observation
 
 LEAST_DRIVEN = 1.0
 """A robot that has hardly moved since the last renewal has nothing to smooth, m."""
-
-
-class _Seen(NamedTuple):
-    """Pose (3,) and readings (n_beams,) of a step. The latter are NaN where there is no new reading."""
-
-    pose: FloatArray
-    ranges: FloatArray
 
 
 class Renewal:
@@ -145,7 +137,7 @@ class Renewal:
         """
         sensor = slam.range_sensor
         _, ranges, measured, _, _ = zip(*self._rows[1:], strict=True)
-        steps = [_Seen(*each) for each in zip(poses, np.where(measured, ranges, np.nan), strict=True)]
+        steps = [Look(*each) for each in zip(poses, np.where(measured, ranges, np.nan), strict=True)]
         rays = rays_of(steps, slam.robot, sensor)
         return KnownMap(slam.segments, grid.view, sensor).fit_here(rays).is_on_map
 
@@ -187,5 +179,6 @@ class Renewal:
             closures=self._slam.closures[self._closures :],
             first_step=self._first_step,
             sensor=self._slam.sensor,
+            ticks=self._slam.ticks,
         )
         return renewed(self._start, stretch, settings)

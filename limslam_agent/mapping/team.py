@@ -128,7 +128,7 @@ class LimSlamTeam:
             raise ValueError(f"{self.num_robots} robots need start poses ({self.num_robots}, 3), not {poses.shape}")
         self.mapper.reset(poses)
         self.policies: list[Policy] = list(
-            self._given_policies or [self._new_policy(number) for number in range(self.num_robots)]
+            self._given_policies or [explorer(self.robot, self.config) for _ in range(self.num_robots)]
         )
         # Number of known cells at the time when each robot stopped.
         self._known_at_stop: dict[int, int] = {}
@@ -154,7 +154,7 @@ class LimSlamTeam:
         """
         beliefs = self.mapper.beliefs
         self._renew_in_another_frame()
-        if not self._is_apart:
+        if not self.mapper.is_apart:
             self._restart_stopped(beliefs[0].grid)
         # The robots decide in order, so that each one knows the new goals of those before it.
         return [
@@ -210,15 +210,12 @@ class LimSlamTeam:
         plans = [checked_plan(policy) for policy in self.policies]
         return Snapshot(**vars(self.mapper.snapshot()), plans=plans, statuses=self.mapper.statuses)
 
-    def _new_policy(self, number: int) -> Policy:
-        return explorer(self.robot, self.config, number)
-
     def _policy_in_new_frame(self, number: int) -> Policy:
         """What a robot does in another frame: a lost robot hurries to see as much as possible."""
         if self.mapper.statuses[number].level != "lost":
-            return self._new_policy(number)
+            return explorer(self.robot, self.config)
         fast = replace(self.config.policy, speed=self.robot.max_wheel_speed)
-        return explorer(self.robot, replace(self.config, policy=fast), number)
+        return explorer(self.robot, replace(self.config, policy=fast))
 
     def _renew_in_another_frame(self) -> None:
         """Plan anew where the frame of the map has changed. Policies that were given keep their plans.
@@ -243,15 +240,11 @@ class LimSlamTeam:
             if policy.stop_reason is None:
                 self._known_at_stop.pop(number, None)
             elif known - self._known_at_stop.setdefault(number, known) > _NEWS:
-                self.policies[number] = self._new_policy(number)
+                self.policies[number] = explorer(self.robot, self.config)
                 self._known_at_stop[number] = known
 
-    @property
-    def _is_apart(self) -> bool:
-        return isinstance(self.mapper, JoiningMapper) and self.mapper.is_apart
-
     def _goals_of_others(self, number: int) -> FloatArray:
-        if self._is_apart:
+        if self.mapper.is_apart:
             return np.zeros((0, 2))
         goals = [getattr(policy, "goal", None) for other, policy in enumerate(self.policies) if other != number]
         return np.array([goal for goal in goals if goal is not None]).reshape(-1, 2)

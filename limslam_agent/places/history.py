@@ -45,7 +45,7 @@ class LoggedStep:
     def of(cls, observation: Observation, slam: LineSlam, motion: FloatArray) -> "LoggedStep":
         """The step that a SLAM of one robot has just processed."""
         front = slam.robots[0]
-        return cls(copied([observation])[0], slam.pose, motion, np.where(front.measured, front.ranges, np.nan))
+        return cls(observation, slam.pose, motion, np.where(front.measured, front.ranges, np.nan))
 
 
 @dataclass(eq=False)

@@ -7,7 +7,7 @@ from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.places.history import LoggedStep
 from limslam_agent.places.localisation import KnownPlaces, match_covariance
 from limslam_agent.places.saved_map import SavedMap
-from limslam_agent.places.search import LONGEST, PlaceSearch
+from limslam_agent.places.search import PlaceSearch
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.rays import moved, rays_of
 from limslam_agent.status.status import Status
@@ -72,8 +72,6 @@ class Lookup:
         """Keep a step of the robot."""
         self.steps.append(step)
         self._search.drive(step.motion)
-        if len(self.steps) > LONGEST:
-            self.end(f"the search took more than {LONGEST} steps")
 
     @property
     def is_due(self) -> bool:

@@ -1,33 +1,48 @@
 """The search for the place of one robot in another robot's map, while both drive."""
 
-import math
 from collections.abc import Sequence
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.kernels.tables import POSE
 from limslam_agent.places.history import LoggedStep
-from limslam_agent.places.localisation import KnownPlaces, match_covariance
-from limslam_agent.places.search import CONFIRMED, FAR_CONFIRMED, LONGEST, PlaceSearch, other_place
+from limslam_agent.places.localisation import KnownPlaces
+from limslam_agent.places.search import CONFIRMED, FAR_CONFIRMED, PlaceSearch, other_place
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.core.teammates import may_hit_others
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.known_map import DECIDED, MATCH_COVARIANCE
-from limslam_agent.status.rays import STEPS, moved, rays_of
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import compose, inverse, transform_points
+from limslam_agent.status.known_map import DECIDED, PlaceFit, drift_fit
+from limslam_agent.status.rays import STEPS, ends_of, moved, numbered_rays_of
+from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry.se2 import between, inverse, transform_points
 from limslam_env.interface import RobotSpec
 
 FIRST = 15.0
 """Distance that the robots drive before the first search, m, in the mean. Small maps of one room fit into another room.
 """
 
-_PLACED = block_diag(np.zeros((POSE, POSE)), MATCH_COVARIANCE)  # covariance of both poses
-_MOST_REFUSED = 3  # places that the readings contradicted end the search
+_BODY = 0.4  # m: what ends so near to the middle of the other robot may be its body
+
+
+class _MapOfOther(KnownPlaces):
+    """The map of a robot, with which the rays of the other one are compared.
+
+    What may have hit the body of the robot itself, if the other one is at the place that is weighed, says nothing.
+    ``rays`` (n, 7) are those of the other robot in its own frame, and ``met`` (n, 2) is where the robot was then, m.
+    """
+
+    def __init__(self, slam: LineSlam, grid: GridView, rays: FloatArray, met: FloatArray) -> None:
+        super().__init__(slam.segments, grid, slam.range_sensor)
+        self.rays, self._met = rays, met
+
+    def weigh(self, poses: FloatArray, rays: FloatArray) -> list[PlaceFit]:
+        """How well the rays (n, 7) fit the map, for poses (m, 3) of their frame."""
+        return [KnownPlaces.weigh(self, pose[None], rays[self.is_clear(pose, rays)])[0] for pose in poses]
+
+    def is_clear(self, pose: FloatArray, rays: FloatArray) -> BoolArray:
+        """Which of the rays (n, 7) cannot have met the body, for a pose (3,) of their frame."""
+        away = transform_points(pose, ends_of(rays)) - self._met
+        return np.asarray(np.hypot(*away.T) > _BODY)
 
 
 class Meeting:
@@ -40,137 +55,117 @@ class Meeting:
 
     Attributes
     ----------
+    steps
+        The steps of each robot, in its own frame.
     is_open
-        Whether the search goes on.
+        Whether the place is not found, or not confirmed, and the search goes on.
     records
         How the search ended, for ``result.json``.
     """
 
     def __init__(self, robot: RobotSpec) -> None:
         self._robot, self.is_open = robot, True
+        self.steps: tuple[list[LoggedStep], list[LoggedStep]] = ([], [])
         self.records: list[dict[str, Any]] = []
         nothing = GridView(np.zeros(2), 1.0, np.zeros((0, 0), dtype=np.int16))
         self._search = PlaceSearch(KnownPlaces(np.zeros((0, 4)), nothing, RangeSensor(0.0)))
-        self._own: tuple[list[LoggedStep], list[LoggedStep]] = ([], [])
-        self._steps, self._contradicted = 0, 0
-        self._driven = 0.0
-        self._rays: FloatArray = np.empty((0, 7))  # those by which the place was found
-        self._unconfirmed: FloatArray | None = None
-
-    def drive(self, motions: Sequence[FloatArray]) -> None:
-        """Note the motions (3,) of both robots in a step."""
-        self._steps += 1
-        self._driven += float(np.mean([np.hypot(*motion[:2]) for motion in motions]))
-        self._search.drive(np.mean(np.abs(motions), axis=0))
+        self._driven = self._joined_at = 0.0
+        self._frame, self._rays = np.zeros(3), np.empty((0, 7))  # the place that was found, and by what
 
     def note(self, steps: Sequence[LoggedStep]) -> None:
         """Keep a step of each robot in its own frame."""
-        for kept, step in zip(self._own, steps, strict=True):
+        for kept, step in zip(self.steps, steps, strict=True):
             kept.append(step)
+        motions = np.abs([step.motion for step in steps])
+        self._driven += float(np.mean(np.hypot(*motions[:, :2].T)))
+        self._search.drive(motions.mean(axis=0))
+
+    @property
+    def ranges(self) -> FloatArray:
+        """Readings (t, 2, n_beams) of both robots, m. They are NaN where there is no new reading."""
+        return np.array([[step.ranges for step in steps] for steps in self.steps]).swapaxes(0, 1)
 
     @property
     def is_due(self) -> bool:
-        """Whether the map of the first robot is to be searched now."""
+        """Whether the maps are to be compared now."""
         return self.is_open and self._driven >= FIRST and self._search.is_due
 
-    def seek(
-        self, slams: Sequence[LineSlam], grids: Sequence[GridView], start: FloatArray
-    ) -> tuple[FloatArray, FloatArray] | None:
+    def seek(self, own_maps: Sequence[tuple[LineSlam, GridView]]) -> FloatArray | None:
         """Search the map of the first robot for the place of the second one.
 
         Returns
         -------
-        found
-            If two searches in succession find the same place, and the readings of the first robot do not contradict the
-            map of the second one there: the pose (3,) in the first map of a pose (3,) in the second map, with its
-            covariance (3, 3). None otherwise.
+        frame
+            The pose (3,) of the second robot's frame in the first map, if two searches in succession find the same
+            place, and the readings of neither robot contradict the map of the other one there. None otherwise.
         """
-        places = [KnownPlaces(slam.segments, grid, slam.range_sensor) for slam, grid in zip(slams, grids, strict=True)]
-        self._search.place, before = places[0], self._search.latest
-        likely = None if before is None or before.fit is None else before.fit.pose
-        rays = self._seen(1, places[1].sensor, None if likely is None else inverse(likely))
-        found = self._search.seek(rays, may_be_bent=False)
-        if found is None or found.fit is None:
-            if self._steps >= LONGEST:
-                self.end("the search took too long")
-            return None
-        frame = found.fit.pose
-        (back,) = places[1].weigh(inverse(frame)[None], self._seen(0, places[0].sensor, frame))
-        if back.is_on_map < -DECIDED or back.evidence < 0.0:
-            return None
-        placed, middle = compose(frame, start), transform_points(frame, found.middle[None])[0]
-        drift = sum(slam.covariance for slam in slams)
-        self._rays = moved(rays, frame)
-        return placed, match_covariance(middle, placed) + np.diag(np.diag(drift))
-
-    def _seen(self, number: int, sensor: RangeSensor, frame: FloatArray | None) -> FloatArray:
-        """The latest rays (n, 7) of a robot in its own frame, without those that may have hit the other robot.
-
-        ``frame`` (3,) is the likely pose of the other robot's frame; None if nothing is known of it.
-        """
-        own, other = (self._own[each][-STEPS:] for each in (number, 1 - number))
-        if frame is None:
-            return rays_of(own, self._robot, sensor)
-        others, mounted = compose(frame, np.array([step.pose for step in other])), sensor.mounted(self._robot)
-        reach = float(mounted.max_ranges.max()) + 2.0 * mounted.radius
-        counting = list[LoggedStep]()
-        for step, pose in zip(own, others, strict=True):
-            if math.hypot(*(pose - step.pose)[:2]) <= reach:
-                poses = np.array([step.pose, pose])
-                met = may_hit_others(0, step.ranges, poses, _PLACED, mounted, sensor)
-                step = replace(step, ranges=np.where(met, np.nan, step.ranges))  # noqa: PLW2901
-            counting.append(step)
-        return rays_of(counting, self._robot, sensor)
-
-    def refuse(self, reason: str) -> None:
-        """Take back the latest place, although it counted."""
-        self._contradicted += 1
-        self.records.append(self._record("match refused", reason=reason))
-        self._search.begin_anew()
-        if self._contradicted >= _MOST_REFUSED:
-            self.end("the readings contradicted three matches")
+        maps = self._maps(own_maps)
+        self._search.place = maps[0]
+        found = self._search.seek(maps[0].rays, may_be_bent=False)
+        if found is not None and found.fit is not None:
+            frame, (first, second) = found.fit.pose, maps
+            (back,) = second.weigh(inverse(frame)[None], second.rays)
+            if back.is_on_map >= -DECIDED:
+                self._frame, self._rays = frame, moved(first.rays[first.is_clear(frame, first.rays)], frame)
+                return frame
+        return None
 
     def has_joined(self, start: FloatArray) -> None:
         """Note that the robots are a team, and the second robot's start pose (3,) in the first map."""
+        self._joined_at = self._driven
         self.records.append(self._record("joined", start=start.tolist()))
-        self.is_open, self._unconfirmed, self._driven = False, self._rays, 0.0
 
-    @property
-    def is_doubtful(self) -> bool:
-        """Whether the robots are a team, and a part of the building that was not seen yet may look the same."""
-        return self._unconfirmed is not None
+    def objection(
+        self, own_maps: Sequence[tuple[LineSlam, GridView]], shared: KnownPlaces, *, is_complete: bool
+    ) -> str:
+        """Why the robots are no team after all, in words; empty if nothing speaks against it.
 
-    @property
-    def is_to_be_confirmed(self) -> bool:
-        """Whether the robots have driven far enough to search the shared map for the second robot's place again."""
-        return self.is_doubtful and self._search.is_due and self._driven >= CONFIRMED
-
-    def confirm(self, whole: KnownPlaces, *, is_complete: bool) -> str:
-        """End the doubt if the shared map is complete, or much of it was seen, and has no other place that fits.
-
-        Returns
-        -------
-        ambiguity
-            Why the doubt remains although so much was seen, in words; empty otherwise.
+        The place is confirmed if the shared map is complete, or the robots have driven far, and the readings by which
+        the place was found fit nowhere else in the shared map. ``own_maps`` are empty if they say nothing of the place.
         """
         self._search.wait()
-        if self._unconfirmed is None or not (is_complete or self._driven >= FAR_CONFIRMED):
+        if own_maps:
+            first, drift = self._maps(own_maps)[0], own_maps[0][0].covariance + own_maps[1][0].covariance
+            if drift_fit(first, moved(first.rays, self._frame), drift).fit.is_on_map < -DECIDED:
+                return "the readings contradict the other robot's map"
+        driven = self._driven - self._joined_at
+        if driven < CONFIRMED or not (is_complete or driven >= FAR_CONFIRMED):
             return ""
-        reason = other_place(whole, self._unconfirmed)
-        if not reason:
-            self.records.append({"event": "confirmed", "step": max(self._steps - 1, 0)})
-            self._unconfirmed = None
-        return reason
+        ambiguity = other_place(shared, self._rays)
+        if not ambiguity:
+            self.records.append({"event": "confirmed", "step": self._step})
+            self.is_open = False
+        return ambiguity if is_complete else ""
 
-    def take_back(self, reason: str) -> None:
-        """The robots are no team any more, and the search has ended."""
-        self._unconfirmed = None
-        self.end(f"joined, and taken back: {reason}")
+    def has_parted(self, reason: str) -> None:
+        """The robots are no team any more. The search goes on."""
+        self.records.append(self._record("parted", reason=reason))
+        self._search.begin_anew()
 
     def end(self, reason: str) -> None:
         """End a search that found nothing."""
         self.records.append(self._record("not joined", reason=reason))
         self.is_open = False
 
+    def _maps(self, own_maps: Sequence[tuple[LineSlam, GridView]]) -> list[_MapOfOther]:
+        """The map of each robot, with what the other one has read."""
+        maps = []
+        for (slam, grid), own, other in zip(own_maps, self.steps, self.steps[::-1], strict=True):
+            rays, numbers = numbered_rays_of(other[-STEPS:], self._robot, slam.range_sensor)
+            met = np.array([step.pose[:2] for step in own[-STEPS:]])[numbers]
+            maps.append(_MapOfOther(slam, grid, rays, met))
+        return maps
+
+    @property
+    def _step(self) -> int:
+        return max(len(self.steps[0]) - 1, 0)
+
     def _record(self, event: str, **details: Any) -> dict[str, Any]:
-        return {"event": event, "step": max(self._steps - 1, 0), **details, **self._search.record}
+        return {"event": event, "step": self._step, **details, **self._search.record}
+
+
+def may_have_met(poses: FloatArray, ranges: FloatArray, robot: RobotSpec) -> BoolArray:
+    """Which readings (t, 2, n_beams), m, of two robots at poses (t, 2, 3) may be of the body of the other one."""
+    points = robot.beam_origins + ranges[..., None] * robot.beam_directions
+    others = between(poses, poses[:, ::-1])[..., None, :2]
+    return np.asarray(np.hypot(*np.moveaxis(points - others, -1, 0)) < _BODY)

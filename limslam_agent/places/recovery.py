@@ -229,14 +229,11 @@ class Recovery:
         assert absence is not None and absence.search is not None  # noqa: PT018, S101 (only lost robots seek)
         place, rays = absence.search.place, rays_of(self.log.since(absence.first), self._robot, sensor)
         place.sensor = sensor
-        # A robot that was not carried away has drifted, and is near. If its readings fit near the believed pose,
-        # nothing says any more that it was carried away: a robot that has drifted may also read sudden changes, and in
-        # a large building, some other place fits nearly always.
-        near = drift_fit(place, rays, absence.covariance)
-        is_far_likely = absence.is_carried and not self._fits_near(near, rays)
-        # A search of the whole map may miss the place near by.
-        far = 1.0 if is_far_likely else FAR_SHARE
-        found = absence.search.seek(rays, far, [near.fit], may_be_bent=not is_far_likely)
+        if absence.is_carried:
+            found = absence.search.seek(rays, may_be_bent=False)
+        else:  # it has drifted, and is near, where a search of the whole map may miss its place
+            near = drift_fit(place, rays, absence.covariance).fit
+            found = absence.search.seek(rays, FAR_SHARE, [near], may_be_bent=True)
         return None if found is None else self._placement(absence, rays, found, sensor)
 
     def seek_near(self, known: KnownMap | None, sensor: RangeSensor) -> Placement | None:

@@ -18,9 +18,6 @@ from limslam_env.geometry import FloatArray
 
 _FIRST, _SPACING = 0.8, 0.35  # m: way to the first search, and between two of them
 
-LONGEST = 6000
-"""Largest number of steps of a search from the start of a drive on."""
-
 LARGEST_RUNNER_UP = 0.70
 """Largest evidence of another place, as a share of the best one, at which a place is confirmed."""
 

@@ -48,26 +48,17 @@ def steer(pose: FloatArray, target: FloatArray, ranges: FloatArray, robot: Robot
     return wheel_speeds(speed, _turn_rate(error), robot)
 
 
-def point_ahead(path: FloatArray, away: FloatArray) -> tuple[int, FloatArray]:
-    """Which point of a path (k, 2), m, is nearest, and the point (2,) to steer for.
-
-    The latter is the first point after the nearest one that is farther away than 25 cm, or the last one.
-    ``away`` (k,) has the distances of the points from the robot, m.
-    """
-    nearest = int(away.argmin())
-    is_ahead = away[nearest:] > _LOOKAHEAD
-    first = int(is_ahead.argmax())
-    return nearest, path[nearest + first] if is_ahead[first] else path[-1]
-
-
 def follow(
     path: FloatArray, away: FloatArray, belief: Belief, robot: RobotSpec, cruise: float
 ) -> tuple[FloatArray, float]:
     """Wheel speeds (2,) along a path (k, 2), m, at ``cruise`` m/s or less, and the length of path that is left, m.
 
+    The robot steers for the first point after the nearest one that is farther away than 25 cm, or for the last one.
     ``away`` (k,) has the distances of the points from the robot, m.
     """
-    nearest, aim = point_ahead(path, away)
+    nearest = int(away.argmin())
+    ahead = np.flatnonzero(away[nearest:] > _LOOKAHEAD)
+    aim = path[nearest + ahead[0]] if ahead.size else path[-1]
     left = float(away[nearest]) + (len(path) - nearest) * belief.grid.cell
     return steer(belief.pose, aim, belief.ranges, robot, cruise), left
 

@@ -75,7 +75,11 @@ class MapExplorer(ABC):
         if self.stop_reason is not None:
             return np.zeros(2)
         self._collision_guard.add_readings(belief.pose, belief.ranges)
-        return self._collision_guard.limit_speed(belief.pose, self._wheels(belief))
+        return self._collision_guard.limit_speed(belief.pose, self.wanted(belief))
+
+    def wanted(self, belief: Belief) -> FloatArray:
+        """Wheel speeds (2,), before the collision guard limits them. The caller has told the frame by :meth:`enter`."""
+        return self._wheels(belief)
 
     def enter(self, belief: Belief) -> None:
         """Plan anew if the frame is another one, and also forget what was settled if the map is another one."""

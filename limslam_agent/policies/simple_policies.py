@@ -2,7 +2,6 @@
 
 import math
 from abc import abstractmethod
-from typing import Literal
 
 import numpy as np
 
@@ -30,8 +29,8 @@ _CREEP = 0.05
 _PATIENCE = 40
 # The map has grown when it has this many more known cells.
 _NEW_CELLS = 5
-# Beams between these angles (rad from ahead) see a wall beside the robot. A wall farther away than _LOST (m) does not
-# count.
+# Beams between these angles (rad from ahead to the right) see a wall beside the robot. A wall farther away than _LOST
+# (m) does not count.
 _SIDE = math.radians(30.0), math.radians(120.0)
 _LOST = 0.8
 _DISTANCE = 0.25  # m, between a wall that is followed and the rim of the robot
@@ -126,7 +125,7 @@ class ReactivePolicy(MapExplorer):
 
 
 class WallFollower(ReactivePolicy):
-    """Keeps a wall on one side of the robot until there is nothing new to see.
+    """Keeps a wall on the robot's right until there is nothing new to see.
 
     The robot drives around a room, or around a free-standing obstacle if that is the first wall that it meets. The
     policy uses the map only to decide when to stop.
@@ -135,25 +134,10 @@ class WallFollower(ReactivePolicy):
     ----------
     robot, config
         Body and settings. Those of the paper's robot and the default settings if left out.
-    side
-        Side of the robot on which the wall is kept, ``"left"`` or ``"right"``.
-
-    Raises
-    ------
-    ValueError
-        If the side is neither ``"left"`` nor ``"right"``.
     """
 
-    def __init__(
-        self,
-        robot: RobotSpec | None = None,
-        config: PolicyConfig | None = None,
-        side: Literal["left", "right"] = "right",
-    ) -> None:
-        if side not in {"left", "right"}:
-            raise ValueError(f"a wall is followed on the left or the right side, not {side!r}")
+    def __init__(self, robot: RobotSpec | None = None, config: PolicyConfig | None = None) -> None:
         super().__init__(robot, config, 90.0, "along the wall")
-        self._toward = 1.0 if side == "left" else -1.0
         # Angle (rad) turned since the wall was lost. A full turn means that no wall is followed yet.
         self._turned = 2.0 * math.pi
 
@@ -165,27 +149,25 @@ class WallFollower(ReactivePolicy):
         away = self._clearance(ranges)
         if room < 0.5 * _DISTANCE:
             self._turned = 0.0
-            return wheel_speeds(0.0, -self._toward * TURN_RATE, robot)
+            return wheel_speeds(0.0, TURN_RATE, robot)
         speed = config.speed * min(room / 0.2, 1.0)
         if math.isfinite(away):
             self._turned = 0.0
-            turn = float(np.clip(_GAIN * (away - _DISTANCE), -_SHARPEST, _SHARPEST))
-            return wheel_speeds(speed, self._toward * turn, robot)
+            return wheel_speeds(speed, float(np.clip(_GAIN * (_DISTANCE - away), -_SHARPEST, _SHARPEST)), robot)
         if self._turned > 1.5 * math.pi:
             return wheel_speeds(speed, 0.0, robot)
         # The wall has ended: drive around its end until another wall must appear.
         turn = speed / (_DISTANCE + robot.radius)
         self._turned += turn * robot.control_period
-        return wheel_speeds(speed, self._toward * turn, robot)
+        return wheel_speeds(speed, -turn, robot)
 
     def _clearance(self, ranges: FloatArray) -> float:
-        """Sideways distance (m) between the rim and the wall that the beams of this side see. Infinite if they see no
+        """Sideways distance (m) between the rim and the wall that the beams of the right see. Infinite if they see no
         wall.
         """
-        robot = self.robot
-        angles = self._toward * robot.beam_angles
+        robot, angles = self.robot, -self.robot.beam_angles
         beside = (angles > _SIDE[0]) & (angles < _SIDE[1]) & np.isfinite(ranges) & (ranges < robot.too_far)
-        across = self._toward * (robot.beam_origins[:, 1] + ranges * robot.beam_directions[:, 1])[beside]
+        across = -(robot.beam_origins[:, 1] + ranges * robot.beam_directions[:, 1])[beside]
         across = across[across < _LOST]
         return float(across.min()) - robot.radius if across.size else math.inf
 

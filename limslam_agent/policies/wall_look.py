@@ -29,10 +29,8 @@ _CHECK_PERIOD = 10
 _BEYOND = math.radians(4.0)
 # Smallest and largest turn in one step of a sweep, rad. Readings after a smaller turn are not collected.
 _FINEST, _COARSEST = math.radians(1.1), math.radians(5.0)
-# The readings of a sweep are meant to give a wall's direction to this standard deviation, rad, and to be at most this
-# far apart, m. Shorter walls than the last length, m, would need too many.
-_ANGLE_STD, _SPACING, _SHORTEST = math.radians(2.8), 0.03, 0.25
-_FEWEST_READINGS = 14
+# The readings of a sweep are at most this far apart, m, and at least so many.
+_SPACING, _FEWEST_READINGS = 0.03, 14
 
 
 @dataclass(frozen=True)
@@ -67,7 +65,7 @@ class Sweep:
         return 0.5 * abs(self.end - self.start) - self.direction * wrap_angle(heading - middle)
 
 
-def sweep_along(view: View, pose: FloatArray, robot: RobotSpec, range_std: float) -> Sweep:
+def sweep_along(view: View, pose: FloatArray, robot: RobotSpec) -> Sweep:
     """The sweep from a pose (3,) that takes enough readings of a view for a wall of its length.
 
     One beam sweeps if its readings are enough, and otherwise all beams on that side of the robot.
@@ -80,12 +78,10 @@ def sweep_along(view: View, pose: FloatArray, robot: RobotSpec, range_std: float
         Pose of the robot (3,), m, m, rad.
     robot
         Body and beams.
-    range_std
-        Assumed standard deviation of a range, m.
     """
     first, width = view.bearings(pose[:2])
     beam, _ = nearest_beam(pose, view.middle, robot)
-    wanted = readings_for(view.length, range_std)
+    wanted = max(view.length / _SPACING, _FEWEST_READINGS)
     angles = robot.beam_angles[[beam]]
     if wanted * _FINEST > width:
         angles = robot.beam_angles[[each.side == robot.beams[beam].side for each in robot.beams]]
@@ -93,17 +89,6 @@ def sweep_along(view: View, pose: FloatArray, robot: RobotSpec, range_std: float
     low, high = first - float(angles.max()) - _BEYOND, first + width - float(angles.min()) + _BEYOND
     is_nearer = abs(wrap_angle(low - float(pose[2]))) <= abs(wrap_angle(high - float(pose[2])))
     return Sweep(low, high, step) if is_nearer else Sweep(high, low, step)
-
-
-def readings_for(length: float, range_std: float) -> float:
-    """Number of readings that give the direction of a wall of a length (m) well enough.
-
-    Evenly spread over a length L, n ranges of a standard deviation s give the direction with the standard deviation
-    s sqrt(12 / n) / L.
-    """
-    length = max(length, _SHORTEST)
-    by_angle = 12.0 * (range_std / (length * _ANGLE_STD)) ** 2
-    return max(by_angle, length / _SPACING, _FEWEST_READINGS)
 
 
 class Look:
@@ -115,8 +100,6 @@ class Look:
         The stretch, the place and the path.
     robot, config
         Body and settings.
-    range_std
-        Assumed standard deviation of a range, m.
 
     Attributes
     ----------
@@ -129,9 +112,9 @@ class Look:
         needless), or if the robot cannot reach the place (it is stuck).
     """
 
-    def __init__(self, view: View, robot: RobotSpec, config: PolicyConfig, range_std: float) -> None:
+    def __init__(self, view: View, robot: RobotSpec, config: PolicyConfig) -> None:
         self.view, self.path = view, view.path
-        self._robot, self._config, self._std = robot, config, range_std
+        self._robot, self._config = robot, config
         self.is_over = self.is_needless = self.is_stuck = False
         self._sweep: Sweep | None = None
         self._is_pointing, self._left = True, math.inf
@@ -152,7 +135,7 @@ class Look:
         if self.is_over:
             return np.zeros(2)
         if away[-1] < ARRIVED or len(self.path) == 1:
-            self._sweep, self._idle = sweep_along(self.view, belief.pose, self._robot, self._std), 0
+            self._sweep, self._idle = sweep_along(self.view, belief.pose, self._robot), 0
             return np.zeros(2)
         wheels, left = follow(self.path, away, belief, self._robot, self._config.speed)
         self._count_idle(left)
@@ -167,7 +150,7 @@ class Look:
     def _check(self, belief: Belief) -> None:
         """Plan the path anew, and end if the stretch has got its wall or there is no path any more."""
         self._until_check = _CHECK_PERIOD
-        path = path_to(belief, self.view.stand, self._robot, self._config)
+        path = path_to(belief, self.view.stand, self._robot)
         self.is_needless = not is_unfinished(belief, self.view)
         self.is_over = self.is_needless or path is None
         self.path = self.path if path is None else path

@@ -7,30 +7,26 @@ from limslam_agent.config.presets import AgentConfig, PolicyConfig
 from limslam_agent.policies.controller import BACK_STEPS, back_off
 from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.policies.policy import NOT_EXPLORED, MapExplorer, Policy
-from limslam_agent.policies.right_of_way import RightOfWay
 from limslam_agent.policies.wall_look import Look
-from limslam_agent.policies.wall_views import LookMemory, next_view
+from limslam_agent.policies.wall_views import next_view, open_border
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 
-# Looking at walls takes at most as many steps as exploring frontiers has taken so far, but at most the second number,
-# and the first number more. In a large building there is always another stretch to look at, and little is gained by it.
-_FREE_STEPS, _MOST_STEPS = 600, 9000
+# Steps of looking at walls. In a large building there is always another stretch, and little is gained by it.
+_MOST_STEPS = 9600
 
 
-def explorer(robot: RobotSpec, config: AgentConfig, index: int = 0) -> Policy:
+def explorer(robot: RobotSpec, config: AgentConfig) -> Policy:
     """The policy that explores until everything was seen, or until the walls are whole, as the settings say.
 
     Parameters
     ----------
     robot, config
         Body, and the settings of the agent.
-    index
-        The robot's place in its team.
     """
     if config.policy.until == "seen":
-        return FrontierPolicy(robot, config.policy, index)
-    return WallPolicy(robot, config.policy, index, config.range_std)
+        return FrontierPolicy(robot, config.policy)
+    return WallPolicy(robot, config.policy)
 
 
 class WallPolicy(MapExplorer):
@@ -38,23 +34,18 @@ class WallPolicy(MapExplorer):
 
     A :class:`FrontierPolicy` explores the frontiers. After it has stopped, the robot drives to the nearest place from
     which a stretch without a wall is visible. There the robot turns slowly, so that beams sweep along the stretch. A
-    frontier that appears meanwhile is explored first. Each stretch is looked at a limited number of times, each time
-    from another place, and the time for all looks is limited, so exploration always ends.
+    frontier that appears meanwhile is explored first. Each stretch is looked at once, and the time for all looks is
+    limited, so exploration always ends.
 
     Parameters
     ----------
     robot, config
         Body and settings.
-    index
-        The robot's place in its team. Of two robots that meet, the one with the higher index waits.
-    range_std
-        Assumed standard deviation of a range, m. Noisy ranges need slower sweeps.
     """
 
-    def __init__(self, robot: RobotSpec, config: PolicyConfig, index: int = 0, range_std: float = 0.02) -> None:
-        self._config, self._std = config, range_std
-        self._right_of_way = RightOfWay(index, robot)
-        self._frontiers = FrontierPolicy(robot, config, index)
+    def __init__(self, robot: RobotSpec, config: PolicyConfig) -> None:
+        self._config = config
+        self._frontiers = FrontierPolicy(robot, config)
         super().__init__(robot)
 
     def enter(self, belief: Belief) -> None:
@@ -63,8 +54,8 @@ class WallPolicy(MapExplorer):
         self._frontiers.enter(belief)
 
     def _forget_map(self) -> None:
-        self._memory = LookMemory()
-        self._exploring = self._looking = 0
+        self._looks: list[Look] = []
+        self._looking = 0
 
     def _plan_anew(self) -> None:
         self._look: Look | None = None
@@ -86,8 +77,7 @@ class WallPolicy(MapExplorer):
 
     def _frontier_wheels(self, belief: Belief) -> FloatArray | None:
         """Wheel speeds (2,) to the next frontier. None if there is no frontier left."""
-        self._exploring += 1
-        wheels = self._frontiers.act(belief)
+        wheels = self._frontiers.wanted(belief)
         reason = self._frontiers.stop_reason
         if reason is None:
             return wheels
@@ -99,17 +89,21 @@ class WallPolicy(MapExplorer):
     @property
     def _is_late(self) -> bool:
         """Whether the time for looking at walls is over."""
-        return self._looking > min(self._exploring, _MOST_STEPS) + _FREE_STEPS
+        return self._looking > _MOST_STEPS
 
     def _choose(self, belief: Belief) -> None:
         """After the last frontier: explore a frontier that has appeared, begin the next look, or stop."""
         if self._frontiers.resume(belief):
             return
-        view = None if self._is_late else next_view(belief, self._memory, self.robot, self._config)
+        border = open_border(belief, [look.view.faces for look in self._looks])
+        view = None if self._is_late else next_view(belief, border, self.robot)
         if view is not None:
-            self._look = Look(view, self.robot, self._config, self._std)
+            self._look = Look(view, self.robot, self._config)
             return
-        end = "the time for looking at walls is over" if self._is_late else "all walls were looked at"
+        end = "all walls were looked at"
+        if len(border) or any(look.is_stuck for look in self._looks):
+            late = "the time for looking at walls is over"
+            end = late if self._is_late else "some walls cannot be looked at"
         self.stop_reason = f"{self._frontiers.stop_reason}, and {end}"
 
     def _look_wheels(self, belief: Belief) -> FloatArray:
@@ -118,7 +112,7 @@ class WallPolicy(MapExplorer):
         if self._backing > 0:
             self._backing -= 1
             return back_off(belief.pose, belief.grid, self.robot, self._config.speed)
-        if self._look is None or self._right_of_way.waits(belief.pose, belief.other_poses):
+        if self._look is None:
             return np.zeros(2)
         wheels = self._look.act(belief)
         if self._look.is_over:
@@ -127,6 +121,6 @@ class WallPolicy(MapExplorer):
 
     def _end(self, look: Look) -> None:
         if not look.is_needless:
-            self._memory.add(look.view.faces, look.view.stand)
+            self._looks.append(look)
         self._backing = BACK_STEPS if look.is_stuck else 0
         self._look = None

@@ -1,6 +1,7 @@
 """Choice of the next stretch of border without a wall, and of the place from which beams can sweep along it."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import chain
 from typing import cast
@@ -9,7 +10,6 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from limslam_agent.belief import Belief
-from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.grid.planner import Routes, wall_distance
 from limslam_agent.grid.unfinished import (
@@ -19,7 +19,7 @@ from limslam_agent.grid.unfinished import (
     reachable_ground,
     unfinished_faces,
 )
-from limslam_agent.policies.right_of_way import cells_near_robots, separation_cost
+from limslam_agent.policies.separation import cells_near_robots, separation_cost
 from limslam_agent.policies.targets import ways_from
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
@@ -42,10 +42,6 @@ _FAR_SHARE = 0.7
 _BATCH, _SIGHT_POINTS = 256, 16
 # Number of views of one face that are computed before the face is left alone.
 _MOST_VIEWS = 3
-# Largest number of looks at one stretch, and least length (m) of a stretch that is looked at more than once.
-_LOOKS, _SHORTEST_AGAIN = 2, 0.35
-# A second look is taken from a place at least this far (m) from that of the first look.
-_ELSEWHERE = 0.2
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,31 +85,6 @@ class View:
         return centre + float(turned.min()) - half, float(np.ptp(turned)) + 2.0 * half
 
 
-class LookMemory:
-    """Remembers how often each part of the border was looked at, and from where."""
-
-    def __init__(self) -> None:
-        self._looks: list[tuple[Faces, FloatArray]] = []
-
-    def add(self, faces: Faces, stand: FloatArray) -> None:
-        """Count a look at faces from a place (2,), m."""
-        self._looks.append((faces, stand))
-
-    def tries(self, faces: Faces) -> IntArray:
-        """Number of looks at each of the faces (n,)."""
-        count = np.zeros(len(faces), dtype=np.int64)
-        for looked, _ in self._looks:
-            count += _same(faces, looked).any(axis=1)
-        return count
-
-    def was_used(self, faces: Faces, stands: FloatArray) -> BoolArray:
-        """Whether a look at each of the faces (n,) was taken from about its place (n, 2), m."""
-        used = np.zeros(len(faces), dtype=bool)
-        for looked, stand in self._looks:
-            used |= _same(faces, looked).any(axis=1) & (np.hypot(*(stands - stand).T) < _ELSEWHERE)
-        return used
-
-
 def unfinished_border(belief: Belief) -> Faces:
     """The faces without a wall around the ground that the robot can reach, in stretches that are long enough."""
     grid = belief.grid
@@ -127,25 +98,20 @@ def is_unfinished(belief: Belief, view: View) -> bool:
     return bool(_same(view.faces, unfinished_border(belief)).any())
 
 
-def next_view(belief: Belief, memory: LookMemory, robot: RobotSpec, config: PolicyConfig) -> View | None:
-    """The cheapest view of a part of the border that was looked at least often. None if there is no part left."""
+def open_border(belief: Belief, looked_at: Sequence[Faces]) -> Faces:
+    """The unfinished border without the parts that were looked at, in stretches that are long enough."""
     border = unfinished_border(belief)
-    tries = memory.tries(border)
-    if not len(border):
-        return None
-    ways = _ways(belief, robot, config)
-    for number in range(_LOOKS):
-        open_border = border.select(tries <= number)
-        # A second look at a short stretch shows no more than the first one.
-        least = _SHORTEST if number == 0 else _SHORTEST_AGAIN
-        open_border = open_border.select(in_long_stretches(open_border, least, belief.grid.cell))
-        found = _cheapest(belief, ways, open_border, memory, robot, least) if len(open_border) else None
-        if found is not None:
-            return found
-    return None
+    for faces in looked_at:
+        border = border.select(np.logical_not(_same(border, faces).any(axis=1)))
+    return border.select(in_long_stretches(border, _SHORTEST, belief.grid.cell))
 
 
-def path_to(belief: Belief, stand: FloatArray, robot: RobotSpec, config: PolicyConfig) -> FloatArray | None:
+def next_view(belief: Belief, border: Faces, robot: RobotSpec) -> View | None:
+    """The cheapest view of a part of a border. None if no place shows any part of it."""
+    return _cheapest(belief, _ways(belief, robot), border, robot) if len(border) else None
+
+
+def path_to(belief: Belief, stand: FloatArray, robot: RobotSpec) -> FloatArray | None:
     """Path (k, 2), m, to a place (2,), m. None if there is none."""
     cell = belief.grid.cells(stand[None])
     wanted = np.zeros(belief.grid.values.shape, dtype=bool)
@@ -153,19 +119,17 @@ def path_to(belief: Belief, stand: FloatArray, robot: RobotSpec, config: PolicyC
         return None
     row, column = (int(index) for index in cell[0])
     wanted[row, column] = True
-    ways = _ways(belief, robot, config, wanted)
+    ways = _ways(belief, robot, wanted)
     return belief.grid.centres(ways.path_to((row, column))) if np.isfinite(ways.cost[row, column]) else None
 
 
-def _ways(belief: Belief, robot: RobotSpec, config: PolicyConfig, wanted: BoolArray | None = None) -> Routes:
+def _ways(belief: Belief, robot: RobotSpec, wanted: BoolArray | None = None) -> Routes:
     taken = cells_near_robots(belief.grid, belief.other_poses, 2.0 * robot.radius) if len(belief.other_poses) else None
-    return ways_from(belief.pose[:2], belief.grid, robot, config, targets=wanted, closed=taken)
+    return ways_from(belief.pose[:2], belief.grid, robot, targets=wanted, closed=taken)
 
 
-def _cheapest(
-    belief: Belief, ways: Routes, faces: Faces, memory: LookMemory, robot: RobotSpec, least: float
-) -> View | None:
-    """The cheapest view that shows at least ``least`` metres of the faces."""
+def _cheapest(belief: Belief, ways: Routes, faces: Faces, robot: RobotSpec) -> View | None:
+    """The cheapest view of a part of the faces that is long enough."""
     grid = belief.grid
     cells = np.argwhere(np.isfinite(ways.cost) & (wall_distance(grid) >= robot.radius + _ROOM))
     stands = grid.centres(cells)
@@ -175,13 +139,12 @@ def _cheapest(
     for first in range(0, len(pairs), _BATCH):
         places, numbers = pairs[first : first + _BATCH].T
         chosen = Faces(faces.middles[numbers], faces.normals[numbers])
-        fits = _in_sight(grid, stands[places], chosen) & ~memory.was_used(chosen, stands[places])
-        for index in np.flatnonzero(fits).tolist():
+        for index in np.flatnonzero(_in_sight(grid, stands[places], chosen)).tolist():
             if views_of[numbers[index]] == _MOST_VIEWS:
                 continue
             views_of[numbers[index]] += 1
             view = _view(grid, ways, cells[places[index]], faces, int(numbers[index]))
-            if view.length >= least:
+            if view.length >= _SHORTEST:
                 return view
     return None
 

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from limslam_agent.mapping.joining import Joined, JoiningMapper
+from limslam_agent.mapping.joining import Earlier, JoiningMapper
 from limslam_agent.mapping.team import LimSlamTeam
 from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.places.saved_map import read_saved_map
@@ -75,8 +75,8 @@ def run_episode(
     with naming_lines_of(config.policy):
         rows = _drive(config, env, team, watch, alter)
     columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    joined, parted = (
-        (team.mapper.joined, team.mapper.parted) if isinstance(team.mapper, JoiningMapper) else (None, None)
+    is_joined, earlier = (
+        (not team.mapper.is_apart, team.mapper.earlier) if isinstance(team.mapper, JoiningMapper) else (False, None)
     )
     return Episode(
         config=config,
@@ -91,10 +91,10 @@ def run_episode(
         stop_reason=_stop_reason(config, world, team.stop_reason),
         is_finished=team.done,
         wall_clock=time.perf_counter() - clock,
-        joined=joined,
+        is_joined=is_joined,
         sensor=team.slam.sensor,
         beam_turns=team.slam.beam_turns,
-        **_in_shared_frame(_in_one_frame(columns, team.mapper.prior_frame, team.mapper.places), joined or parted),
+        **_in_shared_frame(_in_one_frame(columns, team.mapper.prior_frame, team.mapper.places), earlier),
     )
 
 
@@ -147,13 +147,13 @@ def _in_one_frame(columns: dict[str, Any], prior_frame: FloatArray | None, place
     return columns
 
 
-def _in_shared_frame(columns: dict[str, Any], joined: Joined | None) -> dict[str, Any]:
-    """The columns of a run, with the second robot in the frame of the first one if both were joined."""
-    if joined is None:
+def _in_shared_frame(columns: dict[str, Any], earlier: Earlier | None) -> dict[str, Any]:
+    """The columns of a run, with the second robot in the frame of the first one if both are joined."""
+    if earlier is None:
         return columns
-    known = slice(joined.begin, joined.begin + len(joined.poses))
-    columns["estimated"][known, 1], columns["covariances"][known, 1] = joined.poses[:, 1], joined.covariances[:, 1]
-    columns["odometry"][known, 1] = joined.odometry[:, 1]
+    known = slice(len(earlier.poses))
+    columns["estimated"][known, 1], columns["covariances"][known, 1] = earlier.poses[:, 1], earlier.covariances[:, 1]
+    columns["odometry"][known, 1] = earlier.odometry[:, 1]
     return columns
 
 

@@ -17,9 +17,9 @@ from limslam_agent.runs.episode import OUT_OF_TIME
 from limslam_agent.runs.results import drive_scores, map_scores, team_scores
 from limslam_env.config import NoiseConfig
 from limslam_env.envs.adapter import SimulationEnv
-from limslam_env.envs.argument_types import robot_of
+from limslam_env.envs.arguments import given
 from limslam_env.geometry import FloatArray
-from limslam_env.interface import NominalNoise
+from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.messages import described
 
 Result = dict[str, Any]
@@ -84,7 +84,7 @@ def evaluate(
     _check(actor, env_id, max_time, preset)
     seeds = _seeds(seeds)
     is_team = env_id.startswith(_TEAMS)
-    robot = robot_of(arguments.get("robot"))
+    robot = given("robot", arguments.get("robot"), RobotSpec)
     driver = driver_of(actor, is_team=is_team, robot=robot, noise=_nominal_noise(arguments), preset_name=preset)
     goal = {"coverage_goal": None} if driver.can_stop else {}
     bare = _make(env_id, round(max_time / robot.control_period), {**goal, **arguments})

@@ -167,8 +167,8 @@ def _difference(recorder: Recorder, mapper: Mapper, run: FinishedRun, end: int |
     rows = np.array(recorder.frame_rows)
     off = recorder.poses() - np.array(run.estimated).swapaxes(0, 1)[rows]
     off[..., 2] = (off[..., 2] + np.pi) % (2.0 * np.pi) - np.pi
-    joined = getattr(mapper, "joined", None) or getattr(mapper, "parted", None)
-    since = len(joined.poses) if joined is not None else 0
+    earlier = getattr(mapper, "earlier", None)
+    since = len(earlier.poses) if earlier is not None else 0
     if mapper.prior_frame is not None:
         since = int(mapper.places.records[0]["step"])
     is_compared = (rows >= since) & (rows < (len(run.time) if end is None else end))

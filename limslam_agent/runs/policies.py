@@ -153,10 +153,10 @@ def _policy_for(policy: str, robot: RobotSpec, config: AgentConfig, number: int,
     """A policy that acts on the belief."""
     if policy == "frontier_fast":
         fast = replace(config.policy, speed=robot.max_wheel_speed)
-        return explorer(robot, replace(config, policy=fast), number)
+        return explorer(robot, replace(config, policy=fast))
     if policy == "wall_follower":
         return WallFollower(robot, config.policy)
     generator = np.random.default_rng([seed, number])
     if policy == "learned":
-        return LearnedPolicy(robot, config.policy, seed=generator, index=number)
+        return LearnedPolicy(robot, config.policy, seed=generator)
     return RandomPolicy(robot, config.policy, seed=generator)

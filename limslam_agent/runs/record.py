@@ -7,7 +7,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from limslam_agent.grid.occupancy import GridView, drawn_grid
-from limslam_agent.mapping.joining import Joined
 from limslam_agent.mapping.team import Snapshot
 from limslam_agent.places.revisions import PlaceHistory, revised
 from limslam_agent.readings import as_readings
@@ -18,7 +17,6 @@ from limslam_agent.slam.core.motion import OdometryCalibration
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import AssociationRecord
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.simulation.coverage import CoverageGrid
 from limslam_env.worlds.world import World
 
@@ -95,8 +93,8 @@ class Episode:
         Why the run ended, and whether the agent itself said so.
     slam_ms, decide_ms, wall_clock
         Cost of a step: the SLAM alone (t,), ms, and the grid with the policies (t,), ms. Cost of the whole loop, s.
-    joined
-        The poses in the shared frame until two robots with unknown starts were joined; None without it.
+    is_joined
+        Whether two robots with unknown starts share a frame at the end.
     """
 
     config: RunConfig
@@ -126,7 +124,7 @@ class Episode:
     slam_ms: FloatArray
     decide_ms: FloatArray
     wall_clock: float
-    joined: Joined | None = None
+    is_joined: bool = False
     sensor: RangeSensor | None = None
     beam_turns: FloatArray | None = None
 
@@ -139,7 +137,7 @@ class Episode:
     @property
     def placed_robots(self) -> int:
         """Number of robots whose place in the map is known at the end: the first ones."""
-        return 1 if self.config.unknown_starts and self.joined is None else self.config.robots
+        return 1 if self.config.unknown_starts and not self.is_joined else self.config.robots
 
     @property
     def revised(self) -> tuple[FloatArray, FloatArray]:
@@ -158,33 +156,26 @@ class Episode:
         if settings is None or self.in_prior_map or self.placed_robots < self.config.robots:
             return None
         # The kernels of the smoother load numba, which takes time that other commands do not need.
-        from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_run
+        from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_run, smooth_with_unknown_start
 
         places, (poses, covariances) = self.places, self.revised
-        usable, unknown_start = ~self.dropped, tuple[tuple[int, int], ...]()
-        if self.joined is not None:
-            # The second robot's start is not known: it may be anywhere before its first step.
-            usable[0, 1], unknown_start = False, ((1, 1),)
         run = FilteredRun(
             robot=self.config.robot,
             noise=agent.noise,
             wheels=self.wheels,
             ranges=self.ranges,
-            usable=usable,
+            usable=~self.dropped,
             poses=poses,
             covariances=covariances,
             associations=self.associations,
             closures=self.closures,
-            breaks=(*((0, step) for step in places.breaks), *unknown_start),
+            breaks=tuple((0, step) for step in places.breaks),
             slips=tuple((0, *part) for part in places.slips),
             sensor=self.sensor,
         )
-        found = smooth_run(run, settings, places.placed.stop)
-        if found is not None and unknown_start:
-            # What the second robot's pose was before its first step follows from the one after it.
-            motion = compose(inverse(poses[1, 1]), poses[0, 1])
-            found.poses[0, 1], found.covariances[0, 1] = compose(found.poses[1, 1], motion), found.covariances[1, 1]
-        return found
+        if self.config.unknown_starts:
+            return smooth_with_unknown_start(run, settings)
+        return smooth_run(run, settings, places.placed.stop)
 
     @property
     def online_map(self) -> FinalMap:

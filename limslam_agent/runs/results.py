@@ -37,7 +37,7 @@ from limslam_env.metrics.association import (
 )
 from limslam_env.simulation.coverage import CELL, CoverageGrid
 from limslam_env.worlds.formats.loading import load_world
-from limslam_env.worlds.formats.writing import write_world
+from limslam_env.worlds.formats.toml import world_toml
 from limslam_env.worlds.world import World
 
 _ALIGNED_WALLS = "wall_f1_aligned", "wall_f1_aligned_5cm", "spurious_walls", "spurious_m", "duplicate_m"
@@ -200,7 +200,7 @@ def write_episode(folder: Path, episode: Episode) -> dict[str, Any]:
         paths["smoothed"] = smoothed.poses
     write_paths(folder, episode.time, {kind: [*poses.swapaxes(0, 1)] for kind, poses in paths.items()})
     write_covariances(folder / COVARIANCES, episode.covariances, None if smoothed is None else smoothed.covariances)
-    write_world(episode.world, folder / WORLD)
+    (folder / WORLD).write_text(world_toml(episode.world), encoding="utf-8", newline="\n")
     write_map(folder, episode.final_map)
     if smoothed is not None:
         write_json(folder / "map_online.json", map_content(episode.online_map))

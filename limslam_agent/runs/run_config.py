@@ -11,7 +11,7 @@ from limslam_agent.places.saved_map import read_saved_map
 from limslam_agent.policies.frontier_policy import least_reach, short_reach
 from limslam_agent.runs.policies import TOUR, check_policy
 from limslam_env.config import NoiseConfig
-from limslam_env.envs.adapter import MAX_ROBOTS
+from limslam_env.envs.arguments import MAX_ROBOTS
 from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.worlds.formats.loading import WorldSource, load_world
 from limslam_env.worlds.regions import start_region

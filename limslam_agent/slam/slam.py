@@ -2,6 +2,7 @@
 
 import copy
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from limslam_agent.slam.consistent.consistent import ConsistentEstimator
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.core.contact import Contacts
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Comparison, Extraction, PendingPoints
+from limslam_agent.slam.core.encoder_ticks import first_jitter, jitter_of, tick_by
 from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_map import Landmark
@@ -45,6 +47,8 @@ class LineSlam:
     increments
         The motion (3,) of each robot in the latest step as its odometry reports it, without the calibration, in the
         frame of the robot before it.
+    ticks
+        The ticks (n, 2) of the wheels' encoders, m, as ``encoder_ticks.tick_by`` finds them.
     """
 
     def __init__(
@@ -59,6 +63,7 @@ class LineSlam:
         self.robots = [FrontEnd(robot) for _ in start]
         self._contacts = [Contacts(robot, config.range_std) for _ in start]
         self.increments: list[FloatArray] = []
+        self.ticks = np.zeros((len(start), 2))
         self._estimator = _estimator_of(robot, config, start, sensor)
 
     def step(self, *observations: Observation) -> None:
@@ -76,6 +81,9 @@ class LineSlam:
             front.check(observation)
         reported = [motion_of(seen, self.robot, self.config.noise, self.config.odometry) for seen in observations]
         self.increments = [motion.increment for motion in reported]
+        reported = [
+            self._jittering(number, *each) for number, each in enumerate(zip(reported, observations, strict=True))
+        ]
         motions = [self._calibrated(number, motion) for number, motion in enumerate(reported)]
         for number, (observation, motion) in enumerate(zip(observations, motions, strict=True)):
             self.robots[number].accept(observation)
@@ -256,6 +264,7 @@ class LineSlam:
 
     def learn_from(self, other: "LineSlam") -> None:
         """Take odometry and sensor to be from now on as the same robot has found them with another SLAM."""
+        self.ticks = other.ticks.copy()
         if other.sensor is not None and other.sensor != self.sensor:
             self.assume(other.sensor)
         if any(found is not None for found in other.odometry_calibrations):
@@ -326,6 +335,18 @@ class LineSlam:
     def _calibrated(self, number: int, motion: Motion) -> Motion:
         assumed = self._estimator.assumed_calibration(number)
         return motion if assumed is None else calibrated(motion, self.robot.axle, assumed)
+
+    def _jittering(self, number: int, motion: Motion, observation: Observation) -> Motion:
+        """A motion with the jitter by the ticks, which are found by its travel, too."""
+        ticks, before = self.ticks[number], self.ticks[number].copy()
+        if not self.range_sensor.delay:  # otherwise parts of the travel may wait for the ranges
+            for wheel, travel in enumerate(observation.get("wheels", ())):
+                ticks[wheel] = tick_by(float(before[wheel]), float(travel))
+        return replace(
+            motion,
+            covariance=motion.covariance + first_jitter(before, ticks, self.robot.axle),
+            jitter=jitter_of(ticks, self.robot.axle),
+        )
 
     def _loosened(self, number: int, motion: Motion, observation: Observation) -> Motion:
         """A motion by wheels, less certain if the robot touches something. The published estimator knows no contact."""

@@ -25,6 +25,7 @@ from limslam_env.geometry.se2 import compose
 
 _MAP_STD = 0.045  # m: standard deviation of a wall's place in the map as seen from a refined pose
 _RIGHT, _WRONG = 0.005, 0.12  # shares of rays that contradict a map at the right place, and at a wrong one
+_PLACE = 0.3  # m: contradictions less far apart may have one cause
 _WALL_COLUMNS = 5
 _SLIPS = np.radians(np.arange(-28.0, 29.0, 4.0))  # turns that the wheels may miss, rad
 _DEVIATIONS = -2.0, -1.0, 0.0, 1.0, 2.0  # and along each axis of the covariance, in standard deviations
@@ -82,19 +83,19 @@ class Explained(NamedTuple):
     against: FloatArray
     tested: BoolArray
 
-    @property
-    def test(self) -> FloatArray:
-        """What each ray contributes (n,) to :func:`contradiction_test`."""
-        at_all = np.where(self.against > 0.0, contradiction_test(1, 1), contradiction_test(0, 1))
-        return np.where(self.tested, at_all, 0.0)
+    def by_place(self, rays: FloatArray) -> FloatArray:
+        """What each of the rays (n, 7) contributes (n,) to :func:`contradiction_test`.
 
-    def contradicted_at(self, rays: FloatArray) -> FloatArray:
-        """Where those of the rays (n, 7) that contradict the map do so (k, 2), m: at the wall that a ray has passed
-        through, or where it has ended in free space.
+        Rays that contradict the map at one place, at a wall that they pass or where they end, count once: they may have
+        one cause, as a short wall that is missing.
         """
-        contradicts = self.against > 0.0
-        directions = rays[contradicts, RAY_TO_X:RAY_LENGTH]
-        return np.asarray(rays[contradicts, RAY_X:RAY_TO_X] + self.against[contradicts, None] * directions)
+        test, against = np.where(self.tested, contradiction_test(0, 1), 0.0), np.flatnonzero(self.against)
+        directions = rays[against, RAY_TO_X:RAY_LENGTH]
+        points = rays[against, RAY_X:RAY_TO_X] + self.against[against, None] * directions
+        _, first = np.unique(np.floor(points / _PLACE), axis=0, return_index=True)
+        test[against] = 0.0
+        test[against[first]] = contradiction_test(1, 1)
+        return test
 
 
 @dataclass(frozen=True, eq=False)

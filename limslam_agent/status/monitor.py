@@ -1,36 +1,21 @@
 """StatusMonitor: watches the estimate of one robot and says whether it can be trusted, without ground truth.
 
-Two sequential tests compare the readings with the map (A. Wald, "Sequential tests of statistical hypotheses", 1945):
-
-- *Contradictions.* Of the readings of the last metres, as few contradict the map as at the right pose, or as many as at
-  a wrong one.
-- *Moved.* The robot may have slipped, or been carried to another place, before any step of the last metres
-  (:mod:`~limslam_agent.status.sudden_changes`). The readings since then speak for the believed pose, or for one near
-  it, or are no likelier there than at a random place.
+The robot may have slipped, have drifted, or been carried to another place, before any step of the last metres
+(:mod:`~limslam_agent.status.sudden_changes`). The readings since then speak for the believed pose, or for one near it,
+or are no likelier there than at a random place.
 """
 
 import math
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.kernels.tables import RAY_BEAM
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.known_map import DECIDED, DOUBTED, KnownMap
-from limslam_agent.status.rays import LASTING, moved, rays_of, step_rays
+from limslam_agent.status.rays import LASTING, STEPS, rays_of
 from limslam_agent.status.status import LARGE_CORRECTION, UNSURE_HEADING, Status
-from limslam_agent.status.sudden_changes import (
-    LONGEST_SPACING,
-    PLACE,
-    WINDOW,
-    Sight,
-    SuddenChanges,
-    by_beam,
-    places_test,
-    without_the_worst,
-)
-from limslam_env.geometry import FloatArray, IntArray
+from limslam_agent.status.sudden_changes import LONGEST_SPACING, WINDOW, Sight, SuddenChanges, by_beam
+from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose
 from limslam_env.interface import RobotSpec
 
@@ -61,61 +46,32 @@ class Loss(NamedTuple):
         The status.
     ago
         Number of steps for which the estimate has been doubtful; 0 if the doubt began in this step.
-    is_dated
-        Whether the readings of that step say so themselves.
     is_carried
-        Whether the readings say that the robot was carried away before that step.
+        Whether the readings of that step say that the robot was carried away before it.
     known
         The map before that step, near to which the readings since then fit: the robot has slipped.
     """
 
     status: Status
     ago: int
-    is_dated: bool = False
     is_carried: bool = False
     known: KnownMap | None = None
 
-
-@dataclass(frozen=True, eq=False)
-class _Check:
-    """One comparison with the map.
-
-    Attributes
-    ----------
-    place, step
-        Where in the drive the comparison was made, m, and the number of the step.
-    test
-        What each beam (n_beams,) contributes to the test of contradictions.
-    tested
-        Number of beams that could contradict the map.
-    beams, points
-        The beams (k,) that contradict the map, and where (k, 2), m: at the wall that the beam passed through, or where
-        it ended in free space.
-    """
-
-    place: float
-    step: int
-    test: FloatArray
-    tested: int
-    beams: IntArray
-    points: FloatArray
-
     @property
-    def evidence(self) -> float:
-        """Logarithm of the likelihood ratio of a wrong pose and of the right one."""
-        return float(self.test.sum())
+    def is_dated(self) -> bool:
+        """Whether the readings say in which step the motion was wrong."""
+        return self.is_carried or self.known is not None
 
 
 class StatusMonitor:
     """Watches one robot.
 
     At each step the monitor gets the motion that the odometry reports, and the readings. Each time that the robot has
-    moved far enough, it compares the readings with the map. The level follows from the two tests, from the uncertainty
-    of the heading, and from jumps of the odometry.
+    moved far enough, it compares the readings with the map. The level follows from that, from the uncertainty of the
+    heading, and from jumps of the odometry.
 
-    A robot that is lost is compared with the map of the moment when it became lost. Otherwise the wrong pose would
-    erase the walls that contradict it. Until the readings fit that map again, the status stays ``lost`` and the
-    covariance of the pose gets larger with each metre.
+    While a robot is lost, the covariance of its pose gets larger with each metre. It stays lost for 3 m, and until
+    nothing is doubtful any more.
 
     Parameters
     ----------
@@ -144,14 +100,12 @@ class StatusMonitor:
         self._robot, self.sensor = robot, sensor
         self._step, self._place, self._checked = -1, 0.0, -math.inf
         self._sights, self._first = list[Sight](), 0  # the latest steps, and the number of the first of them
-        self._checks: list[_Check] = []
         self._changes = SuddenChanges(robot)
         # The reading of each beam that has not changed since, how often it was read, and the least and the largest
         # heading since then.
         self._turned, beams = 0.0, len(robot.beams)
         self._steady, self._times, self._headings = np.full(beams, math.nan), np.zeros(beams), np.zeros((2, beams))
-        self._reference: KnownMap | None = None
-        self.jump, self._driven, self._lost_at = 0.0, 0.0, 0.0
+        self.jump, self._driven = 0.0, 0.0
         self.loss: Loss | None = None
         self.broken: int | None = None
         self.status = self.by_readings = Status()
@@ -207,20 +161,13 @@ class StatusMonitor:
             The map as it is now, without the latest readings in its grid.
         """
         self._checked = self._place
-        if self._reference is None:
-            present.sensor = self.sensor
-            self._changes.look(self._sights, self._first, self._place, present, covariance)
-        self._compare(covariance, self._reference or present)
-        begin = max(min(self._changes.oldest, self._step - 2 * LASTING) - self._first, 0)
+        present.sensor = self.sensor
+        self._changes.look(self._sights, self._first, self._place, present, covariance)
+        oldest = max(self._changes.oldest, self._step - STEPS)  # more would count no more
+        begin = max(min(oldest, self._step - 2 * LASTING) - self._first, 0)
         self._sights, self._first = self._sights[begin:], self._first + begin
-        self._checks = [check for check in self._checks if self._place - check.place <= WINDOW]
-        if self._reference is None:
-            self.broken = self._broken_beam(present)
-            self._judge(float(covariance[2, 2]), present)
-        elif self._fits_again():
-            self._reference, self.loss, self.jump = None, None, 0.0
-            self._changes.forget()
-            self.status = self.by_readings = Status()
+        self.broken = self._broken_beam(present)
+        self._judge(float(covariance[2, 2]))
 
     @property
     def is_suspicious(self) -> bool:
@@ -230,26 +177,7 @@ class StatusMonitor:
     @property
     def added_covariance(self) -> FloatArray:
         """What has to be added to the covariance (3, 3) of the pose; zero if the robot is not lost."""
-        return np.zeros((3, 3)) if self._reference is None else covariance_of_lost(self.jump, self._driven)
-
-    def _compare(self, covariance: FloatArray, known: KnownMap) -> None:
-        """Compare the latest readings with a map, and note the outcome.
-
-        Readings of neighbouring steps show nearly the same, so that only the latest ones count. A reading that saw
-        nothing, shortly after one that saw a wall, may be a dropout of the sensor.
-        """
-        last, known.sensor = self._sights[-1], self.sensor
-        nothing = np.array([sight.ranges >= self._robot.too_far for sight in self._sights[-LASTING:]])
-        ranges = np.where(nothing[-1] & ~nothing.all(axis=0), np.nan, last.ranges)
-        rays = moved(step_rays(ranges, self.sensor.mounted(self._robot), self.sensor.bias), last.pose)
-        rays = known.counting(rays, covariance)
-        found = known.explained(rays, covariance)
-        contradicts = found.against > 0.0
-        points = found.contradicted_at(rays)
-        tested, beams = int(np.count_nonzero(found.tested)), rays[contradicts, RAY_BEAM].astype(int)
-        self._checks.append(
-            _Check(self._place, self._step, by_beam(rays, found.test, self._robot), tested, beams, points)
-        )
+        return np.zeros((3, 3)) if self.loss is None else covariance_of_lost(self.jump, self._driven)
 
     def _broken_beam(self, present: KnownMap) -> int | None:
         """The beam that has read the same while the robot turned by a right angle; None without it.
@@ -271,63 +199,40 @@ class StatusMonitor:
 
         The walls there were seen later by other beams, which speak for the pose.
         """
-        test = np.sum([check.test for check in self._checks], axis=0)
-        if test.sum() - test[beam] >= 0.0:
-            return False
         rays = rays_of(self._sights, self._robot, self.sensor)
-        rays = rays[rays[:, RAY_BEAM] == beam]
-        return bool(places_test(rays, present.explained(rays)).sum() > 2.0 * DECIDED)
+        test = by_beam(rays, present.explained(rays).by_place(rays), self._robot)
+        return bool(test[beam] > 2.0 * DECIDED and test.sum() - test[beam] < 0.0)
 
-    def _judge(self, heading_variance: float, present: KnownMap) -> None:
-        """Find the status of a robot that was not lost so far. If it is lost now, keep the map of this moment."""
-        self.loss = self._loss()
-        self.status = self.by_readings = self._doubts() if self.loss is None else self.loss.status
+    def _judge(self, heading_variance: float) -> None:
+        """Find the status."""
+        before, self.loss = self.loss, self._loss()
+        if self.loss is None and (self.is_suspicious or self._driven < WINDOW):
+            self.loss = before
+        if before is None or self.loss is None:
+            self._driven = 0.0
+        self.status = MAYBE_CARRIED if self.is_suspicious else Status()
+        if self.loss is None:
+            self.jump = 0.0
+        elif self.loss.known is None:  # a robot that has slipped is near
+            self.status = self.loss.status
+        self.by_readings = self.status
         heading_std = math.sqrt(max(heading_variance, 0.0))
         if self.status.level == "ok" and heading_std > UNSURE_HEADING:
             words = f"the heading's standard deviation is {math.degrees(heading_std):.1f} deg"
             self.status = Status("unsure", words)
-        if self.loss is not None:
-            found = self._changes.suspicion
-            self._reference = present.frozen if found is None else found.change.known
-            self._driven, self._lost_at = 0.0, self._place
-            self._checks = []
 
     def _loss(self) -> Loss | None:
         """Why the robot is lost now; None if it is not."""
-        if self.jump:
+        if self.jump and self.loss is None:
             return Loss(Status("lost", f"the odometry reports a motion of {self.jump:.1f} m in one step"), 0)
-        recent = self._checks
-        # Contradictions alone make a robot lost only when it is known whether the readings changed suddenly before.
-        is_refuted = _refutes([check for check in recent if check.step <= self._changes.weighed])
         found = self._changes.suspicion
-        if found is not None and (is_refuted or found.is_certain):
-            change, is_slip = found.change, found.is_slip
-            # Without a sudden change, the estimate may be wrong as well, as after a wrong association.
-            return Loss(
-                CARRIED, self._step - change.step, change.evidence >= DOUBTED or is_slip,
-                is_carried=change.evidence > 0.0 and not is_slip, known=change.known if is_slip else None,
-            )  # fmt: skip
-        if is_refuted and _refutes(recent):
-            sums = np.cumsum([check.evidence for check in reversed(recent)])[::-1]
-            return Loss(Status("lost", _words(recent)), self._step - recent[int(sums.argmax())].step)
-        return None
-
-    def _doubts(self) -> Status:
-        """The status of a robot that is not lost by its readings."""
-        if self._changes.suspicion is not None:
-            return MAYBE_CARRIED
-        recent = self._checks
-        if sum(check.evidence for check in recent) < DOUBTED:
-            return Status()
-        beams, words = np.unique(_beams(recent)), _words(recent)
-        if len(beams) == 1 and len(_beams(recent)) > 1:
-            words += f", all of the beam at {math.degrees(self._robot.beam_angles[beams[0]]):.0f} deg"
-        return Status("unsure", words)
-
-    def _fits_again(self) -> bool:
-        """Whether the readings of the last metres fit the map of the moment when the robot became lost."""
-        fits = sum(check.evidence for check in self._checks) < -DECIDED
-        return self._place - self._lost_at >= WINDOW and fits
+        if found is None or not found.is_certain:
+            return None
+        # Without a sudden change, the estimate may be wrong as well, as after a wrong association.
+        change, ago = found.change, self._step - found.change.step
+        if found.is_slip:
+            return Loss(CARRIED, ago, known=change.known)
+        return Loss(CARRIED, ago, is_carried=change.evidence >= DOUBTED)
 
 
 def covariance_of_lost(jump: float, driven: float, *, knows_heading: bool = True) -> FloatArray:
@@ -335,25 +240,3 @@ def covariance_of_lost(jump: float, driven: float, *, knows_heading: bool = True
     position = jump + min(POSITION_GROWTH * driven, POSITION_LIMIT)
     heading = min(_HEADING_GROWTH * driven, UNIFORM_HEADING) if knows_heading else UNIFORM_HEADING
     return np.diag([position**2, position**2, heading**2])
-
-
-def _refutes(checks: list[_Check]) -> bool:
-    """Whether comparisons say that the pose is wrong.
-
-    A beam alone may be broken, and at a single place a short wall may be missing.
-    """
-    if sum(check.evidence for check in checks) < DECIDED:
-        return False
-    points, test = np.concatenate([check.points for check in checks]), np.sum([check.test for check in checks], axis=0)
-    is_wide = float(np.hypot(*(points - points[0]).T).max()) >= PLACE
-    return is_wide and (len(test) == 1 or without_the_worst(test) > 0.0)
-
-
-def _beams(checks: list[_Check]) -> IntArray:
-    """The beams (k,) that contradict the map."""
-    return np.concatenate([check.beams for check in checks])
-
-
-def _words(checks: list[_Check]) -> str:
-    """How many readings contradict the map."""
-    return f"{len(_beams(checks))} of {sum(check.tested for check in checks)} readings contradict the map"

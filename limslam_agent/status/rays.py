@@ -2,11 +2,12 @@
 
 import math
 from collections.abc import Sequence
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from limslam_agent.kernels.tables import RAY_LENGTH, RAY_REACH, RAY_TO_X, RAY_X
+from limslam_agent.dropouts import short_series
+from limslam_agent.kernels.tables import RAY_BEAM, RAY_LENGTH, RAY_REACH, RAY_TO_X, RAY_TO_Y, RAY_X, RAY_Y
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import transform_points
@@ -38,6 +39,13 @@ class Seen(Protocol):
         """Readings (n_beams,), m. They are NaN where there is no new reading."""
 
 
+class Look(NamedTuple):
+    """A step of which nothing else is known: its pose (3,), and its readings (n_beams,), m, NaN where none is new."""
+
+    pose: FloatArray
+    ranges: FloatArray
+
+
 def rays_of(steps: Sequence[Seen], robot: RobotSpec, sensor: RangeSensor | None = None) -> FloatArray:
     """The latest rays (n, 7) of steps, in the order of time: origin, direction, reading and longest
     reading, m, and number of the beam.
@@ -61,17 +69,18 @@ def numbered_rays_of(
     ranges = np.array([step.ranges[used] for step in steps])
     seen_nothing = ranges >= robot.too_far[used]
     usable = (ranges > robot.too_near[used]) & ~_missed(seen_nothing, np.isfinite(ranges))
-    cos, sin = np.cos(poses[:, 2]), np.sin(poses[:, 2])
-    turns = np.stack((np.stack((cos, -sin), -1), np.stack((sin, cos), -1)), 1)
-    origins = np.einsum("tij,bj->tbi", turns, robot.beam_origins[used]) + poses[:, None, :2]
-    directions = np.einsum("tij,bj->tbi", turns, robot.beam_directions[used])
-    reaches = np.broadcast_to(robot.max_ranges[used], ranges.shape)
-    lengths = _lengths(ranges, bias, seen_nothing, reaches)
-    numbers = np.broadcast_to(np.arange(len(robot.beams), dtype=float)[used], ranges.shape)
-    others = (each[..., None] for each in (lengths, reaches, numbers))
-    rays = np.concatenate((origins, directions, *others), axis=2)[usable]
+    rows, places = np.nonzero(usable)
+    beams = np.arange(len(robot.beams))[used][places]
+    cos, sin, reaches = np.cos(poses[:, 2])[rows], np.sin(poses[:, 2])[rows], robot.max_ranges[beams]
+    (from_x, from_y), (to_x, to_y) = robot.beam_origins[beams].T, robot.beam_directions[beams].T
+    rays = np.empty((len(rows), 7))
+    rays[:, RAY_X] = cos * from_x - sin * from_y + poses[rows, 0]
+    rays[:, RAY_Y] = sin * from_x + cos * from_y + poses[rows, 1]
+    rays[:, RAY_TO_X], rays[:, RAY_TO_Y] = cos * to_x - sin * to_y, sin * to_x + cos * to_y
+    rays[:, RAY_LENGTH] = _lengths(ranges[usable], bias, seen_nothing[usable], reaches)
+    rays[:, RAY_REACH], rays[:, RAY_BEAM] = reaches, beams
     kept = _latest(rays)[-_RAYS:]
-    return np.ascontiguousarray(rays[kept]), first + np.nonzero(usable)[0][kept].astype(np.int64)
+    return rays[kept], first + rows[kept].astype(np.int64)
 
 
 def step_rays(ranges: FloatArray, robot: RobotSpec, bias: float) -> FloatArray:
@@ -95,22 +104,10 @@ def _missed(seen_nothing: BoolArray, measured: BoolArray) -> BoolArray:
 
     A beam that measures in some of the steps only is judged by these.
     """
-    found = dropouts(seen_nothing)
+    found = short_series(seen_nothing, LASTING)
     for beam in np.flatnonzero(~measured.all(axis=0)):
         rows = measured[:, beam]
-        found[rows, beam] = dropouts(seen_nothing[rows, beam][:, None])[:, 0]
-    return found
-
-
-def dropouts(nothing: BoolArray) -> BoolArray:
-    """Which of the readings (m, n_beams) may have seen nothing only because the sensor missed what was there.
-
-    ``nothing`` says whether each beam saw nothing in each of successive steps (m, n_beams).
-    """
-    from limslam_agent.kernels.readings import mark_dropouts
-
-    found = np.empty(nothing.shape, dtype=bool)
-    mark_dropouts(nothing, LASTING, found)
+        found[rows, beam] = short_series(seen_nothing[rows, beam][:, None], LASTING)[:, 0]
     return found
 
 

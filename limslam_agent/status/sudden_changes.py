@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from limslam_agent.dropouts import short_series
 from limslam_agent.kernels.tables import RAY_BEAM
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.known_map import (
@@ -27,17 +28,13 @@ from limslam_agent.status.known_map import (
     drift_fit,
     slip_fit,
 )
-from limslam_agent.status.rays import LASTING, STEPS, dropouts, moved, numbered_rays_of, step_rays
+from limslam_agent.status.rays import LASTING, moved, numbered_rays_of, step_rays
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 
 WINDOW, LONGEST_SPACING = 3.0, 0.30
 """Length of the last part of the drive whose readings count, and way between two changes at most, m."""
 
-PLACE = 0.3
-"""Contradictions less far apart, m, may have one cause, as a short wall that is missing."""
-
-_SUPPORTED = 15.0  # evidence of readings that clearly fit
 _EXPLAINED = 1.0  # evidence of a reading for the map: more than that of seeing nothing on free ground
 _MAPS = 4
 
@@ -66,8 +63,8 @@ class Change:
 
     Attributes
     ----------
-    step
-        Number of the step.
+    step, place
+        Number of the step, and where in the drive it was noted, m.
     known
         The map of that time, which a wrong pose cannot change any more.
     by_beam
@@ -75,6 +72,7 @@ class Change:
     """
 
     step: int
+    place: float
     known: KnownMap
     by_beam: FloatArray
 
@@ -103,23 +101,6 @@ class Suspicion(NamedTuple):
     is_slip: bool = False
 
 
-@dataclass(eq=False)
-class _Candidate:
-    """A change that may be the one before which the robot was carried away.
-
-    Attributes
-    ----------
-    change, place
-        The change, and where in the drive it was noted, m.
-    is_doubted
-        Whether it has made the robot doubtful, and the readings have not clearly fitted since then.
-    """
-
-    change: Change
-    place: float
-    is_doubted: bool = False
-
-
 class SuddenChanges:
     """Finds the changes of one robot's readings, and weighs them by all readings since then.
 
@@ -130,13 +111,10 @@ class SuddenChanges:
     ----------
     suspicion
         The likeliest one that makes the robot doubtful; None without it.
-    weighed
-        Number of the latest step in which a change would have been noticed; -1 before the first one. What follows a
-        reading says whether it was a dropout, so that the last steps wait.
     """
 
     def __init__(self, robot: RobotSpec) -> None:
-        self._robot, self.weighed, self._noted = robot, -1, -math.inf
+        self._robot, self._weighed, self._noted = robot, -1, -math.inf
         self.forget()
         # The map at the latest calls. A wrong pose soon changes it.
         self._known: deque[tuple[int, KnownMap]] = deque(maxlen=_MAPS)
@@ -149,76 +127,66 @@ class SuddenChanges:
         Parameters
         ----------
         sights, first
-            The latest steps, at least since the oldest change, and the number of the first of them.
+            The latest steps, since the oldest change as far as they are kept, and the number of the first of them.
         place
             Where in the drive the robot is, m.
         known, covariance
             The map as it is now, and the covariance (3, 3) of the pose.
         """
-        found = self._likeliest(sights, first, known, covariance)
+        found = self._likeliest(sights, first, place, known, covariance)
         if found is None or (found.evidence <= 0.0 and place - self._noted < LONGEST_SPACING):
             return
         self._noted = place
-        self._candidates.append(_Candidate(found, place))
+        self._changes.append(found)
         self._weigh(sights, first, place, known, covariance)
 
     def forget(self) -> None:
         """Forget all changes: the estimator has closed a loop, and moved the map."""
-        self._candidates = list[_Candidate]()
+        self._changes = list[Change]()
         self.suspicion: Suspicion | None = None
 
     @property
     def oldest(self) -> int:
         """Number of the step of the oldest change that counts; that of the latest step without one."""
-        return self._candidates[0].change.step if self._candidates else self.weighed
+        return self._changes[0].step if self._changes else self._weighed
 
     def _weigh(
         self, sights: Sequence[Sight], first: int, place: float, known: KnownMap, covariance: FloatArray
     ) -> None:
         """Weigh the changes by the readings since then, and find the likeliest one that makes the robot doubtful.
 
-        The robot is still here, it has slipped, or it is elsewhere. Both the evidence of the readings and the test of
-        their contradictions can speak for the last one. A doubt remains until the readings since the last contradiction
-        clearly fit. No robot is lost whose change is outweighed by all readings since then.
+        The robot is still here, it has slipped, or it is elsewhere. A doubt ends when the readings refute it as clearly
+        as they have to speak for it at first. Until then, its change is remembered.
         """
-        oldest, latest = self._candidates[0].change.step, first + len(sights) - 1
-        rays, steps = numbered_rays_of(sights[oldest - first :], self._robot, known.sensor)
-        self.suspicion, most, since = None, DOUBTED, steps + oldest
-        for candidate in self._candidates:
-            change = candidate.change
+        begin = max(self._changes[0].step, first)
+        rays, steps = numbered_rays_of(sights[begin - first :], self._robot, known.sensor)
+        since, kept, before = steps + begin, list[Change](), self.suspicion
+        self.suspicion = None
+        for change in self._changes:
             change.known.sensor = known.sensor
             later = change.known.counting(rays[since >= change.step])
             here = change.known.explained(later)
-            contradicting = np.flatnonzero(here.against)
-            since_then = here.evidence[contradicting[-1] + 1 :] if len(contradicting) else here.evidence
-            if since_then.sum() > _SUPPORTED:
-                candidate.is_doubted = False
-                continue
             found = self._carried(change, later, here, covariance)
             slipped = self._slipped(change, later, here, covariance)
             if slipped is not None and slipped.evidence >= found.evidence:
                 found = slipped
-            if found.evidence >= most:
-                most, self.suspicion = found.evidence, found
-            is_held = candidate.is_doubted and latest - change.step <= STEPS
-            candidate.is_doubted = found.evidence >= DOUBTED or is_held
-        self._candidates = [each for each in self._candidates if each.is_doubted or place - each.place <= WINDOW]
-        doubted = [each.change for each in self._candidates if each.is_doubted]
-        if self.suspicion is None and doubted:
-            self.suspicion = Suspicion(doubted[0], 0.0)
+            was_doubted = before is not None and before.change is change
+            is_doubted = found.evidence >= (-DOUBTED if was_doubted else DOUBTED)
+            if is_doubted and (self.suspicion is None or found.evidence >= self.suspicion.evidence):
+                self.suspicion = found
+            if is_doubted or place - change.place <= WINDOW:
+                kept.append(change)
+        self._changes = kept
 
     def _carried(self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray) -> Suspicion:
         """That the robot is elsewhere since a change, by the rays (n, 7) since then."""
-        by_ray = max(-here.evidence, places_test(later, here), key=np.sum)
-        evidence = change.evidence + float(by_ray.sum())
+        evidence = change.evidence - float(here.evidence.sum())
         if evidence >= DOUBTED:  # or it has drifted
             near = drift_fit(change.known, later, covariance)
             there = max(-near.evidence, contradiction_test(near.fit.contradictions, near.fit.tested))
             evidence = min(evidence, change.evidence + there)
-        # The readings since a change must not speak for the place: bodies pass, and beams meet edges at once.
-        least = min(evidence, change.evidence - float(here.evidence.sum()))
-        others = without_the_worst(change.by_beam + by_beam(later, by_ray, self._robot))
-        return Suspicion(change, evidence, is_certain=least >= UNLIKELY and others >= DECIDED)
+        others = _without_the_worst(change.by_beam + by_beam(later, -here.evidence, self._robot))
+        return Suspicion(change, evidence, is_certain=evidence >= UNLIKELY and others >= DECIDED)
 
     def _slipped(self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray) -> Suspicion | None:
         """That the robot has slipped at a change, by the rays (n, 7) since then; None if that is not certain.
@@ -234,27 +202,29 @@ class SuddenChanges:
         drifted = drift_fit(change.known, later, covariance, slip.fit.pose[None])
         evidence = min(evidence, slip.evidence - drifted.evidence)
         there = change.known.explained(moved(later, slip.fit.pose))
-        others = without_the_worst(by_beam(later, there.evidence - here.evidence, self._robot))
+        others = _without_the_worst(by_beam(later, there.evidence - here.evidence, self._robot))
         return Suspicion(change, evidence, is_certain=True, is_slip=True) if min(evidence, others) >= DECIDED else None
 
-    def _likeliest(self, sights: Sequence[Sight], first: int, known: KnownMap, covariance: FloatArray) -> Change | None:
+    def _likeliest(
+        self, sights: Sequence[Sight], first: int, place: float, known: KnownMap, covariance: FloatArray
+    ) -> Change | None:
         """The step since the last call with the most sudden change, if there is a step."""
         self._known.append((first + len(sights) - 1, known.frozen))
-        begin = max(self.weighed + 1 - LASTING - first, 0)
+        begin = max(self._weighed + 1 - LASTING - first, 0)
         steps = sights[begin:]
         if len(steps) <= LASTING + 1:
             return None
         ranges, motions = np.array([each.ranges for each in steps]), np.array([each.increment for each in steps])
         evidence = change_evidence(ranges, motions, self._robot, known.sensor)[: 1 - LASTING]
-        new = max(self.weighed - first - begin - 1, 0)
-        self.weighed = first + begin + len(steps) - LASTING
+        new = max(self._weighed - first - begin - 1, 0)
+        self._weighed = first + begin + len(steps) - LASTING
         if new >= len(evidence):
             return None
         row = new + int(evidence[new:].sum(axis=1).argmax())
         number = first + begin + row + 2
         map_then = next((each for at, each in reversed(self._known) if at <= number), self._known[0][1])
         is_explained = self._are_explained(steps[row + 2], map_then, covariance)
-        return Change(number, map_then, np.where(is_explained, np.minimum(evidence[row], 0.0), evidence[row]))
+        return Change(number, place, map_then, np.where(is_explained, np.minimum(evidence[row], 0.0), evidence[row]))
 
     def _are_explained(self, sight: Sight, known: KnownMap, covariance: FloatArray) -> BoolArray:
         """Which readings (n_beams,) ended where the map has a wall, so that their change says nothing."""
@@ -283,19 +253,11 @@ def change_evidence(ranges: FloatArray, motions: FloatArray, robot: RobotSpec, s
     """
     from limslam_agent.kernels.readings import weigh_changes
 
-    usable = np.isfinite(ranges) & ~dropouts(ranges >= robot.too_far)
+    usable = np.isfinite(ranges) & ~short_series(ranges >= robot.too_far, LASTING)
     lengths = np.column_stack((np.hypot(*motions[:, :2].T), np.abs(motions[:, 2])))
     evidence = np.empty((max(len(ranges) - 2, 0), ranges.shape[1]))
     weigh_changes(ranges, usable, lengths, robot.beam_table, float(sensor.std), float(sensor.growth), evidence)
     return evidence
-
-
-def places_test(rays: FloatArray, explained: Explained) -> FloatArray:
-    """What rays (n, 7) contribute (n,) to the test of contradictions, if those at one place count once."""
-    test, contradicting = explained.test, np.flatnonzero(explained.against)
-    _, first = np.unique(np.floor(explained.contradicted_at(rays) / PLACE), axis=0, return_index=True)
-    test[np.delete(contradicting, first)] = 0.0
-    return test
 
 
 def by_beam(rays: FloatArray, evidence: FloatArray, robot: RobotSpec) -> FloatArray:
@@ -303,6 +265,6 @@ def by_beam(rays: FloatArray, evidence: FloatArray, robot: RobotSpec) -> FloatAr
     return np.asarray(np.bincount(rays[:, RAY_BEAM].astype(int), evidence, len(robot.beams)), dtype=float)
 
 
-def without_the_worst(evidence: FloatArray) -> float:
+def _without_the_worst(evidence: FloatArray) -> float:
     """The evidence (n_beams,) of all beams but the one that says most, which may be broken."""
     return float(evidence.sum() - evidence.max())

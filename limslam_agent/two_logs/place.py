@@ -17,7 +17,7 @@ from limslam_agent.replay.record import Replay
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.graph.agreement import AGREE_DISTANCE, AGREE_TURN
 from limslam_agent.status.known_map import PlaceFit
-from limslam_agent.status.rays import rays_of
+from limslam_agent.status.rays import Look, rays_of
 from limslam_env.geometry import BoolArray, FloatArray, se2
 
 _LENGTH, _EVERY = 12.0, 8.0  # m of driving: of a stretch, and between the beginnings of two stretches
@@ -63,13 +63,6 @@ class _Fit(NamedTuple):
     fit: PlaceFit
 
 
-class _Seen(NamedTuple):
-    """Pose (3,) and readings (n_beams,) of an event. The latter are NaN where there is no new reading."""
-
-    pose: FloatArray
-    ranges: FloatArray
-
-
 def sensor_of(replay: Replay) -> RangeSensor:
     """How the ranges of a log were measured, as its filter has found out."""
     found = getattr(replay.smoothed and replay.smoothed.basis, "sensor", None)
@@ -102,7 +95,7 @@ def _fits(known: KnownPlaces, replay: Replay, poses: FloatArray) -> list[_Fit]:
     """The likely places of all stretches of a log."""
     log, sensor = replay.log, sensor_of(replay)
     ranges = np.where(log.has_scan[:, None], log.ranges.astype(np.float64), np.nan)
-    steps = [_Seen(*each) for each in zip(poses, ranges, strict=True)]
+    steps = [Look(*each) for each in zip(poses, ranges, strict=True)]
     travel = np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0, prepend=poses[:1, :2]).T))
     found = []
     for stretch, begin in enumerate(np.arange(0.0, max(travel[-1] - _EVERY, _EVERY), _EVERY)):

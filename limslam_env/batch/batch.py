@@ -1,27 +1,25 @@
 """The simulation of many environments at once."""
 
 import math
-from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
-from limslam_env.batch.noise import noise_settings
-from limslam_env.batch.places import Places
-from limslam_env.batch.progress import cores
-from limslam_env.config import NoiseConfig, TaskConfig
+from limslam_env.batch.places import Places, cores
+from limslam_env.config import NoiseConfig, TaskConfig, bounds_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.batch_rays import MOST_LANES
 from limslam_env.kernels.batch_readings import BEGIN, SKIP, STEP
-from limslam_env.kernels.batch_state import Episodes, Results, Robots, Task, fan_of, lanes_for, scratch_for
+from limslam_env.kernels.batch_state import Episodes, Results, Robots, Settings, Task, fan_of, lanes_for, scratch_for
 from limslam_env.kernels.batch_step import advance
 from limslam_env.kernels.coverage import BODY_MARGIN, RAY_MARGIN
 from limslam_env.kernels.random_numbers import Words, derive_keys, draw_rows
 from limslam_env.kernels.tables import LONGEST_RANGE, NUM_NOISES, OFFSET
 from limslam_env.kernels.tiles import LONGEST_LOOK
 from limslam_env.simulation.coverage import CELL, CoverageGrid
+from limslam_env.simulation.noise import noise_table
 from limslam_env.simulation.sensors import beam_table
 from limslam_env.worlds.world import World
 
@@ -32,6 +30,13 @@ THREADS_FROM = 1024
 
 # Environments that a thread takes at once.
 _PORTION = 512
+
+# The setting that each column of the table of noise depends on. The limit of the encoders, column 10, depends on none.
+_SETTINGS = (
+    "sensor_noise", "range_noise_growth", "dropout", "range_resolution", "fold_back", "cone",
+    "wheel_mismatch", "wheel_mismatch", "wheel_variance", "encoder_resolution", "encoder_resolution",
+    "slip_rate", "slip_share", "axle_mismatch",
+)  # fmt: skip
 
 NOISE, PLACES = 1, 2
 """Purposes of random numbers, besides those of the steps, 0."""
@@ -47,7 +52,7 @@ class BatchSimulation:
     robot
         The specification of all robots.
     noise
-        One setting for all environments or one for each; ranges in it are drawn from at each reset.
+        Ranges in it are drawn from at each reset, for each environment.
     task, max_steps
         What steps are worth, and when episodes end; None for no largest number of steps.
     num_threads
@@ -58,7 +63,7 @@ class BatchSimulation:
         self,
         places: Places,
         robot: RobotSpec,
-        noise: Sequence[NoiseConfig],
+        noise: NoiseConfig,
         task: TaskConfig,
         max_steps: int | None = None,
         num_threads: int | None = None,
@@ -126,8 +131,8 @@ class BatchSimulation:
         episodes.poses[envs] = self._places.begin(envs, places, None if start is None else start[envs])
         self._homes, self._numbers, episodes.keys[envs] = homes, numbers, keys
         self._place_keys[envs] = places
-        rows, noise = envs if len(self._settings.lowest) > 1 else 0 * envs, np.empty((len(envs), NUM_NOISES))
-        draw_rows(settings, rows, *self._settings, noise)
+        noise = np.empty((len(envs), NUM_NOISES))
+        draw_rows(settings, *self._settings, noise)
         episodes.noise[envs] = noise
         episodes.covered[envs] = 0
         width = self._places.sites.tiles.shape[1]
@@ -193,6 +198,15 @@ class BatchSimulation:
             if not other.cancel():
                 other.result()
         return results
+
+
+def noise_settings(noise: NoiseConfig, robot: RobotSpec) -> Settings:
+    """The noise of a configuration as kernels draw it."""
+    names = list(vars(noise))
+    lowest, highest = (
+        noise_table({name: bounds_of(setting)[end] for name, setting in vars(noise).items()}, robot) for end in (0, 1)
+    )
+    return Settings(lowest, highest - lowest, np.array([names.index(name) for name in _SETTINGS]))
 
 
 def _as_numbers(task: TaskConfig, max_steps: int | None) -> Task:

@@ -6,7 +6,6 @@ that is over begins again without Python.
 """
 
 import functools
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -72,7 +71,7 @@ class DeviceSimulation(BatchSimulation):
         self,
         places: Places,
         robot: RobotSpec,
-        noise: Sequence[NoiseConfig],
+        noise: NoiseConfig,
         task: TaskConfig,
         max_steps: int | None = None,
         num_threads: int | None = None,
@@ -163,9 +162,8 @@ def _begin_again(env: int, settings: Settings, starts: Starts, renewal: Renewal,
     key = derived(home, number, PLACES)
     slot = chosen(key, renewal.num_plans) if renewal.num_plans > 0 else renewal.slots[env]
     episodes.world_of[env], episodes.keys[env], episodes.covered[env] = slot, derived(home, number, 0), 0
-    row = env if len(settings.lowest) > 1 else 0
     noise = derived(home, number, NOISE)
-    draw_row(noise, settings.lowest[row], settings.spans[row], settings.places, episodes.noise[env])
+    draw_row(noise, settings.lowest, settings.spans, settings.places, episodes.noise[env])
     for robot in range(starts.num_given[slot]):
         for place in range(3):
             episodes.poses[env, robot, place] = starts.given[slot, robot, place]

@@ -1,24 +1,30 @@
 """The worlds of a batch's environments, and the start poses in them."""
 
+import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
-from limslam_env.batch.plan_cache import PlanCache, cache_folder
-from limslam_env.batch.progress import cores, work_through
 from limslam_env.batch.worlds import Site, Sites, StartCells, prepare
 from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.batch_state import Starts
 from limslam_env.kernels.random_numbers import Words, draw_starts
+from limslam_env.messages import announce
 from limslam_env.simulation.starts import TRIES, known_poses, least_distance, no_room
 from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
 from limslam_env.worlds.world import World
 
 _NO_STARTS = StartCells(no_rows(3), np.zeros((0, 2), dtype=np.int32), 0, np.zeros(4))
+
+
+def cores() -> int:
+    """Number of processor cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Places:
@@ -69,7 +75,9 @@ class Places:
             floor_plan(source, np.random.default_rng(0), robot.radius)
             if plans is not None:
                 self._seeds = list(dict.fromkeys(plans))
-                self._keep(self._made_beforehand(source))
+                announce(f"{len(self._seeds)} floor plans are drawn, some 10 ms of processor time each")
+                with ThreadPoolExecutor(self._threads) as pool:
+                    self._keep(pool.map(lambda seed: prepare(self._plan(source, seed), robot, num_robots), self._seeds))
         else:
             worlds = [source] if isinstance(source, World) else list(source)
             numbers = {world: number for number, world in enumerate(dict.fromkeys(worlds))}
@@ -150,23 +158,6 @@ class Places:
     def _plan(self, config: FloorPlanConfig, seed: int) -> World:
         return floor_plan(config, np.random.default_rng(seed), self._robot.radius)
 
-    def _made_beforehand(self, config: FloorPlanConfig) -> Iterator[Site]:
-        """The floor plans of all seeds, from the disk as far as they are there."""
-        cache = PlanCache(config, self._robot, cache_folder())
-        missing: list[int] = []
-
-        def made(seed: int) -> Site:
-            site = cache.read(seed)
-            if site is None:
-                missing.append(seed)
-                site = prepare(self._plan(config, seed), self._robot, self.num_robots)
-                cache.write(seed, site)
-            return site
-
-        yield from work_through(made, self._seeds, self._threads, "floor plans")
-        if missing:
-            cache.prune()
-
     def _keep(self, sites: Iterable[Site]) -> None:
         """Take the sites of the first slots."""
         for site in sites:
@@ -191,7 +182,8 @@ class Places:
             # The places to start are most of a site, and not needed any more.
             return replace(site, starts=_NO_STARTS), poses
 
-        made = list(work_through(begun, range(len(envs)), self._threads, "floor plans"))
+        with ThreadPoolExecutor(self._threads) as pool:
+            made = list(pool.map(begun, range(len(envs))))
         poses = np.concatenate([each for _, each in made])
         made.reverse()
         for env in envs.tolist():

@@ -1,20 +1,19 @@
-"""The arguments of batches, resolved to one value per environment, and their checks."""
+"""The arguments of environments and batches, and their checks, which name what is wrong."""
 
 import operator
 from collections.abc import Sequence
-from dataclasses import replace
-from typing import Any, TypeAlias
+from dataclasses import fields, replace
+from typing import Any, TypeAlias, TypeGuard, TypeVar
 
-import numpy as np
-
-from limslam_env.config import NoiseConfig, Setting
-from limslam_env.envs.adapter import PlaceSource, is_random
-from limslam_env.envs.argument_types import check_noise
-from limslam_env.geometry import FloatArray
-from limslam_env.messages import described
-from limslam_env.worlds.formats.loading import load_world
+from limslam_env.config import NoiseConfig, RewardConfig, Setting, bounds_of
+from limslam_env.interface import NominalNoise, RobotSpec
+from limslam_env.messages import described, one_line
+from limslam_env.worlds.formats.loading import WorldSource, load_world
 from limslam_env.worlds.generation.floor_plans import FloorPlanConfig
 from limslam_env.worlds.world import World
+
+PlaceSource: TypeAlias = WorldSource | FloorPlanConfig
+"""A world, its name or its file; or settings of random floor plans, or ``"random"`` for the default settings."""
 
 BatchSource: TypeAlias = PlaceSource | Sequence[PlaceSource]
 """What a single environment takes, or a sequence of worlds, one for each environment."""
@@ -22,11 +21,48 @@ BatchSource: TypeAlias = PlaceSource | Sequence[PlaceSource]
 Plans: TypeAlias = int | Sequence[int] | None
 """The number or the seeds of floor plans that are generated once; None for new floor plans at each reset."""
 
-NoiseSource: TypeAlias = NoiseConfig | Sequence[NoiseConfig] | None
-"""The noise of all environments, or of each of them."""
+MAX_ROBOTS = 8
 
-SensorNoise: TypeAlias = Setting | Sequence[Setting] | FloatArray | None
-"""A number or a range for all environments, or for each of them; None for what the noise says."""
+Kind = TypeVar("Kind", RobotSpec, NoiseConfig, RewardConfig)
+
+
+def given(name: str, value: Any, kind: type[Kind]) -> Kind:
+    """An argument, or what ``kind`` is by default for None.
+
+    Raises
+    ------
+    ValueError
+        If the argument is of another kind.
+    """
+    if value is None:
+        return kind()
+    if isinstance(value, kind):
+        return value
+    example = f"{kind.__name__}({fields(kind)[0].name}=...)"
+    raise ValueError(one_line(f"{name} must be a {kind.__name__}, such as {example}, not {described(value)}"))
+
+
+def noise_of(noise: NoiseConfig | None, sensor_noise: Setting | None) -> NoiseConfig:
+    """The noise of an environment; ``sensor_noise`` comes before that of ``noise``.
+
+    Raises
+    ------
+    ValueError
+        If one of them cannot be used.
+    """
+    told = given("noise", noise, NoiseConfig)
+    return told if sensor_noise is None else replace(told, sensor_noise=sensor_noise)
+
+
+def nominal_noise(noise: NoiseConfig) -> NominalNoise:
+    """The noise that the robot's data sheets give, and that an agent may therefore know.
+
+    Of a range of values it is the upper end. The variance of the wheels is never below that of ``NominalNoise()``,
+    because no data sheet promises ideal wheels. Noise that a standard deviation cannot describe (dropouts, slip,
+    unequal wheels and so on) is not part of it.
+    """
+    wheel_variance = max(bounds_of(noise.wheel_variance)[1], NominalNoise().wheel_variance)
+    return NominalNoise(bounds_of(noise.sensor_noise)[1], wheel_variance)
 
 
 def whole(name: str, value: Any, otherwise: str = "") -> int:
@@ -41,6 +77,23 @@ def whole(name: str, value: Any, otherwise: str = "") -> int:
     if number is None or number < 1:
         raise ValueError(f"{name} must be a whole number, 1 or more{otherwise}, not {described(value)}")
     return number
+
+
+def check_robots(num_robots: Any) -> None:
+    """Refuse a number of robots that is not a whole number from 1 to 8.
+
+    Raises
+    ------
+    ValueError
+        If it is something else.
+    """
+    if _index(num_robots) not in range(1, MAX_ROBOTS + 1):
+        raise ValueError(f"there can be 1 to {MAX_ROBOTS} robots, not {described(num_robots)}")
+
+
+def is_random(source: object) -> TypeGuard[str]:
+    """Whether a world is to be drawn by the default settings."""
+    return isinstance(source, str) and source == "random"
 
 
 def worlds_of(source: BatchSource, num_envs: int) -> World | list[World] | FloorPlanConfig:
@@ -58,10 +111,7 @@ def worlds_of(source: BatchSource, num_envs: int) -> World | list[World] | Floor
             raise ValueError(f"{len(source)} worlds for {num_envs} environments; give one for each, or one for all")
         if any(isinstance(place, FloorPlanConfig) or is_random(place) for place in source):
             raise ValueError("floor plans are drawn for all environments or for none")
-        loaded: dict[Any, World] = {}
-        for place in source:
-            if place not in loaded:
-                loaded[place] = load_world(place)  # type: ignore[arg-type]
+        loaded = {place: load_world(place) for place in dict.fromkeys(source)}  # type: ignore[arg-type]
         return [loaded[place] for place in source]
     return FloorPlanConfig() if is_random(source) else load_world(source)
 
@@ -78,71 +128,16 @@ def seeds_of(plans: Plans, source: BatchSource) -> Sequence[int] | None:
         return None
     if not (isinstance(source, FloorPlanConfig) or is_random(source)):
         raise ValueError("plans are for worlds that are drawn")
-    number = _index(plans)
-    seeds: list[int | None] = []
-    if number is not None:
-        seeds = list(range(number))
-    elif _is_several(plans):
-        seeds = [_index(seed) for seed in plans]  # type: ignore[union-attr]
-    found = [seed for seed in seeds if seed is not None and seed >= 0]
+    seeds = plans if isinstance(plans, Sequence) else range(_index(plans) or 0)
+    found = [seed for seed in map(_index, seeds) if seed is not None and seed >= 0]
     if not found or len(found) < len(seeds):
         raise ValueError(f"plans must be 1 or more, or seeds of 0 and more, whole numbers, not {described(plans)}")
     return found
 
 
-def noise_of_each(noise: NoiseSource, sensor_noise: SensorNoise, num_envs: int) -> list[NoiseConfig]:
-    """The noise of each environment, or of all.
-
-    Raises
-    ------
-    ValueError
-        If there is not one for each, or it is no noise.
-    """
-    each: list[Any] = [NoiseConfig()] if noise is None else [noise]
-    if _is_several(noise):
-        each = list(noise)  # type: ignore[arg-type]
-    for one in each:
-        check_noise(one, ", or one for each environment")
-    if len(each) not in {1, num_envs}:
-        raise ValueError(f"{len(each)} noise settings for {num_envs} environments")
-    if sensor_noise is None:
-        return each
-    is_range = isinstance(sensor_noise, tuple) and len(sensor_noise) == 2 and not any(map(_is_several, sensor_noise))
-    if is_range or not _is_several(sensor_noise):
-        setting = _setting(sensor_noise)
-        return [replace(one, sensor_noise=setting) for one in each]
-    settings = [_setting(value) for value in sensor_noise]  # type: ignore[union-attr]
-    if len(settings) != num_envs:
-        raise ValueError(
-            f"{len(settings)} values of sensor_noise for {num_envs} environments; "
-            "give a number or a range (low, high) for all, or one for each"
-        )
-    each = each * num_envs if len(each) == 1 else each
-    return [replace(one, sensor_noise=setting) for one, setting in zip(each, settings, strict=True)]
-
-
 def _index(value: Any) -> int | None:
     """A whole number; None for anything else, truth values among it."""
-    if isinstance(value, bool | np.bool_):
-        return None
     try:
-        return operator.index(value)
+        return None if isinstance(value, bool) else operator.index(value)
     except TypeError:
         return None
-
-
-def _is_several(value: Any) -> bool:
-    """Whether it is a sequence or an array of things."""
-    if isinstance(value, np.ndarray):
-        return value.ndim > 0
-    return isinstance(value, Sequence) and not isinstance(value, str | bytes)
-
-
-def _setting(value: Any) -> Setting:
-    try:
-        numbers = np.asarray(value)
-    except ValueError:
-        numbers = np.zeros(0)
-    if numbers.shape not in {(), (2,)} or numbers.dtype.kind not in "iuf":
-        raise ValueError(f"sensor_noise must be a number or a range (low, high), not {described(value)}")
-    return float(numbers) if numbers.ndim == 0 else (float(numbers[0]), float(numbers[1]))

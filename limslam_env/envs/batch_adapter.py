@@ -9,20 +9,19 @@ from numpy.typing import ArrayLike, NDArray
 
 from limslam_env.batch.batch import BatchSimulation, Results
 from limslam_env.batch.places import Places
-from limslam_env.config import RewardConfig, TaskConfig
-from limslam_env.envs.argument_types import nominal_noise, rewards_of, robot_of
+from limslam_env.config import NoiseConfig, RewardConfig, Setting, TaskConfig
 from limslam_env.envs.arguments import (
     BatchSource,
-    NoiseSource,
     Plans,
-    SensorNoise,
-    noise_of_each,
+    given,
+    noise_of,
+    nominal_noise,
     seeds_of,
     whole,
     worlds_of,
 )
 from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.interface import NominalNoise, RobotSpec, largest_noise
+from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.messages import described
 
 BatchObservation: TypeAlias = dict[str, NDArray[np.float32]]
@@ -61,10 +60,8 @@ class Batched:
     ----------
     num_envs
         How many there are.
-    robot, task
-        What each robot is, and what is asked of it.
-    noise
-        The noise of each environment, or one for all.
+    robot, noise, task
+        What each robot is, the noise of all environments, and what is asked of the robots.
     autoreset_mode
         As Gymnasium names it.
     """
@@ -76,23 +73,24 @@ class Batched:
         world: BatchSource,
         num_envs: int,
         num_robots: int,
-        robot: RobotSpec | None,
-        sensor_noise: SensorNoise,
-        noise: NoiseSource,
-        coverage_goal: float | None,
-        rewards: RewardConfig | None,
         max_steps: int | None,
-        plans: Plans,
-        num_threads: int | None,
-        autoreset_mode: AutoresetMode | str,
+        *,
+        robot: RobotSpec | None = None,
+        sensor_noise: Setting | None = None,
+        noise: NoiseConfig | None = None,
+        coverage_goal: float | None = 0.99,
+        rewards: RewardConfig | None = None,
+        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
+        plans: Plans = None,
+        num_threads: int | None = None,
     ) -> None:
         """Take a batch's arguments; its class documents them and the errors raised."""
         num_envs = whole("num_envs", num_envs)
         max_steps = None if max_steps is None else whole("the steps of an episode", max_steps, ", or None")
         num_threads = None if num_threads is None else whole("num_threads", num_threads, ", or None")
-        self.robot = robot_of(robot)
-        self.task = TaskConfig(coverage_goal, rewards_of(rewards))
-        self.noise = noise_of_each(noise, sensor_noise, num_envs)
+        self.robot = given("robot", robot, RobotSpec)
+        self.task = TaskConfig(coverage_goal, given("rewards", rewards, RewardConfig))
+        self.noise = noise_of(noise, sensor_noise)
         self._num_robots, self.num_envs = num_robots, num_envs
         source, seeds = worlds_of(world, num_envs), seeds_of(plans, world)
         places = Places(source, self.robot, num_robots, num_envs, seeds, num_threads)
@@ -102,8 +100,8 @@ class Batched:
 
     @property
     def nominal_noise(self) -> NominalNoise:
-        """The noise that the robots' data sheets give: the largest of all environments. An agent may know it."""
-        return largest_noise([nominal_noise(noise) for noise in self.noise])
+        """The noise that the robots' data sheets give. An agent may know it."""
+        return nominal_noise(self.noise)
 
     def seen(self, env: int) -> BoolArray:
         """The coverable cells (rows, columns) of an environment's coverage grid that have been seen."""

@@ -4,21 +4,16 @@ from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
-from gymnasium.utils import seeding
 from gymnasium.vector import AutoresetMode
-from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from limslam_env.batch.batch import BatchSimulation, Results
 from limslam_env.batch.device import DeviceSimulation
-from limslam_env.config import RewardConfig
-from limslam_env.envs.adapter import action_space, observation_space
-from limslam_env.envs.arguments import BatchSource, NoiseSource, Plans, SensorNoise
-from limslam_env.envs.batch_adapter import Batched
-from limslam_env.interface import RobotSpec
+from limslam_env.envs.arguments import BatchSource
+from limslam_env.envs.vector_env import LimSlamVectorEnv
 
 
-class LimSlamDeviceEnv(Batched, gym.vector.VectorEnv[dict[str, Any], Any, Any]):
+class LimSlamDeviceEnv(LimSlamVectorEnv):
     """The environments of :class:`limslam_env.envs.vector_env.LimSlamVectorEnv` on a GPU of NVIDIA (extra ``gpu``).
 
     ``gym.make_vec("LimSlam-Env1-v0", num_envs=65536, device="cuda")`` makes such a batch. Spaces, arguments and the
@@ -35,56 +30,21 @@ class LimSlamDeviceEnv(Batched, gym.vector.VectorEnv[dict[str, Any], Any, Any]):
     The kernel is compiled at the first reset, in about 20 s.
     """
 
-    metadata: dict[str, Any] = {"autoreset_mode": AutoresetMode.NEXT_STEP}  # noqa: RUF012
     _kind: ClassVar[type[BatchSimulation]] = DeviceSimulation
     _simulation: DeviceSimulation
 
-    def __init__(
-        self,
-        world: BatchSource,
-        num_envs: int = 1,
-        *,
-        robot: RobotSpec | None = None,
-        sensor_noise: SensorNoise = None,
-        noise: NoiseSource = None,
-        coverage_goal: float | None = 0.99,
-        rewards: RewardConfig | None = None,
-        max_episode_steps: int | None = 18_000,
-        plans: Plans = None,
-    ) -> None:
-        self._set_up(
-            world, num_envs, 1, robot, sensor_noise, noise, coverage_goal, rewards, max_episode_steps, plans, None,
-            AutoresetMode.NEXT_STEP,
-        )  # fmt: skip
-        self.single_action_space, self.single_observation_space = action_space(), observation_space(self.robot)
-        self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
+    def __init__(self, world: BatchSource, num_envs: int = 1, **arguments: Any) -> None:
+        if arguments.get("render_mode") is not None:
+            raise ValueError("a batch on a device draws no pictures: render_mode must be None")
+        super().__init__(world, num_envs, autoreset_mode=AutoresetMode.NEXT_STEP, **arguments)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, Any]]:
-        """Start new episodes in all environments.
-
-        Parameters
-        ----------
-        seed
-            Of all random numbers from now on; without it they go on.
-        options
-            ``start``: a pose (3,), m and rad, or one for each environment (n, 3).
-
-        Raises
-        ------
-        ValueError
-            If an option is unknown or has another shape.
-        WorldError
-            If a start cannot be used.
-        """
+        """Start new episodes in all environments, as :class:`LimSlamVectorEnv` does, but without a ``reset_mask``."""
         if options and "reset_mask" in options:
             raise ValueError("on a device there is no reset_mask: all environments are reset together")
-        generator = self.np_random if seed is None else seeding.np_random(seed)[0]
-        results, _ = self._begin(generator, seed, options)
-        if seed is not None:
-            self._np_random, self._np_random_seed = generator, seed
+        results, _ = self._begun(seed, options)
         self._handed = _handed_out(results)
         return self._handed[0].copy(), self._handed[-1].copy()
 

@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from limslam_env.config import NoiseConfig, RewardConfig, Setting
 from limslam_env.envs.adapter import (
     Action,
-    PlaceSource,
     SimulationEnv,
     action_space,
     info_of,
@@ -17,6 +16,7 @@ from limslam_env.envs.adapter import (
     observation_space,
     wheel_speeds,
 )
+from limslam_env.envs.arguments import PlaceSource
 from limslam_env.interface import Observation, RobotSpec
 from limslam_env.rendering.painter import RENDER_FPS, RENDER_MODES
 
@@ -138,8 +138,7 @@ class LimSlamEnv(SimulationEnv, gym.Env[Observation, NDArray[np.floating[Any]]])
             If the world or the start cannot be used.
         """
         super().reset(seed=seed)
-        readings, truth = self._episode.reset(self.np_random, options)
-        self._painter.follow(self._episode.simulation, readings, truth)
+        readings, truth = self._begin(self.np_random, options)
         return observation_of(readings, 0), info_of(truth, 0)
 
     def step(self, action: Action) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -152,8 +151,7 @@ class LimSlamEnv(SimulationEnv, gym.Env[Observation, NDArray[np.floating[Any]]])
         gymnasium.error.ResetNeeded
             If there was no reset yet.
         """
-        readings, truth = self._episode.step((wheel_speeds(action),))
-        self._painter.follow(self._episode.simulation, readings, truth)
+        readings, truth = self._drive((wheel_speeds(action),))
         value = self.task.reward.of_step(truth.new_area[0], contact=truth.contact[0])
         is_over = self.task.is_over(truth.coverage)
         return observation_of(readings, 0), value, is_over, False, info_of(truth, 0)

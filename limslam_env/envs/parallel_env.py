@@ -13,15 +13,14 @@ from limslam_env.config import NoiseConfig, RewardConfig, Setting
 from limslam_env.envs.adapter import (
     RESET_OPTIONS,
     Action,
-    PlaceSource,
     SimulationEnv,
     action_space,
-    check_robots,
     info_of,
     observation_of,
     observation_space,
     wheel_speeds,
 )
+from limslam_env.envs.arguments import PlaceSource, check_robots, whole
 from limslam_env.interface import Observation, RobotSpec
 from limslam_env.rendering.painter import RENDER_FPS, RENDER_MODES
 
@@ -91,8 +90,8 @@ class LimSlamParallelEnv(SimulationEnv, ParallelEnv[str, Observation, Action]):
         render_mode: str | None = None,
     ) -> None:
         check_robots(num_robots)
-        if max_cycles is not None and max_cycles < 1:
-            raise ValueError(f"max_cycles must be 1 or more, or None, not {max_cycles}")
+        if max_cycles is not None:
+            whole("max_cycles", max_cycles, ", or None")
         self._set_up(world, num_robots, robot, sensor_noise, noise, coverage_goal, rewards, render_mode)
         self._shares_reward, self._max_cycles, self._cycles = shared_reward, max_cycles, 0
         self._generator: np.random.Generator | None = None
@@ -125,8 +124,7 @@ class LimSlamParallelEnv(SimulationEnv, ParallelEnv[str, Observation, Action]):
             self._generator, _ = seeding.np_random(seed)
         # PettingZoo's own test hands over options that no environment knows.
         known = {key: value for key, value in (options or {}).items() if key in RESET_OPTIONS}
-        readings, truth = self._episode.reset(self._generator, known)
-        self._painter.follow(self._episode.simulation, readings, truth)
+        readings, truth = self._begin(self._generator, known)
         self.agents, self._cycles = list(self.possible_agents), 0
         robots = list(enumerate(self.agents))
         observations = {name: observation_of(readings, number) for number, name in robots}
@@ -148,8 +146,7 @@ class LimSlamParallelEnv(SimulationEnv, ParallelEnv[str, Observation, Action]):
             raise gym.error.ResetNeeded("call reset before step, and after an episode's end")
         if set(actions) != set(self.agents):
             raise ValueError(f"there must be one action for each of {', '.join(self.agents)}, not {list(actions)}")
-        readings, truth = self._episode.step([wheel_speeds(actions[name]) for name in self.agents])
-        self._painter.follow(self._episode.simulation, readings, truth)
+        readings, truth = self._drive([wheel_speeds(actions[name]) for name in self.agents])
         self._cycles += 1
         is_over = self.task.is_over(truth.coverage)
         is_late = self._max_cycles is not None and self._cycles >= self._max_cycles

@@ -9,9 +9,10 @@ from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike, NDArray
 
-from limslam_env.config import RewardConfig
+from limslam_env.batch.batch import Results
+from limslam_env.config import NoiseConfig, RewardConfig, Setting
 from limslam_env.envs.adapter import action_space, observation_space
-from limslam_env.envs.arguments import BatchSource, NoiseSource, Plans, SensorNoise
+from limslam_env.envs.arguments import BatchSource, Plans
 from limslam_env.envs.batch_adapter import (
     Batched,
     BatchObservation,
@@ -82,8 +83,8 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
     | world             | the id's world   | as in the single environment, or one world per environment           |
     | num_envs          | 1                | how many                                                             |
     | robot             | `RobotSpec()`    | body, wheels and beams of all                                        |
-    | sensor_noise      | None             | as in the single environment, or one value per environment: an array (n,) or (n, 2) |
-    | noise             | `NoiseConfig()`  | one for all, or one per environment; intervals are drawn from at each reset |
+    | sensor_noise      | None             | as in the single environment                                         |
+    | noise             | `NoiseConfig()`  | as in the single environment; intervals are drawn from at each reset, for each environment |
     | coverage_goal     | 0.99             | see Episode End                                                      |
     | rewards           | `RewardConfig()` | as in the single environment                                         |
     | max_episode_steps | 18000            | see Episode End; None never truncates                                |
@@ -108,8 +109,8 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
         num_envs: int = 1,
         *,
         robot: RobotSpec | None = None,
-        sensor_noise: SensorNoise = None,
-        noise: NoiseSource = None,
+        sensor_noise: Setting | None = None,
+        noise: NoiseConfig | None = None,
         coverage_goal: float | None = 0.99,
         rewards: RewardConfig | None = None,
         max_episode_steps: int | None = 18_000,
@@ -121,8 +122,9 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
         if render_mode not in {None, "rgb_array"}:
             raise ValueError(f"render_mode of a batch must be rgb_array or None, not {render_mode!r}")
         self._set_up(
-            world, num_envs, 1, robot, sensor_noise, noise, coverage_goal, rewards, max_episode_steps, plans,
-            num_threads, autoreset_mode,
+            world, num_envs, 1, max_episode_steps, robot=robot, sensor_noise=sensor_noise, noise=noise,
+            coverage_goal=coverage_goal, rewards=rewards, autoreset_mode=autoreset_mode, plans=plans,
+            num_threads=num_threads,
         )  # fmt: skip
         self.render_mode = render_mode
         self._pictures = None if render_mode is None else BatchPictures(self._simulation)
@@ -151,10 +153,7 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
         WorldError
             If a start cannot be used. Then episodes go on as if nothing had been asked.
         """
-        generator = self.np_random if seed is None else seeding.np_random(seed)[0]
-        results, mask = self._begin(generator, seed, options)
-        if seed is not None:
-            self._np_random, self._np_random_seed = generator, seed
+        results, mask = self._begun(seed, options)
         if self._pictures is not None:
             self._pictures.begin(results)
         return observation_of(results, 0), info_of(results, 0, mask)
@@ -180,6 +179,13 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """A picture (640, 640, 3) of each environment; None without a render mode, and before the first reset."""
         return None if self._pictures is None else self._pictures.paint()
+
+    def _begun(self, seed: int | None, options: dict[str, Any] | None) -> tuple[Results, BoolArray]:
+        generator = self.np_random if seed is None else seeding.np_random(seed)[0]
+        begun = self._begin(generator, seed, options)
+        if seed is not None:
+            self._np_random, self._np_random_seed = generator, seed
+        return begun
 
     def close_extras(self, **_: Any) -> None:
         """End the threads."""

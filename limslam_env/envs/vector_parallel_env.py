@@ -6,13 +6,11 @@ import gymnasium as gym
 import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import seeding
-from gymnasium.vector import AutoresetMode
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike
 
-from limslam_env.config import RewardConfig
-from limslam_env.envs.adapter import action_space, check_robots, observation_space
-from limslam_env.envs.arguments import BatchSource, NoiseSource, Plans, SensorNoise
+from limslam_env.envs.adapter import action_space, observation_space
+from limslam_env.envs.arguments import BatchSource, check_robots
 from limslam_env.envs.batch_adapter import (
     Batched,
     BatchObservation,
@@ -22,7 +20,6 @@ from limslam_env.envs.batch_adapter import (
     observation_of,
 )
 from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.interface import RobotSpec
 
 
 class LimSlamParallelVectorEnv(Batched):
@@ -33,7 +30,7 @@ class LimSlamParallelVectorEnv(Batched):
     each other. A policy that all robots share can stack the values of these dicts; independent policies can take one
     entry each.
 
-    The arguments are those of ``LimSlamVectorEnv``, but for ``render_mode`` and ``max_episode_steps``, and these:
+    The arguments are those of ``LimSlamVectorEnv``, but for ``max_episode_steps``, and these:
 
     | Argument      | Default | Meaning                                       |
     |---------------|---------|-----------------------------------------------|
@@ -55,22 +52,12 @@ class LimSlamParallelVectorEnv(Batched):
         num_envs: int = 1,
         *,
         num_robots: int = 2,
-        robot: RobotSpec | None = None,
-        sensor_noise: SensorNoise = None,
-        noise: NoiseSource = None,
-        coverage_goal: float | None = 0.99,
-        rewards: RewardConfig | None = None,
         shared_reward: bool = False,
         max_cycles: int | None = 18_000,
-        autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
-        plans: Plans = None,
-        num_threads: int | None = None,
+        **arguments: Any,
     ) -> None:
         check_robots(num_robots)
-        self._set_up(
-            world, num_envs, num_robots, robot, sensor_noise, noise, coverage_goal, rewards, max_cycles, plans,
-            num_threads, autoreset_mode,
-        )  # fmt: skip
+        self._set_up(world, num_envs, num_robots, max_cycles, **arguments)
         self._shares_reward = shared_reward
         self.metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
         self.possible_agents = [f"robot_{number}" for number in range(num_robots)]

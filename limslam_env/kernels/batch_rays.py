@@ -16,7 +16,7 @@ from limslam_env.kernels.coverage import BODY_MARGIN, RAY_MARGIN
 from limslam_env.kernels.random_numbers import Words
 from limslam_env.kernels.rays import NOTHING, ROBOT, cast_at_discs, first_wall, is_due, meeting, nearest_in_cone
 from limslam_env.kernels.tables import ANGLE, LONGEST_RANGE, OFFSET
-from limslam_env.kernels.tiles import take_disc, take_ray, unseen_nearby, walk_disc, walk_ray
+from limslam_env.kernels.tiles import unseen_nearby, walk_disc, walk_ray
 from limslam_env.kernels.wall_cells import Walls
 
 MOST_LANES = 64
@@ -182,22 +182,17 @@ def cover(
     low_x, low_y, cell = worlds.areas[world, 0], worlds.areas[world, 1], worlds.areas[world, 2]
     columns, rows, new = worlds.layout[world, 4], worlds.layout[world, 5], 0
     x, y, radius = (x - low_x) / cell, (y - low_y) / cell, (robots.radius - BODY_MARGIN) / cell
-    if not is_looked_for:
-        new += take_disc(unseen, env, columns, rows, x, y, radius)
-    elif (found >> np.uint64(len(beams))) & _ONE:
+    # There may be more beams than bits if nothing was looked for.
+    if not is_looked_for or (found >> np.uint64(len(beams))) & _ONE:
         new += walk_disc(unseen, env, columns, rows, x, y, radius)
     for number in range(len(beams)):
-        # There may be more beams than bits if nothing was looked for.
         if is_looked_for and not (found >> np.uint64(number)) & _ONE:
             continue
         if not is_due(beams, number, step):
             continue
         x, y, end = (aims[0, number] - low_x) / cell, (aims[1, number] - low_y) / cell, rays[0, number] / cell
         dx, dy = aims[2, number], aims[3, number]
-        if is_looked_for:
-            new += walk_ray(unseen, env, columns, rows, x, y, dx, dy, end - RAY_MARGIN)
-        else:
-            new += take_ray(unseen, env, columns, rows, x, y, dx, dy, end - RAY_MARGIN)
+        new += walk_ray(unseen, env, columns, rows, x, y, dx, dy, end - RAY_MARGIN)
     return new
 
 

@@ -4,24 +4,11 @@ import numpy as np
 
 from limslam_env.compilation import merged
 from limslam_env.geometry import FloatArray
+from limslam_env.kernels import tables
 from limslam_env.kernels.batch_state import Episodes, Results, Robots, Scratch, Task, Worlds
 from limslam_env.kernels.random_numbers import GOLDEN, mixed, normal, unit
 from limslam_env.kernels.rays import is_due
 from limslam_env.kernels.readings import noisy_reading, reported_travel
-from limslam_env.kernels.tables import (
-    DROPOUT,
-    ENCODER_RESOLUTION,
-    FOLD_BACK,
-    LARGEST_TRAVEL,
-    LEFT_WHEEL,
-    LONGEST_RANGE,
-    OFFSET,
-    RANGE_RESOLUTION,
-    RANGE_STD,
-    SHORTEST_RANGE,
-    STD_GROWTH,
-    WHEEL_VARIANCE,
-)
 
 SKIP, STEP, BEGIN = 0, 1, 2
 """What an environment does: nothing, a step, or the first observation of a new episode."""
@@ -38,8 +25,8 @@ def read_beams(
     ``own`` is the state of the robot's random numbers; numbers that no noise needs are not drawn.
     """
     noise, beams, rays = episodes.noise, robots.beams, scratch.rays
-    is_noisy = noise[env, RANGE_STD] > 0.0 or noise[env, STD_GROWTH] > 0.0
-    is_dropping = noise[env, DROPOUT] > 0.0
+    is_noisy = noise[env, tables.RANGE_STD] > 0.0 or noise[env, tables.STD_GROWTH] > 0.0
+    is_dropping = noise[env, tables.DROPOUT] > 0.0
     for number in range(len(beams)):
         if not is_due(beams, number, episodes.steps[env]):
             continue
@@ -50,9 +37,10 @@ def read_beams(
             uniform = unit(mixed(own + (place + _ONE) * GOLDEN))
         episodes.hits[env, robot, number] = hit - first_edge if hit >= 0 else hit
         episodes.ranges[env, robot, number] = noisy_reading(
-            rays[0, number] - beams[number, OFFSET], hit, beams[number, SHORTEST_RANGE], beams[number, LONGEST_RANGE],
-            noise[env, RANGE_STD], noise[env, STD_GROWTH], noise[env, DROPOUT], noise[env, RANGE_RESOLUTION],
-            noise[env, FOLD_BACK], random, uniform,
+            rays[0, number] - beams[number, tables.OFFSET], hit,
+            beams[number, tables.SHORTEST_RANGE], beams[number, tables.LONGEST_RANGE],
+            noise[env, tables.RANGE_STD], noise[env, tables.STD_GROWTH], noise[env, tables.DROPOUT],
+            noise[env, tables.RANGE_RESOLUTION], noise[env, tables.FOLD_BACK], random, uniform,
         )  # fmt: skip
 
 
@@ -62,12 +50,12 @@ def read_encoders(env: int, robot: int, own: np.uint64, episodes: Episodes, turn
     noise, unreported = episodes.noise, episodes.unreported
     for wheel in range(2):
         random = 0.0
-        if turned_by[robot, wheel] != 0.0 and noise[env, WHEEL_VARIANCE] > 0.0:
+        if turned_by[robot, wheel] != 0.0 and noise[env, tables.WHEEL_VARIANCE] > 0.0:
             random = normal(mixed(own + np.uint64(2 * wheel) * GOLDEN))
         episodes.wheels[env, robot, wheel], unreported[env, robot, wheel] = reported_travel(
             turned_by[robot, wheel], unreported[env, robot, wheel],
-            noise[env, LEFT_WHEEL + wheel], noise[env, WHEEL_VARIANCE], noise[env, ENCODER_RESOLUTION],
-            noise[env, LARGEST_TRAVEL], random,
+            noise[env, tables.LEFT_WHEEL + wheel], noise[env, tables.WHEEL_VARIANCE],
+            noise[env, tables.ENCODER_RESOLUTION], noise[env, tables.LARGEST_TRAVEL], random,
         )  # fmt: skip
 
 

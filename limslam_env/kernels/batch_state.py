@@ -25,7 +25,7 @@ class Robots(NamedTuple):
     control_period
         Duration of a step, s.
     beams
-        (n_beams, 9), see :mod:`limslam_env.kernels.tables`.
+        (n_beams, 11), see :mod:`limslam_env.kernels.tables`.
     fan
         (8, lanes), as :func:`fan_of` makes it.
     is_small
@@ -177,12 +177,12 @@ class Results(NamedTuple):
 
 
 class Settings(NamedTuple):
-    """What the noise of episodes is drawn from, for all environments or each of them (k is 1 or n).
+    """What the noise of episodes is drawn from.
 
     Attributes
     ----------
     lowest, spans
-        (k, 14): the least value of each column of :mod:`limslam_env.kernels.tables`, and how much larger it may be.
+        (14,): the least value of each column of :mod:`limslam_env.kernels.tables`, and how much larger it may be.
     places
         (14,): which of an environment's random numbers each column depends on.
     """
@@ -259,7 +259,7 @@ def lanes_for(num_beams: int) -> int:
 
 
 def fan_of(beams: FloatArray, radius: float) -> FloatArray:
-    """The beams (n_beams, 9) lane by lane, and in the other lanes a ray in the diagonal of a body's box.
+    """The beams (n_beams, 11) lane by lane, and in the other lanes a ray in the diagonal of a body's box.
 
     Rows (8, lanes): origin x and y (m) in the robot's frame, how far before it the ray starts, and its length, m; the
     direction in the robot's frame, what is added to its x and y in the world's frame, and to those of the origin, m.

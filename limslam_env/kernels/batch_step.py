@@ -54,7 +54,7 @@ def turn_wheels(
 ) -> float:
     """Set how far the wheels turn and travel; returns the longest way of a robot, m.
 
-    ``most`` (m) is a wheel's travel at an action of 1. Slips are those of ``simulation.odometry``.
+    ``most`` (m) is a wheel's travel at an action of 1. Slips are those of ``simulation.noise``.
     """
     longest = 0.0
     for robot in range(len(scratch.travel)):

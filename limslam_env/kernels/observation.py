@@ -4,29 +4,10 @@ import math
 
 from limslam_env.compilation import inlined, lean_entry, merged
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray, se2
+from limslam_env.kernels import tables
 from limslam_env.kernels.coverage import mark_disc, mark_ray
 from limslam_env.kernels.rays import is_due, measure, nearest_in_cone, turned
 from limslam_env.kernels.readings import noisy_reading, reported_travel
-from limslam_env.kernels.tables import (
-    ANGLE,
-    CONE,
-    DROPOUT,
-    ENCODER_RESOLUTION,
-    FOLD_BACK,
-    FROM_X,
-    FROM_Y,
-    LARGEST_TRAVEL,
-    LEFT_WHEEL,
-    LONGEST_RANGE,
-    OFFSET,
-    RANGE_RESOLUTION,
-    RANGE_STD,
-    SHORTEST_RANGE,
-    STD_GROWTH,
-    TOWARDS_X,
-    TOWARDS_Y,
-    WHEEL_VARIANCE,
-)
 from limslam_env.kernels.wall_cells import scene_walls
 
 AXLE, CLEARANCE, LONGEST = range(3)
@@ -100,9 +81,9 @@ def drive_and_observe(
     radius
         Of their bodies, m.
     beams
-        (n_beams, 9), see :mod:`limslam_env.kernels.tables`.
+        (n_beams, 11), see :mod:`limslam_env.kernels.tables`.
     noise
-        (11,), see :mod:`limslam_env.kernels.tables`.
+        (14,), see :mod:`limslam_env.kernels.tables`.
     edges, cell_starts, cell_edges, grid
         The walls.
     seen, coverable, area
@@ -132,30 +113,32 @@ def drive_and_observe(
         for number in range(len(beams)):
             if not is_due(beams, number, step):
                 continue
-            offset, longest = beams[number, OFFSET], beams[number, LONGEST_RANGE]
+            offset, longest = beams[number, tables.OFFSET], beams[number, tables.LONGEST_RANGE]
             # The rim may touch a wall, and a ray from there start behind it: rays start inside the body.
-            rim_x, rim_y = turned(beams[number, FROM_X], beams[number, FROM_Y], cos, sin)
+            rim_x, rim_y = turned(beams[number, tables.FROM_X], beams[number, tables.FROM_Y], cos, sin)
             rim_x, rim_y = body_x + rim_x, body_y + rim_y
-            dx, dy = turned(beams[number, TOWARDS_X], beams[number, TOWARDS_Y], cos, sin)
+            dx, dy = turned(beams[number, tables.TOWARDS_X], beams[number, tables.TOWARDS_Y], cos, sin)
             x, y, reach = rim_x - offset * dx, rim_y - offset * dy, longest + offset
             distance, hit = measure(robot, poses, radius, x, y, dx, dy, reach, walls)
             new += mark_ray(seen, coverable, area, x, y, dx, dy, distance)
-            if noise[CONE] > 0.0:
+            if noise[tables.CONE] > 0.0:
                 distance, hit = nearest_in_cone(
-                    robot, distance, hit, rim_x, rim_y, heading + beams[number, ANGLE],
-                    offset, reach, noise[CONE], radius, poses, walls,
+                    robot, distance, hit, rim_x, rim_y, heading + beams[number, tables.ANGLE],
+                    offset, reach, noise[tables.CONE], radius, poses, walls,
                 )  # fmt: skip
             hits[robot, number] = hit
             ranges[robot, number] = noisy_reading(
-                distance - offset, hit, beams[number, SHORTEST_RANGE], longest,
-                noise[RANGE_STD], noise[STD_GROWTH], noise[DROPOUT], noise[RANGE_RESOLUTION], noise[FOLD_BACK],
+                distance - offset, hit, beams[number, tables.SHORTEST_RANGE], longest,
+                noise[tables.RANGE_STD], noise[tables.STD_GROWTH], noise[tables.DROPOUT],
+                noise[tables.RANGE_RESOLUTION], noise[tables.FOLD_BACK],
                 draws[robot, number, 0], draws[robot, number, 1],
             )  # fmt: skip
         new_cells[robot] = new
         for side in range(2):
             wheels[robot, side], unreported[robot, side] = reported_travel(
                 travel[robot, side], unreported[robot, side],
-                noise[LEFT_WHEEL + side], noise[WHEEL_VARIANCE], noise[ENCODER_RESOLUTION], noise[LARGEST_TRAVEL],
+                noise[tables.LEFT_WHEEL + side], noise[tables.WHEEL_VARIANCE],
+                noise[tables.ENCODER_RESOLUTION], noise[tables.LARGEST_TRAVEL],
                 draws[robot, len(beams) + side, 0],
             )  # fmt: skip
     return True

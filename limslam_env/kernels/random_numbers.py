@@ -129,12 +129,10 @@ def draw_row(key: np.uint64, lowest: FloatArray, spans: FloatArray, places: IntA
 
 
 @lean_entry
-def draw_rows(
-    keys: Words, rows: IntArray, lowest: FloatArray, spans: FloatArray, places: IntArray, numbers: FloatArray
-) -> None:
-    """:func:`draw_row` for each row of ``numbers`` (n, k), by its key (n,) and with its row (n,) of the bounds."""
+def draw_rows(keys: Words, lowest: FloatArray, spans: FloatArray, places: IntArray, numbers: FloatArray) -> None:
+    """:func:`draw_row` for each row of ``numbers`` (n, k), by its key (n,)."""
     for number in range(len(keys)):
-        draw_row(keys[number], lowest[rows[number]], spans[rows[number]], places, numbers[number])
+        draw_row(keys[number], lowest, spans, places, numbers[number])
 
 
 @merged

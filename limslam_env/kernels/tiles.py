@@ -26,44 +26,6 @@ _ROW_MASKS = np.array([sum(0xFF << 8 * row for row in range(8) if rows >> row & 
 
 
 @merged
-def is_any_left(
-    left: Words,
-    env: int,
-    tile_columns: int,
-    tile_rows: int,
-    low_x: float,
-    low_y: float,
-    high_x: float,
-    high_y: float,
-) -> bool:
-    """Whether an unseen cell touches a rectangle, given in cells."""
-    column0, column1 = max(floored(low_x), 0), min(floored(high_x), tile_columns * TILE - 1)
-    row0, row1 = max(floored(low_y), 0), min(floored(high_y), tile_rows * TILE - 1)
-    if column0 > column1 or row0 > row1:
-        return False
-    found = _NONE
-    # Three by three tiles at a time and no branches: mostly that is all. What lies beyond the grid is masked.
-    row = row0 & ~7
-    while row <= row1:
-        rows = _stretch(row0 - row, row1 - row)
-        column = column0 & ~7
-        while column <= column1:
-            columns = _stretch(column0 - column, column1 - column)
-            tile = (row >> 3) * tile_columns + (column >> 3)
-            left_columns = (columns & _BYTE) * _EACH_ROW
-            middle_columns = ((columns >> _EIGHT) & _BYTE) * _EACH_ROW
-            right_columns = ((columns >> _SIXTEEN) & _BYTE) * _EACH_ROW
-            for line in range(3):
-                mask = _ROW_MASKS[(rows >> np.uint64(8 * line)) & _BYTE]
-                words = (left[env, tile] & left_columns) | (left[env, tile + 1] & middle_columns)
-                found |= mask & (words | (left[env, tile + 2] & right_columns))
-                tile += tile_columns
-            column += 3 * TILE
-        row += 3 * TILE
-    return bool(found != _NONE)
-
-
-@merged
 def unseen_nearby(
     left: Words,
     env: int,
@@ -107,14 +69,8 @@ def unseen_nearby(
 
 @inlined
 def _between(low: int, high: int) -> np.uint64:
-    """:func:`_stretch` of bits that are among the first 24."""
-    return (_FULL >> np.uint64(23 - high)) & (_FULL << np.uint64(low))
-
-
-@inlined
-def _stretch(low: int, high: int) -> np.uint64:
     """Bits ``low`` to ``high`` of the first 24."""
-    return (_FULL >> np.uint64(23 - min(high, 23))) & (_FULL << np.uint64(max(low, 0)))
+    return (_FULL >> np.uint64(23 - high)) & (_FULL << np.uint64(low))
 
 
 @inlined
@@ -126,29 +82,6 @@ def take(left: Words, env: int, tile_columns: int, column: int, row: int) -> int
     new = 1 if word & bit else 0
     left[env, tile] = word & ~bit
     return new
-
-
-@merged
-def take_ray(
-    left: Words,
-    env: int,
-    tile_columns: int,
-    tile_rows: int,
-    x: float,
-    y: float,
-    dx: float,
-    dy: float,
-    end: float,
-) -> int:
-    """Take every cell that a ray crosses out of the unseen cells; returns how many there were.
-
-    The counterpart of :func:`limslam_env.kernels.coverage.mark_ray`. Lengths are in cells; the ray lies in the grid.
-    """
-    far_x, far_y = x + dx * end, y + dy * end
-    low_x, low_y, high_x, high_y = min(x, far_x), min(y, far_y), max(x, far_x), max(y, far_y)
-    if not is_any_left(left, env, tile_columns, tile_rows, low_x, low_y, high_x, high_y):
-        return 0
-    return walk_ray(left, env, tile_columns, tile_rows, x, y, dx, dy, end)
 
 
 @compiled
@@ -163,7 +96,10 @@ def walk_ray(
     dy: float,
     end: float,
 ) -> int:
-    """:func:`take_ray` without the test whether there is anything to take."""
+    """Take every cell that a ray crosses out of the unseen cells; returns how many there were.
+
+    The counterpart of :func:`limslam_env.kernels.coverage.mark_ray`. Lengths are in cells; the ray lies in the grid.
+    """
     columns, rows = tile_columns * TILE, tile_rows * TILE
     column, column_step, next_column, per_column = crossings(x, dx, 1.0)
     row, row_step, next_row, per_row = crossings(y, dy, 1.0)
@@ -181,20 +117,12 @@ def walk_ray(
     return new
 
 
-@merged
-def take_disc(left: Words, env: int, tile_columns: int, tile_rows: int, x: float, y: float, radius: float) -> int:
+@compiled
+def walk_disc(left: Words, env: int, tile_columns: int, tile_rows: int, x: float, y: float, radius: float) -> int:
     """Take every cell that a body touches out of the unseen cells; returns how many there were.
 
     The counterpart of :func:`limslam_env.kernels.coverage.mark_disc`. Lengths are in cells.
     """
-    if not is_any_left(left, env, tile_columns, tile_rows, x - radius, y - radius, x + radius, y + radius):
-        return 0
-    return walk_disc(left, env, tile_columns, tile_rows, x, y, radius)
-
-
-@compiled
-def walk_disc(left: Words, env: int, tile_columns: int, tile_rows: int, x: float, y: float, radius: float) -> int:
-    """:func:`take_disc` without the test whether there is anything to take."""
     columns, rows = tile_columns * TILE, tile_rows * TILE
     new = 0
     for row in range(max(floored(y - radius), 0), min(floored(y + radius), rows - 1) + 1):

@@ -94,19 +94,21 @@ def consistency_metrics(true: FloatArray, estimated: FloatArray, covariances: Fl
 
 
 @functools.lru_cache(maxsize=8)
-def visible_samples(world: World, radius: float, max_range: float, spacing: float = SAMPLE_SPACING) -> WallSamples:
+def visible_samples(
+    world: World, radius: float, max_range: float, spacing: float = SAMPLE_SPACING, shortest: float = SHORTEST_SIDE
+) -> WallSamples:
     """Samples of the true walls that a robot could see: what a complete map holds.
 
     Each edge is cut into equal pieces of at most ``spacing`` (m), and each piece gives its middle if a free sight
     line of at most ``max_range`` (m, from the robot's centre: a beam on the rim adds its radius) reaches it from
     where a disc of ``radius`` (m) can get to from the world's starts, or without starts in the largest
-    closed region. Sides of obstacles shorter than 0.2 m block the sight but give no samples.
+    closed region. Sides of obstacles below ``shortest`` (m) block the sight but give no samples.
 
     The latest results are kept, because a suite scores many runs in one world. The arrays are read-only.
     """
     edges = world.edges
     points, directions, owner = _samples(edges, spacing)
-    asked = lengths(edges) >= SHORTEST_SIDE - 1e-9
+    asked = lengths(edges) >= shortest - 1e-9
     asked[: len(world.walls)] = True
     stands = _stands(world, radius)
     tree = cKDTree(stands)

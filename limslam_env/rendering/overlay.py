@@ -37,25 +37,26 @@ class Overlay:
     plan: FloatArray = field(default_factory=lambda: no_rows(2))
 
     def __post_init__(self) -> None:
-        for name, shape in (("pose", (3,)), ("covariance", (3, 3))):
+        for name, shape in _SHAPES.items():
             if getattr(self, name) is not None:
                 object.__setattr__(self, name, _frozen(getattr(self, name), name, shape))
-        for name, width in (("segments", 4), ("frontier", 2), ("plan", 2)):
-            object.__setattr__(self, name, _frozen(getattr(self, name), name, (None, width)))
         if self.covariance is not None and self.pose is None:
             raise ValueError("an overlay's covariance needs a pose to lie around")
 
 
-def _frozen(value: FloatArray, name: str, shape: tuple[int | None, ...]) -> FloatArray:
+_SHAPES = {"pose": (3,), "covariance": (3, 3), "segments": (0, 4), "frontier": (0, 2), "plan": (0, 2)}
+"""The shapes of the arrays; 0 stands for any number of rows."""
+
+
+def _frozen(value: FloatArray, name: str, shape: tuple[int, ...]) -> FloatArray:
     try:
         array = np.array(value, dtype=float)
     except (TypeError, ValueError):
         raise ValueError(f"an overlay's {name} must be an array of numbers") from None
-    if array.shape == (0,) and shape[0] is None:
-        array = np.zeros((0, shape[-1] or 0))
-    fits = array.ndim == len(shape) and all(want in {None, side} for want, side in zip(shape, array.shape, strict=True))
-    if not fits:
-        wanted = ", ".join("n" if side is None else str(side) for side in shape)
+    if not array.size and not shape[0]:
+        array = np.zeros(shape)
+    if array.ndim != len(shape) or array.shape[1:] != shape[1:] or shape[0] not in {0, len(array)}:
+        wanted = ", ".join(str(side or "n") for side in shape)
         raise ValueError(f"an overlay's {name} must have shape ({wanted}), not {array.shape}")
     if not np.isfinite(array).all():
         raise ValueError(f"an overlay's {name} holds a number that is not finite")

@@ -1,10 +1,9 @@
-"""Range sensors: the index of walls for ray casting, and the tables of beams and noise for the kernels."""
+"""Range sensors: the index of walls for ray casting, and the table of beams for the kernels."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_env.config import DrawnNoise
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.rays import cast_rays
@@ -77,23 +76,7 @@ def _listed(edges: FloatArray, grid: FloatArray, border: float) -> tuple[IntArra
 
 
 def beam_table(robot: RobotSpec) -> FloatArray:
-    """The beams (n_beams, 9) with the columns of :mod:`limslam_env.kernels.tables`."""
+    """The beams (n_beams, 11) with the columns of :mod:`limslam_env.kernels.tables`."""
     offsets = np.maximum(np.einsum("bd,bd->b", robot.beam_origins, robot.beam_directions), 0.0)
     periods = [beam.period for beam in robot.beams]
-    return np.column_stack(
-        (
-            robot.beam_origins,
-            robot.beam_angles,
-            offsets,
-            robot.min_ranges,
-            robot.max_ranges,
-            periods,
-            robot.beam_directions,
-        )
-    )
-
-
-def range_noise(noise: DrawnNoise) -> FloatArray:
-    """The noise of ranges (6,) with the columns of :mod:`limslam_env.kernels.tables`."""
-    growth, resolution = noise.range_noise_growth, noise.range_resolution
-    return np.array([noise.sensor_noise, growth, noise.dropout, resolution, noise.fold_back, noise.cone])
+    return np.column_stack((robot.beam_table, offsets, robot.min_ranges, periods))

@@ -10,11 +10,11 @@ from limslam_env.config import NoiseConfig
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.observation import drive_and_observe
+from limslam_env.kernels.tables import SLIP_RATE, TRUE_AXLE
 from limslam_env.simulation.coverage import CELL, CoverageGrid, coverage_grid
-from limslam_env.simulation.draws import StepDraws
-from limslam_env.simulation.odometry import ground_travel, wheel_noise
+from limslam_env.simulation.noise import StepDraws, ground_travel, noise_table
 from limslam_env.simulation.physics import Physics
-from limslam_env.simulation.sensors import beam_table, build_wall_index, range_noise
+from limslam_env.simulation.sensors import beam_table, build_wall_index
 from limslam_env.simulation.starts import drawn_starts, starting_places
 from limslam_env.worlds.world import World
 
@@ -76,6 +76,11 @@ class Simulation:
     num_robots
         Number of robots.
 
+    Attributes
+    ----------
+    coverage_grid
+        The cells that count for coverage, and where they lie. Known after the first reset.
+
     Raises
     ------
     WorldError
@@ -85,6 +90,7 @@ class Simulation:
     def __init__(self, world: World, robot: RobotSpec, num_robots: int = 1) -> None:
         world.check(robot.radius)
         self.world, self.robot, self.num_robots = world, robot, num_robots
+        self.coverage_grid: CoverageGrid
         self._scene = build_wall_index(world.edges).scene
         self._physics = Physics(world.edges, robot.radius, num_robots)
         self._beams = beam_table(robot)
@@ -99,11 +105,6 @@ class Simulation:
     def poses(self) -> FloatArray:
         """Pose of each robot (n, 3), m and rad; a copy."""
         return self._physics.poses
-
-    @property
-    def coverage_grid(self) -> CoverageGrid:
-        """The cells that count for coverage, and where they lie."""
-        return self._grid
 
     def reset(
         self, seeds: np.random.SeedSequence, noise: NoiseConfig, start: FloatArray | None = None
@@ -129,20 +130,18 @@ class Simulation:
         robot, count = self.robot, self.num_robots
         places = starting_places(self.world, robot, count, start)
         poses = drawn_starts(places, self.world, robot, count, starts)
-        self._noise = noise.drawn(settings)
-        limits = wheel_noise(self._noise, robot.max_wheel_travel)
-        noise_table = np.concatenate((range_noise(self._noise), limits))
+        self._noise = noise_table(vars(noise.drawn(settings)), robot)
         self._draws = StepDraws(ranges, wheels, count, len(robot.beams))
-        self._physics.place(poses, robot.axle * (1.0 + self._noise.axle_mismatch))
-        self._grid = coverage_grid(self.world, robot, poses)
-        self._total, self._seen = max(self._grid.total, 1), np.zeros_like(self._grid.coverable)
+        self._physics.place(poses, float(self._noise[TRUE_AXLE]))
+        self.coverage_grid = grid = coverage_grid(self.world, robot, poses)
+        self._total, self._seen = max(grid.total, 1), np.zeros_like(grid.coverable)
         self._covered = self._steps = 0
         shape = (count, len(robot.beams))
         self._hits, self._ranges = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.float32)
         self._travel, self._reported = np.zeros((count, 2)), np.zeros((count, 2), dtype=np.float32)
         self._unreported, self._new_cells = np.zeros((count, 2)), np.zeros(count, dtype=np.int64)
         self._arrays = (
-            robot.radius, self._beams, noise_table, *self._scene, self._seen, self._grid.coverable, self._grid.area,
+            robot.radius, self._beams, self._noise, *self._scene, self._seen, grid.coverable, grid.area,
             self._unreported, self._hits, self._ranges, self._reported, self._new_cells,
         )  # fmt: skip
         self._measure(self._travel, self._draws.next(), is_moved=True)
@@ -159,7 +158,7 @@ class Simulation:
         self.world.check_poses(np.asarray(pose, dtype=float)[None], self.robot.radius)
         poses = self._physics.poses
         poses[number] = pose
-        self._physics.place(poses, self.robot.axle * (1.0 + self._noise.axle_mismatch))
+        self._physics.place(poses, float(self._noise[TRUE_AXLE]))
 
     def step(self, actions: Sequence[tuple[float, float]]) -> tuple[Readings, Truth]:
         """Drive for one control period with each robot's left and right wheel speed, fractions of the maximum.
@@ -175,7 +174,7 @@ class Simulation:
         draws, travel, noise = self._draws.next(), self._travel, self._noise
         for robot, (left, right) in enumerate(actions):
             travel[robot, 0], travel[robot, 1] = _clipped(left) * self._farthest, _clipped(right) * self._farthest
-        ground = ground_travel(travel, noise, draws[:, -2:, 1]) if noise.slip_rate else travel
+        ground = ground_travel(travel, noise, draws[:, -2:, 1]) if noise[SLIP_RATE] else travel
         contact = [False] * self.num_robots
         if not self._measure(ground, draws, is_moved=False):
             contact = self._physics.step(ground.tolist(), self.robot.control_period)

@@ -122,7 +122,8 @@ def drawn_starts(
         return places.given
     for number in generator.choice(len(places.cells), TRIES):
         pose = np.array([*places.centre(int(places.cells[number])), generator.uniform(-np.pi, np.pi)])
-        if not places.is_pocket[number] and is_apart(pose, poses, robot):
+        others = np.array(poses).reshape(1, -1, 3)
+        if not places.is_pocket[number] and are_apart(pose[None], others, robot)[0]:
             poses.append(pose)
         if len(poses) == num_robots:
             return np.array(poses)
@@ -132,11 +133,6 @@ def drawn_starts(
 def no_room(world: World, num_robots: int) -> WorldError:
     """The error for a world without space for all robots."""
     return WorldError(f"world {world.name!r}: no room for {num_robots} robots")
-
-
-def is_apart(pose: FloatArray, poses: list[FloatArray], robot: RobotSpec) -> bool:
-    """Whether a pose is far enough from all of some others for a robot to start at."""
-    return not poses or bool(are_apart(pose[None], np.array(poses)[None], robot)[0])
 
 
 def are_apart(poses: FloatArray, others: FloatArray, robot: RobotSpec, counted: BoolArray | None = None) -> BoolArray:

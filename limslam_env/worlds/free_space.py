@@ -158,31 +158,17 @@ def free_space(edges: FloatArray, radius: float, cell: float, polygons: Sequence
     polygons
         Simple ones, each (k, 2), m.
     """
-    origin, shape = grid_around(edges, radius, cell)
-    free = np.ones(shape, dtype=bool)
-    clear(free, edges, polygons, radius, origin, cell)
-    return FreeSpace(origin, cell, free)
-
-
-def clear(
-    free: BoolArray,
-    edges: FloatArray,
-    polygons: Sequence[FloatArray],
-    radius: float,
-    origin: FloatArray,
-    cell: float,
-) -> None:
-    """Clear the cells (rows, columns) of a grid whose centres lie less than ``radius`` (m) from an edge or inside of a
-    polygon. The grid has its lower left corner at ``origin`` (2,), and ``cell`` is the side of a cell, m.
-    """
     # numba takes long to load, and worlds that are only read do without it.
     from limslam_env.kernels.floor import mark_free
 
+    origin, shape = _grid_around(edges, radius, cell)
+    free = np.ones(shape, dtype=bool)
     corners, firsts = np.vstack((no_rows(2), *polygons)), np.cumsum([0, *map(len, polygons)])
     mark_free(np.array(edges), corners, firsts, radius, np.array([*origin, cell]), np.empty(len(corners)), free)
+    return FreeSpace(origin, cell, free)
 
 
-def grid_around(edges: FloatArray, radius: float, cell: float) -> tuple[FloatArray, tuple[int, int]]:
+def _grid_around(edges: FloatArray, radius: float, cell: float) -> tuple[FloatArray, tuple[int, int]]:
     """Lower left corner (2,), m, and rows and columns of a grid of cells (m) that a disc can go around edges in."""
     low = np.minimum(edges[:, :2], edges[:, 2:]).min(axis=0)
     high = np.maximum(edges[:, :2], edges[:, 2:]).max(axis=0)

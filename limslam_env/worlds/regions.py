@@ -1,4 +1,4 @@
-"""What part of a world's floor robots can reach from where they start, and where an outer wall is open."""
+"""What part of a world's floor robots can reach from where they start."""
 
 import functools
 from dataclasses import dataclass
@@ -6,16 +6,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import ndimage
 
-from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry import BoolArray
 from limslam_env.worlds.free_space import FreeSpace
 from limslam_env.worlds.world import World
 
 SMALL_SHARE = 0.5
 """Share of the floor below which a start region counts as small."""
 
-_GAPS = (1.0, 2.0, 4.0)  # widths of gaps that are looked for, m
-_LEAST_AREA = 1.0  # m^2, of an open region that is worth a warning
-_EIGHT = np.ones((3, 3), dtype=int)
+_OPEN_SHARE = 0.25  # share of the rectangle around a building below which its enclosed floor is hardly all of it
 
 
 @dataclass(frozen=True)
@@ -27,22 +25,19 @@ class StartRegion:
     area
         Floor that robots can cover from the starts, m^2. In a world without starts, that of the largest closed region.
     floor
-        All floor that is enclosed by walls, m^2, with the region behind ``gap``.
-    open_area
-        Floor of the largest region that would be closed if its outer wall had no gap, m^2. 0 if there is none.
-    gap
-        Middle of that gap: x, y, m. None if there is none.
+        All floor that is enclosed by walls, m^2; where that is little, the rectangle around all walls.
+    is_open
+        Whether so little is enclosed that the outer wall must be open.
     """
 
     area: float
     floor: float
-    open_area: float
-    gap: tuple[float, float] | None
+    is_open: bool
 
     @property
     def share(self) -> float:
         """Share of the floor that the region has, 0 to 1."""
-        return min(self.area / self.floor, 1.0) if self.floor > 0.0 else 1.0
+        return min(self.area / self.floor, 1.0)
 
     @property
     def is_small(self) -> bool:
@@ -55,25 +50,22 @@ class StartRegion:
         region = (
             f"robots start in a region of {self.area:.1f} m^2, {self.share:.1%} of the floor of {self.floor:.1f} m^2"
         )
-        if self.gap is not None:
-            x, y = self.gap
-            return (
-                f"the outer wall is open near ({x:.1f}, {y:.1f}), so the region of {self.open_area:.1f} m^2 behind it "
-                f"cannot be used; {region}"
-            )
+        if self.is_open:
+            return f"the outer wall is open, so most of the floor cannot be used; {region}"
         return f"{region}; the other regions cannot be reached" if self.is_small else None
 
 
 @functools.lru_cache(maxsize=8)
 def start_region(world: World, radius: float) -> StartRegion:
-    """Measure the start region of robots of a ``radius`` (m), and look for a gap of up to 4 m in the outer wall."""
+    """Measure the start region of robots of a ``radius`` (m)."""
     space = world.free_space(radius)
     labels = space.labels
     border = np.unique(np.concatenate((labels[0], labels[-1], labels[:, 0], labels[:, -1])))
     closed = space.free & ~np.isin(labels, border[border > 0])
     area, floor = covered_area(starting_cells(world, space), space, radius), covered_area(closed, space, radius)
-    open_area, gap = _open_region(space, radius)
-    return StartRegion(area, floor + open_area, open_area, gap)
+    around = float(np.prod(np.ptp(world.edges.reshape(-1, 2), axis=0)))
+    is_open = floor < _OPEN_SHARE * around
+    return StartRegion(area, around if is_open else floor, is_open)
 
 
 def starting_cells(world: World, space: FreeSpace) -> BoolArray:
@@ -90,45 +82,3 @@ def covered_area(centres: BoolArray, space: FreeSpace, radius: float) -> float:
         return 0.0
     within = ndimage.distance_transform_edt(~centres, sampling=space.cell) <= radius
     return float(np.count_nonzero(within)) * space.cell**2
-
-
-def _open_region(space: FreeSpace, radius: float) -> tuple[float, tuple[float, float] | None]:
-    """Area (m^2) of the largest region behind a gap in the outer wall, and the gap's middle. 0 and None without a gap.
-
-    A region is behind a gap if the robot's disc can leave it, but a disc as wide as the gap could not.
-    """
-    # The grid ends close to the walls. Larger discs need more space to pass around the building.
-    around = int(np.ceil(_GAPS[-1] / space.cell))
-    free = np.pad(space.free, around, constant_values=True)
-    labels, _ = ndimage.label(free, structure=_EIGHT)
-    outside = labels == labels[0, 0]
-    room = radius + ndimage.distance_transform_edt(free, sampling=space.cell)
-    for width in _GAPS:
-        if width <= 2.0 * radius:
-            continue
-        wide, _ = ndimage.label(outside & (room >= 0.5 * width), structure=_EIGHT)
-        sizes = np.bincount(wide.ravel())
-        sizes[[0, wide[0, 0]]] = 0
-        if not sizes.any():
-            continue
-        hall = wide == np.argmax(sizes)
-        within = ndimage.distance_transform_edt(~hall, sampling=space.cell)
-        area = float(np.count_nonzero(within <= 0.5 * width)) * space.cell**2
-        if area >= _LEAST_AREA:
-            beyond = ndimage.distance_transform_edt(wide != wide[0, 0], sampling=space.cell)
-            return area, _middle(space, outside, within, beyond, around)
-    return 0.0, None
-
-
-def _middle(
-    space: FreeSpace, outside: BoolArray, within: FloatArray, beyond: FloatArray, around: int
-) -> tuple[float, float]:
-    """The point (x, y), m, on the shortest way from the region to the outside. A way through a wall is longer than one
-    through a gap.
-    """
-    way = np.where(outside, within + beyond, np.inf)
-    shortest = way <= way.min() + space.cell
-    halfway = np.where(shortest, np.abs(within - beyond), np.inf)
-    row, column = np.unravel_index(int(np.argmin(halfway)), halfway.shape)
-    x, y = space.origin + (np.array([column, row]) - around + 0.5) * space.cell
-    return float(x), float(y)

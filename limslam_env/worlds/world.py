@@ -31,10 +31,6 @@ class WorldError(ValueError):
         super().__init__(one_line(message))
 
 
-class OpenWorldError(WorldError):
-    """A robot could leave the world."""
-
-
 @dataclass(frozen=True, eq=False)
 class World:
     """The geometry of a building. Arrays are read-only; lengths are in metres, angles in radians.
@@ -143,7 +139,7 @@ class World:
     def _check_closed(self, points: FloatArray, radius: float, label: Callable[[int], str]) -> None:
         is_open = _wide_space(self, radius).is_open(points)
         if is_open.any():
-            raise OpenWorldError(
+            raise WorldError(
                 f"world {self.name!r}: {label(int(np.argmax(is_open)))} lies in a region that is not closed: "
                 f"a robot of {radius:g} m radius could leave the world"
             )

@@ -11,7 +11,6 @@ import yaml
 from support.markdown import ROOT, all_blocks
 
 import limslam_env
-from limslam_env.envs import wrappers
 
 DOCS = ROOT / "docs"
 in_a_checkout = pytest.mark.skipif(not find_spec("benchmarks"), reason="the benchmarks do not travel with the tests")
@@ -25,10 +24,6 @@ def section(title: str) -> str:
 def first_column(text: str) -> set[str]:
     cells = re.findall(r"^\| (`[^|]+) \|", text, re.MULTILINE)
     return {name for cell in cells for name in re.findall(r"`([^`]+)`", cell)}
-
-
-def test_every_wrapper_is_named():
-    assert first_column(section("Wrappers")) - {"limslam_env.envs.wrappers"} == set(wrappers.__all__)
 
 
 def test_every_id_is_named():

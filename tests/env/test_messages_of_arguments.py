@@ -61,11 +61,9 @@ MAKERS = {
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"noise": 0.02}, r"noise must be a NoiseConfig.*, not 0\.02 \(did you mean sensor_noise=0\.02\?\)"),
-        ({"noise": {"sensor_noise": 0.02}}, r"did you mean noise=NoiseConfig\(sensor_noise=0\.02\)\?"),
-        ({"rewards": {"step": -0.1}}, r"rewards must be a RewardConfig.*mean rewards=RewardConfig\(step=-0\.1\)\?"),
-        ({"robot": "e_puck"}, r"robot must be a RobotSpec, not 'e_puck' .*robot=limslam_env\.robots\.e_puck\(\)"),
-        ({"robot": "four-beam-drone"}, r"robot=limslam_env\.robots\.four_beam_drone\(\)"),
+        ({"noise": 0.02}, r"noise must be a NoiseConfig, such as NoiseConfig\(sensor_noise=\.\.\.\), not 0\.02"),
+        ({"rewards": {"step": -0.1}}, r"rewards must be a RewardConfig, such as RewardConfig\("),
+        ({"robot": "e_puck"}, r"robot must be a RobotSpec, such as RobotSpec\(radius=\.\.\.\), not 'e_puck'"),
         ({"sensor_noise": "0.02"}, r"sensor_noise must be a number"),
         ({"coverage_goal": "0.9"}, r"coverage_goal must lie in"),
     ],
@@ -90,5 +88,3 @@ def test_the_nominal_noise_is_the_upper_end_of_what_a_reset_may_draw():
     assert MAKERS["parallel"](sensor_noise=0.02).nominal_noise == limslam_env.NominalNoise(0.02)
     ideal = limslam_env.NoiseConfig(wheel_variance=0.0)
     assert MAKERS["batch"](noise=ideal).nominal_noise == limslam_env.NominalNoise()
-    each = MAKERS["parallel batch"](noise=[noise, ideal], sensor_noise=np.array([0.01, 0.04]))
-    assert each.nominal_noise == limslam_env.NominalNoise(0.04, 1e-4)

@@ -1,8 +1,6 @@
-"""The public names of the package, and what it says when it is run."""
+"""The public names of the package."""
 
 import importlib
-import subprocess
-import sys
 
 import pytest
 
@@ -20,12 +18,3 @@ def test_every_public_name_is_there(name):
 def test_other_names_are_not_there():
     with pytest.raises(AttributeError, match="'limslam_env' has no attribute 'Simulation'"):
         limslam_env.Simulation  # noqa: B018
-
-
-def test_run_as_a_module_it_says_how_to_use_it():
-    command = [sys.executable, "-m", "limslam_env"]
-    result = subprocess.run(command, check=True, capture_output=True, text=True)
-    assert limslam_env.__version__ in result.stdout
-    assert "gymnasium.make(" in result.stdout
-    assert "limslam --help" in result.stdout
-    assert not result.stderr

@@ -2,10 +2,11 @@
 
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from limslam_agent import LimSlamAgent, preset
-from limslam_agent.live.emulator.channel import Faults
 from limslam_agent.live.emulator.emulator import Body, Emulator
 from limslam_agent.live.link import Link
 from limslam_agent.live.recording import Recording
@@ -15,31 +16,72 @@ from limslam_env import NoiseConfig, NominalNoise, RobotSpec, load_world
 NOISE = 0.02
 
 
-def emulated(faults=None, *, seed=0, robot=None, watchdog_ms=500, name="paper"):
+@dataclass(frozen=True)
+class Faults:
+    """What a connection does to lines: probabilities that one is lost, late (by 0.2 s), doubled or damaged."""
+
+    loss: float = 0.0
+    late: float = 0.0
+    double: float = 0.0
+    damage: float = 0.0
+
+
+class Channel:
+    """One direction of a connection, in the robot's time."""
+
+    def __init__(self, faults, random):
+        self._faults, self._random, self._waiting, self._count = faults, random, [], 0
+
+    def push(self, line, now):
+        faults = self._faults
+        lost, late, double, damaged = self._random.random(4) < (faults.loss, faults.late, faults.double, faults.damage)
+        if lost:
+            return
+        if damaged:
+            place = int(self._random.integers(len(line) - 1))  # the newline stays
+            line = line[:place] + bytes([line[place] ^ 1]) + line[place + 1 :]
+        for _ in range(2 if double else 1):
+            self._waiting.append((now + 0.2 * late, self._count, line))
+            self._count += 1
+
+    def due(self, now):
+        """The lines that arrive up to the time ``now``, s, in the order of their arrival."""
+        arrived = sorted(each for each in self._waiting if each[0] <= now + 1e-9)
+        self._waiting = [each for each in self._waiting if each[0] > now + 1e-9]
+        return [line for _, _, line in arrived]
+
+
+def emulated(*, seed=0, robot=None, watchdog_ms=500, name="paper"):
     noise = replace(NoiseConfig(), sensor_noise=NOISE)
-    return Emulator(Body(load_world("env1"), robot or RobotSpec(), noise, name, watchdog_ms, seed), faults)
+    return Emulator(Body(load_world("env1"), robot or RobotSpec(), noise, name, watchdog_ms, seed))
 
 
 class Wire:
     """A transport to an emulated robot. Each look for lines lets it drive for a control period."""
 
-    def __init__(self, emulator):
+    def __init__(self, emulator, faults=None, seed=0):
         self.emulator, self.is_cut, self.sent, self.true = emulator, False, [], []
         self.before = 0.0
+        _, _, *ways = np.random.SeedSequence(seed).spawn(4)
+        self._down, self._up = (Channel(faults or Faults(), np.random.default_rng(way)) for way in ways)
 
     def clock(self):
         return self.before + self.emulator.time
 
     def receive(self, timeout):
         del timeout
-        lines = self.emulator.step()
+        for line in self._up.due(self.emulator.time):
+            self.emulator.hear(line)
+        for line in self.emulator.step():
+            self._down.push(line, self.emulator.time)
+        lines = self._down.due(self.emulator.time)
         self.true.append((self.emulator.time, *self.emulator.pose))
         return [] if self.is_cut else lines
 
     def send(self, line):
         self.sent.append(line)
         if not self.is_cut:
-            self.emulator.hear(line)
+            self._up.push(line, self.emulator.time)
 
     def replace(self, emulator):
         """Another robot in its place, or the same one switched on again."""

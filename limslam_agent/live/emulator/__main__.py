@@ -31,17 +31,10 @@ def emulate(
     *,
     pty: Annotated[bool, typer.Option("--pty", help="Make a serial port, and print its name.")] = False,
     ros2: Annotated[bool, typer.Option("--ros2", help="Publish odom and a topic beam_N for each beam.")] = False,
-    scan: Annotated[bool, typer.Option("--scan", help="With --ros2: publish scan in place of the beams.")] = False,
     world: Annotated[str, typer.Option(help="Name of a shipped world, random:SEED, or a world file.")] = "env1",
     robot: Annotated[str, typer.Option(help="Robot that ships with LimSLAM, or a TOML file.")] = "paper",
     noise: Annotated[float, typer.Option(help="Standard deviation of the ranges, m.")] = 0.02,
     seed: Annotated[int, typer.Option(help="Random seed.")] = 0,
-    loss: Annotated[float, typer.Option(help="Share of lines that are lost, in both directions.")] = 0.0,
-    delay: Annotated[float, typer.Option(help="Delay of every line, ms.")] = 0.0,
-    late: Annotated[float, typer.Option(help="Share of lines that are late, and that later lines overtake.")] = 0.0,
-    late_by: Annotated[float, typer.Option(help="By how much these lines are late, ms.")] = 200.0,
-    double: Annotated[float, typer.Option(help="Share of lines that arrive twice.")] = 0.0,
-    damage: Annotated[float, typer.Option(help="Share of lines in which a byte is changed.")] = 0.0,
     watchdog: Annotated[int, typer.Option(help="Time without a line after which the wheels stop, ms.")] = 500,
     speed: Annotated[float, typer.Option(help="How much faster than real time. 0: as fast as the host answers.")] = 1.0,
     truth: Annotated[
@@ -50,29 +43,25 @@ def emulate(
 ) -> None:
     """Emulate a robot until the process is ended."""
     from limslam_agent.cli.settings import robot_named
-    from limslam_agent.live.emulator.channel import Faults
     from limslam_agent.live.emulator.emulator import Body, Emulator
     from limslam_env.config import NoiseConfig
     from limslam_env.worlds.formats.loading import load_world
 
     if not 0.0 <= speed <= 1000.0:
         raise ValueError(f"--speed must be a number from 0 to 1000, not {speed:g}")
-    faults = Faults(loss, 1e-3 * delay, late, 1e-3 * late_by, double, damage)
     errors = replace(NoiseConfig(), sensor_noise=noise)
     name = Path(robot).stem.replace("_", "-")
     body = Body(load_world(world), robot_named(robot), errors, name, watchdog, seed)
     pace = body.robot.control_period / speed if speed else 0.0
     if (udp is not None) + pty + ros2 != 1:
         raise ValueError("either --udp PORT, --pty or --ros2 is needed")
-    if ros2 and faults != Faults(late_by=faults.late_by):
-        raise ValueError("--loss, --delay, --late, --double and --damage are for lines, not for --ros2")
     with nullcontext() if truth is None else truth.open("w", encoding="utf-8", buffering=1) as file:
         if ros2:
             from limslam_agent.live.emulator.ros2 import RosRobot, serve
 
-            serve(RosRobot(body, has_laser=scan), pace, file)
+            serve(RosRobot(body), pace, file)
             return
-        emulator, port = Emulator(body, faults), _port(udp, host)
+        emulator, port = Emulator(body), _port(udp, host)
         sys.stdout.write(f"{port.name}\n")
         sys.stdout.flush()
         run(emulator, port, pace, file)

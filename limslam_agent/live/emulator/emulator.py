@@ -1,10 +1,9 @@
-"""The emulated robot: a body in the simulator, the firmware, and a connection with faults."""
+"""The emulated robot: a body in the simulator, and the firmware."""
 
 from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.live.emulator.channel import Channel, Faults
 from limslam_agent.live.firmware import NM_PER_TICK, Firmware, ranges_in_mm, ticks
 from limslam_agent.live.protocol import MAX_BEAMS, VERSION, Hello
 from limslam_env.config import NoiseConfig
@@ -44,8 +43,6 @@ class SimulatedRobot:
     ----------
     body
         The robot and its world.
-    robot
-        The robot in place of that of the body, with other beams.
 
     Attributes
     ----------
@@ -59,9 +56,9 @@ class SimulatedRobot:
 
     begins = 0.0  # s, the time of the robot's clock at the start
 
-    def __init__(self, body: Body, robot: RobotSpec) -> None:
-        self.robot, self._steps = robot, 0
-        self._simulation = Simulation(body.world, robot)
+    def __init__(self, body: Body) -> None:
+        self.robot, self._steps = body.robot, 0
+        self._simulation = Simulation(body.world, body.robot)
         start, *_ = np.random.SeedSequence(body.seed).spawn(4)
         self.readings, truth = self._simulation.reset(start, body.noise)
         self.pose: FloatArray = truth.poses[0]
@@ -91,8 +88,6 @@ class Emulator(SimulatedRobot):
     ----------
     body
         The robot and its world.
-    faults
-        What the connection does to lines, in both directions.
 
     Raises
     ------
@@ -100,13 +95,12 @@ class Emulator(SimulatedRobot):
         If the protocol cannot describe the robot, or the robot cannot start in the world.
     """
 
-    def __init__(self, body: Body, faults: Faults | None = None) -> None:
+    def __init__(self, body: Body) -> None:
         robot = body.robot
         if len(robot.beams) > MAX_BEAMS:
             raise ValueError(f"the protocol has room for {MAX_BEAMS} beams, not for {len(robot.beams)}")
-        super().__init__(body, robot)
-        _, boot, *ways = np.random.SeedSequence(body.seed).spawn(4)
-        self._down, self._up = (Channel(faults or Faults(), np.random.default_rng(way)) for way in ways)
+        super().__init__(body)
+        _, boot = np.random.SeedSequence(body.seed).spawn(2)
         self._travel = np.zeros(2)
         period = round(1e3 * robot.control_period)
         number, beams = int(boot.generate_state(1)[0]), len(robot.beams)
@@ -119,19 +113,15 @@ class Emulator(SimulatedRobot):
 
     def hear(self, line: bytes) -> None:
         """Take a line that the host has sent."""
-        self._up.push(line, self.time)
+        self._firmware.hear(line, self._now)
 
     def step(self) -> list[bytes]:
-        """Drive for a control period. The lines that arrive at the host after it."""
-        for line in self._up.due(self.time):
-            self._firmware.hear(line, self._now)
+        """Drive for a control period. The lines for the host after it."""
         speeds = self._firmware.speeds(self._now)
         self.drive(*(1e-3 * speed for speed in speeds))
         self._travel += self.readings.wheels[0]
         ranges = ranges_in_mm(self.readings.ranges[0], self.robot)
-        for line in self._firmware.say(self._now, ticks(self._travel), ranges):
-            self._down.push(line, self.time)
-        return self._down.due(self.time)
+        return self._firmware.say(self._now, ticks(self._travel), ranges)
 
     @property
     def _now(self) -> int:

@@ -1,8 +1,7 @@
-"""A simulated robot behind topics of ROS 2: ``odom``, a topic for each beam or ``scan``, ``cmd_vel`` and ``/clock``."""
+"""A simulated robot behind topics of ROS 2: ``odom``, a topic for each beam, ``cmd_vel`` and ``/clock``."""
 
 import math
 import time
-from dataclasses import replace
 from typing import IO, Any, NamedTuple
 
 import numpy as np
@@ -12,10 +11,6 @@ from limslam_agent.live.ros2.node import check_installed, make, message_type
 from limslam_agent.output.formats.ros_builder import MessageBuilder
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc
-from limslam_env.interface import RobotSpec, SensorSpec
-
-SCAN_BEAMS = 72
-"""Number of beams of the emulated laser, which turns around the middle of the robot."""
 
 ANSWER_WITHIN = 2.0
 """Longest time for which an emulator without a fixed speed waits for an answer, s."""
@@ -41,15 +36,13 @@ class RosRobot(SimulatedRobot):
     ----------
     body
         The robot and its world. Its watchdog stops the wheels without new speeds.
-    has_laser
-        Whether it has a laser that looks all around, as far as its farthest beam, in place of its beams.
     """
 
     begins = 1.0  # a time of zero means that there is none
 
-    def __init__(self, body: Body, *, has_laser: bool = False) -> None:
-        super().__init__(body, _with_laser(body.robot) if has_laser else body.robot)
-        self.has_laser, self._watchdog = has_laser, 1e-3 * body.watchdog_ms
+    def __init__(self, body: Body) -> None:
+        super().__init__(body)
+        self._watchdog = 1e-3 * body.watchdog_ms
         self._odometry = np.zeros(3)
         self._wheels, self._obeyed = (0.0, 0.0), 0.0
 
@@ -67,12 +60,6 @@ class RosRobot(SimulatedRobot):
         moved = arc(*wheels_to_arc(self.readings.wheels[0], self.robot.axle))
         self._odometry = compose(self._odometry, moved)
         return Measured(self.time, self._odometry, moved / self.robot.control_period, self.readings.ranges[0].tolist())
-
-
-def _with_laser(robot: RobotSpec) -> RobotSpec:
-    turns = np.arange(SCAN_BEAMS) * (2.0 * math.pi / SCAN_BEAMS) - math.pi
-    beams = tuple(SensorSpec(0.0, 0.0, turn, robot.radius, robot.reach) for turn in turns.tolist())
-    return replace(robot, beams=beams)
 
 
 def serve(robot: RosRobot, pace: float, truth: IO[str] | None) -> None:
@@ -121,9 +108,8 @@ class Served:
 
         self._clock = publisher("rosgraph_msgs/msg/Clock", "/clock")
         self._odometry = publisher("nav_msgs/msg/Odometry", "odom")
-        kind = "sensor_msgs/msg/LaserScan" if robot.has_laser else "sensor_msgs/msg/Range"
-        names = ["scan"] if robot.has_laser else [f"beam_{number}" for number in range(len(robot.robot.beams))]
-        self._sensors = [publisher(kind, name) for name in names]
+        count = len(robot.robot.beams)
+        self._sensors = [publisher("sensor_msgs/msg/Range", f"beam_{number}") for number in range(count)]
 
     def run(self) -> None:
         """Emulate for ever. The robot stands still until somebody listens."""
@@ -160,21 +146,7 @@ class Served:
         build, at = self._build, measured.time
         self._clock.publish(build.make("rosgraph_msgs/msg/Clock", clock=build.stamp(at)))
         self._odometry.publish(build.odometry(at, _FRAMES, measured.odometry, measured.speeds))
-        if self._robot.has_laser:
-            self._sensors[0].publish(self._scan(measured))
-            return
         beams = zip(self._robot.robot.beams, measured.ranges, self._sensors, strict=True)
         for number, (beam, reading, sensor) in enumerate(beams):
             limits = beam.min_range, beam.max_range
             sensor.publish(build.range(at, f"beam_{number}", limits, _BEAM_WIDTH, reading))
-
-    def _scan(self, measured: Measured) -> Any:
-        beams = self._robot.robot.beams
-        least, largest = beams[0].min_range, beams[0].max_range
-        step = 2.0 * math.pi / len(beams)
-        seen = [reading if reading < np.float32(largest) else math.inf for reading in measured.ranges]
-        return self._build.make(
-            "sensor_msgs/msg/LaserScan", header=self._build.header(measured.time, _FRAMES[1]),
-            angle_min=-math.pi, angle_max=math.pi - step, angle_increment=step, time_increment=0.0,
-            scan_time=self._robot.robot.control_period, range_min=least, range_max=largest, ranges=seen,
-        )  # fmt: skip

@@ -1,9 +1,8 @@
 """The connection of a session to a robot of ROS 2: messages of topics in, speeds out."""
 
 import time
-from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -12,38 +11,19 @@ from limslam_agent.live.link import POLL, NoRobotError
 from limslam_agent.live.protocol import VERSION, Command, Heartbeat, Hello, Message, Speeds, Stop, Telemetry
 from limslam_agent.live.recording import MM
 from limslam_agent.live.ros2.node import ODOMETRY, Event, RosNode
-from limslam_agent.live.ros2.odometer import Sample
+from limslam_agent.live.ros2.odometer import Measurement, Odometer, Sample
 from limslam_agent.live.ros2.parameters import Parameters
 from limslam_agent.live.ros2.sensors import RangeSensors, ScanSensors
-from limslam_agent.live.ros2.synchroniser import Measurement, Synchroniser
 from limslam_agent.logs.ros_messages import pose_of
 from limslam_env.geometry.se2 import wheels_to_arc
 from limslam_env.interface import RobotSpec
 
 _MICROMETRE = 1e-6
 _FIRST = 5  # number of measurements that show the period
-_MOST_SENT = 200  # number of commands that may wait to be acknowledged
-
-
-@dataclass
-class _Acknowledgement:
-    """When the newest commands were sent, by the time of ROS."""
-
-    newest: int = 0
-    sent: deque[tuple[float, int]] = field(default_factory=lambda: deque(maxlen=_MOST_SENT))
-
-    def at(self, time: float) -> int:
-        """Sequence number of the newest command that was sent before a measurement at ``time``."""
-        while self.sent and self.sent[0][0] < time:
-            self.newest = self.sent.popleft()[1]
-        return self.newest
 
 
 class RosLink:
-    """Makes telemetry of the messages of ROS, and speeds of commands.
-
-    A measurement counts as one that shows a command if it was made after the command was sent. This needs headers that
-    are stamped by the time of ROS. With other headers the delay is not known, and the robot drives at full speed.
+    """Makes telemetry of the messages of ROS, and speeds of commands. No message says which command was obeyed.
 
     Parameters
     ----------
@@ -72,10 +52,9 @@ class RosLink:
         self.frames = ("odom", "base_link")
         self._ports, self._robot, self._parameters = ports, robot, parameters
         self._sensors: RangeSensors | ScanSensors = (
-            RangeSensors(robot) if parameters.range_topics else ScanSensors(robot, parameters.mount)
+            RangeSensors(robot, parameters.period) if parameters.range_topics else ScanSensors(robot, parameters.mount)
         )
-        self._synchroniser = Synchroniser(robot, parameters.period)
-        self._acknowledgement = _Acknowledgement()
+        self._odometer = Odometer(robot, parameters.period)
         self._seq = self._row = self._stops = 0
         self._hello: Hello | None = None
         self._ready = list[Message]()
@@ -83,18 +62,13 @@ class RosLink:
 
     @property
     def late(self) -> int:
-        """Number of messages that came too late to be used."""
-        return self._synchroniser.late + self._sensors.late
-
-    @property
-    def doubled(self) -> int:
-        """Number of messages that came twice."""
-        return self._synchroniser.doubled + self._sensors.doubled
+        """Number of messages that came too late to be used, or twice."""
+        return self._odometer.late
 
     @property
     def jumps(self) -> int:
         """Number of jumps of the odometry."""
-        return self._synchroniser.jumps
+        return self._odometer.jumps
 
     @property
     def robot(self) -> RobotSpec:
@@ -125,11 +99,10 @@ class RosLink:
         """The telemetry that is complete, and a hello where time has begun again."""
         messages, self._ready = self._ready, []
         for event in self._ports.take(0.0 if messages else timeout):
-            begun = self._synchroniser.begun
+            begun = self._odometer.begun
             measurements = self._taken(event)
-            if self._synchroniser.begun > begun and self._hello is not None:
-                self._acknowledgement = _Acknowledgement(self._seq)
-                messages.append(replace(self._hello, boot=self._synchroniser.begun))
+            if self._odometer.begun > begun and self._hello is not None:
+                messages.append(replace(self._hello, boot=self._odometer.begun))
             messages += [self._telemetry(each) for each in measurements]
         return messages
 
@@ -145,7 +118,6 @@ class RosLink:
         if isinstance(command, Speeds | Stop):
             left, right = (command.left, command.right) if isinstance(command, Speeds) else (0, 0)
             self._ports.drive(*wheels_to_arc(MM * np.array([left, right]), self._robot.axle))
-            self._acknowledgement.sent.append((self._ports.now(), command.seq))
             self._stops = self._ports.watchdog_stops
 
     def greet(self) -> None:
@@ -157,20 +129,20 @@ class RosLink:
         try:
             if event.number == ODOMETRY:
                 self.frames = (event.message.header.frame_id or "odom", event.message.child_frame_id or "base_link")
-                return self._synchroniser.add_odometry(event.time, np.array(pose_of(event.message)))
+                return self._odometer.add_pose(event.time, np.array(pose_of(event.message)))
             readings = self._sensors.add(event.number, event.time, event.message)
         except ValueError as error:
             self.bad_lines += 1
             self._trouble = str(error)
             return []
-        return [each for reading in readings for each in self._synchroniser.add_reading(reading)]
+        return [each for reading in readings for each in self._odometer.add_reading(reading)]
 
     def _telemetry(self, measurement: Measurement) -> Telemetry:
         sample = self.newest = measurement.sample
         self._row += 1
         left, right = (round(travel / _MICROMETRE) for travel in (sample.left, sample.right))
-        ack, stopped = self._acknowledgement.at(sample.time), int(self._ports.watchdog_stops > self._stops)
-        return Telemetry(self._row, round(1e3 * sample.time), left, right, ack, stopped, measurement.ranges)
+        stopped = int(self._ports.watchdog_stops > self._stops)
+        return Telemetry(self._row, round(1e3 * sample.time), left, right, 0, stopped, measurement.ranges)
 
     def _missing(self, found: list[Measurement]) -> str:
         """What has not been heard, in words."""

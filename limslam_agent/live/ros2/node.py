@@ -169,7 +169,7 @@ class RosNode:
     def _publish_speeds(self, twist: Any) -> None:
         self._latest = twist
         if self.parameters.enable_stamped_cmd_vel:
-            header = self.build.header(self.now(), self.parameters.base_frame)
+            header = self.build.header(self.now(), "")
             twist = self.build.make("geometry_msgs/msg/TwistStamped", header=header, twist=twist)
         self._speeds(twist)
 

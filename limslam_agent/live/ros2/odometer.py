@@ -1,25 +1,20 @@
-"""Wheel travel from the poses of ``/odom``, at any time between two of them."""
+"""Wheel travel from the poses of ``/odom``, and the odometry at the time of each measurement."""
 
 import math
-from bisect import bisect_left
 from typing import NamedTuple
 
 import numpy as np
 
 from limslam_agent.live.recording import TOO_FAST
+from limslam_agent.live.ros2.sensors import CLOCK_SET, Ranges, Reading
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, between, compose
 from limslam_env.interface import RobotSpec
 
 KEPT = 5.0
-"""Time for which poses are kept at least, s."""
+"""Time for which poses and readings are kept, s."""
 
-CLOCK_SET = 1.0
-"""A message whose time is earlier than that of the newest one by more than this, s, is no late message: the clock was
-set, or a bag begins again.
-"""
-
-_MOST_STRAY = 5  # number of such messages in a row after which time begins again
+_JITTER = 0.7  # share of the period that must at least have passed between two measurements
 
 
 class Sample(NamedTuple):
@@ -41,74 +36,103 @@ class Sample(NamedTuple):
     pose: FloatArray
 
 
+class Measurement(NamedTuple):
+    """Readings, and the odometry at the time of their measurement."""
+
+    sample: Sample
+    ranges: Ranges
+
+
 class Odometer:
-    """Sums the wheel travel between the poses of ``/odom``.
+    """Sums the wheel travel between the poses of ``/odom``, and gives each reading the odometry of its own time.
 
     The travel between two poses is that of the arc that connects them, so lost messages lose no travel. A motion to the
-    side is left out, since wheels cannot make it.
+    side is left out, since wheels cannot make it. Readings wait until a later pose has arrived.
 
     Parameters
     ----------
     robot
         Its axle and its largest wheel speed count.
+    period
+        Time between two measurements, s. Readings that follow each other faster are left out.
 
     Attributes
     ----------
-    late, doubled
-        Numbers of messages that came after a later one, and that came twice. They are not used.
+    late
+        Number of messages that came after a later one, or twice, or that no odometry fits. They are not used.
     jumps
         Number of times that the pose has jumped, as it does when a driver starts again. The travel of a jump is zero.
+    begun
+        Number of times that the time has begun again.
     """
 
-    def __init__(self, robot: RobotSpec) -> None:
-        self._robot = robot
-        self.late = self.doubled = self.jumps = self._stray = 0
-        self._samples = list[Sample]()
+    def __init__(self, robot: RobotSpec, period: float) -> None:
+        self._robot, self._period = robot, period
+        self.late = self.jumps = self.begun = 0
+        self._forget()
 
-    @property
-    def newest(self) -> float:
-        """Time of the newest message, s. Minus infinity before the first one."""
-        return self._samples[-1].time if self._samples else -math.inf
+    def _forget(self) -> None:
+        self._samples, self._waiting, self._last = list[Sample](), list[Reading](), -math.inf
 
-    @property
-    def has_begun_again(self) -> bool:
-        """Whether the latest messages are all from a time long ago, so that their clock must have been set."""
-        return self._stray >= _MOST_STRAY
-
-    def add(self, time: float, pose: FloatArray) -> None:
-        """Take a pose (3,), m, m, rad, at a time, s."""
+    def add_pose(self, time: float, pose: FloatArray) -> list[Measurement]:
+        """Take a pose (3,), m, m, rad, at a time, s. The measurements that are complete with it."""
+        if self._samples and time < self._samples[-1].time - CLOCK_SET:
+            self.begun += 1
+            self._forget()
         if not self._samples:
             self._samples.append(Sample(time, 0.0, 0.0, pose))
-            return
+            return self._complete()
         last = self._samples[-1]
         elapsed = time - last.time
-        self._stray = self._stray + 1 if elapsed < -CLOCK_SET else 0
         if elapsed <= 0.0:
-            self.doubled, self.late = self.doubled + (elapsed == 0.0), self.late + (elapsed < 0.0)
-            return
+            self.late += 1
+            return []
         left, right = wheel_travel(between(last.pose, pose), self._robot.axle)
         if max(abs(left), abs(right)) > TOO_FAST * self._robot.max_wheel_speed * (elapsed + self._robot.control_period):
             self.jumps += 1
             left = right = 0.0
         self._samples.append(Sample(time, last.left + left, last.right + right, pose))
-        if self._samples[0].time < time - 2.0 * KEPT:
-            self._samples = [each for each in self._samples if each.time >= time - KEPT]
+        self._samples = [each for each in self._samples if each.time >= time - KEPT]
+        return self._complete()
+
+    def add_reading(self, reading: Reading) -> list[Measurement]:
+        """Take readings. The measurements that are complete with them."""
+        if reading.time <= self._last:
+            self.late += 1
+            return []
+        self._waiting = sorted([*self._waiting, reading], key=lambda each: each.time)
+        return self._complete()
 
     def at(self, time: float) -> Sample | None:
         """The odometry at a time, s, between two messages. None if there is none before, or none after."""
-        if not self._samples or not self._samples[0].time <= time <= self.newest:
+        samples = self._samples
+        if not samples or not samples[0].time <= time <= samples[-1].time:
             return None
-        after = bisect_left(self._samples, time, key=lambda each: each.time)
-        end = self._samples[after]
-        if end.time == time:
-            return end
-        begin = self._samples[after - 1]
-        share = (time - begin.time) / (end.time - begin.time)
+        times = [each.time for each in samples]
+        after = int(np.searchsorted(times, time))
+        begin, end = samples[max(after - 1, 0)], samples[after]
+        share = (time - begin.time) / (end.time - begin.time) if end is not begin else 0.0
         _, _, turn = between(begin.pose, end.pose)
         towards = compose(begin.pose, np.array([0.0, 0.0, share * turn]))
         towards[:2] = begin.pose[:2] + share * (end.pose - begin.pose)[:2]
         left, right = (first + share * (second - first) for first, second in zip(begin[1:3], end[1:3], strict=True))
         return Sample(time, left, right, towards)
+
+    def _complete(self) -> list[Measurement]:
+        complete = []
+        while self._waiting and self._samples and self._waiting[0].time <= self._samples[-1].time:
+            reading = self._waiting.pop(0)
+            if reading.time - self._last < _JITTER * self._period:
+                continue
+            sample = self.at(reading.time)
+            if sample is None:  # from before the first odometry
+                self.late += 1
+                continue
+            self._last = reading.time
+            complete.append(Measurement(sample, reading.ranges))
+        if self._waiting:  # the odometry may be silent
+            self._waiting = [each for each in self._waiting if each.time >= self._waiting[-1].time - KEPT]
+        return complete
 
 
 def wheel_travel(motion: FloatArray, axle: float) -> tuple[float, float]:

@@ -3,15 +3,15 @@
 import math
 from array import array
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import numpy as np
 
-from limslam_agent.config.bounds import Bounded, Bounds, NonNegative
+from limslam_agent.config.bounds import Bounded, Bounds
 from limslam_agent.config.tables import updated
 from limslam_env.geometry import FloatArray
-from limslam_env.interface import RobotSpec, SensorSpec
+from limslam_env.interface import RobotSpec
 
 _Time = Annotated[float, Bounds(0.0, 60.0)]
 
@@ -27,18 +27,14 @@ class Parameters(Bounded):
         LaserScans.
     scan_mount
         Pose of the laser on the robot: x (m), y (m), heading (deg).
-    beams_deg
-        Directions of the beams, deg, counter-clockwise from ahead, in place of those of the robot's description.
-    max_range
-        Longest range, m, in place of that of the description. 0: that of the description.
     period
         Time between two measurements that are used, s. Faster sensors are thinned out.
     watchdog
         Time after the latest decision after which the wheels are stopped, s.
     map_period
         Time between two publications of the map, s.
-    map_frame, odom_frame, base_frame
-        Names of the frames. Empty names are those of the odometry's messages.
+    map_frame, odom_frame
+        Names of the frames. Without a name, the frame is that of the odometry's messages.
     transform_tolerance
         By how much the transform from ``map_frame`` to ``odom_frame`` is dated ahead, s.
     publish_tf
@@ -52,25 +48,17 @@ class Parameters(Bounded):
     """
 
     range_topics: tuple[str, ...] = ()
-    scan_mount: tuple[float, ...] = (0.0, 0.0, 0.0)
-    beams_deg: tuple[float, ...] = ()
-    max_range: NonNegative = 0.0
+    scan_mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
     period: _Time = 0.1
     watchdog: Annotated[float, Bounds(0.05, 60.0)] = 0.5
     map_period: _Time = 1.0
     map_frame: str = "map"
     odom_frame: str = ""
-    base_frame: str = ""
     transform_tolerance: _Time = 0.5
     publish_tf: bool = True
     explore: bool = True
     return_to_init: bool = False
     enable_stamped_cmd_vel: bool = False
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if len(self.scan_mount) != 3 or not all(map(math.isfinite, self.scan_mount)):
-            raise ValueError("the parameter scan_mount must be three numbers: x (m), y (m), heading (deg)")
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> "Parameters":
@@ -91,20 +79,15 @@ class Parameters(Bounded):
         x, y, degrees = self.scan_mount
         return np.array([x, y, math.radians(degrees)])
 
-    def robot(self, described: RobotSpec) -> RobotSpec:
-        """The robot with the beams that the parameters ask for.
+    def check(self, robot: RobotSpec) -> None:
+        """Refuse topics of ranges that are not one for each beam.
 
         Raises
         ------
         ValueError
-            If there is not one topic for each beam, or a beam cannot be.
+            If they are not.
         """
-        beams = described.beams
-        if self.beams_deg:
-            longest = max(beam.max_range for beam in beams)
-            beams = tuple(SensorSpec(0.0, 0.0, math.radians(each), max_range=longest) for each in self.beams_deg)
-        if self.max_range:
-            beams = tuple(replace(beam, max_range=self.max_range) for beam in beams)
-        if self.range_topics and len(self.range_topics) != len(beams):
-            raise ValueError(f"range_topics has {len(self.range_topics)} topics, but the robot has {len(beams)} beams")
-        return replace(described, beams=beams)
+        if self.range_topics and len(self.range_topics) != len(robot.beams):
+            raise ValueError(
+                f"range_topics has {len(self.range_topics)} topics, but the robot has {len(robot.beams)} beams"
+            )

@@ -1,7 +1,6 @@
 """Readings of a robot's beams from LaserScan messages, or from Range messages of several topics."""
 
 import math
-from collections import deque
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -9,7 +8,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from limslam_agent.live.protocol import NOTHING_SEEN
-from limslam_agent.live.ros2.odometer import CLOCK_SET
 from limslam_agent.logs.pose_log import nearest_beams
 from limslam_agent.logs.ros_messages import beam_on_body, rotation_of, scan_angles, scan_readings, sensor_limits
 from limslam_env.geometry import FloatArray, IntArray
@@ -20,9 +18,12 @@ Ranges = tuple[int | None, ...]
 """The reading of each beam, mm, as telemetry has it: None where there is none, ``NOTHING_SEEN`` where nothing is."""
 
 
-_TOGETHER = 0.75  # share of the time between two messages of a topic
-_SPACINGS = 50  # number of latest times between messages whose median counts
-_SILENT = 3.0  # times between messages after which a topic is not waited for
+CLOCK_SET = 1.0
+"""A message whose time is earlier than that of the one before by more than this, s, is no late message: the clock was
+set, or a bag begins again.
+"""
+
+_TOGETHER = 0.75  # share of a period
 
 
 class Reading(NamedTuple):
@@ -50,7 +51,6 @@ class ScanSensors:
 
     def __init__(self, robot: RobotSpec, mount: FloatArray) -> None:
         self.robot: RobotSpec | None = None
-        self.late = self.doubled = 0  # those of scans are found where they meet the odometry
         self._wanted, self._mount = robot, mount
         self._angles: FloatArray = np.zeros(0)
         self._columns: IntArray = np.zeros(0, dtype=np.int64)
@@ -90,74 +90,45 @@ class ScanSensors:
         return replace(self._wanted, beams=tuple(beams))
 
 
-class _Moment:
-    """Ranges of several topics that are collected, with their times."""
-
-    def __init__(self) -> None:
-        self.times, self.ranges = dict[int, float](), dict[int, int | None]()
-
-    @property
-    def time(self) -> float:
-        """Median of the times, s."""
-        return float(np.median([*self.times.values()]))
-
-    @property
-    def newest(self) -> float:
-        """Latest of the times, s."""
-        return max(self.times.values())
-
-    def takes(self, number: int, time: float, window: float) -> bool:
-        """Whether a message of the topic with a number belongs here: all times lie within ``window`` s."""
-        times = [*self.times.values(), time]
-        return number not in self.times and max(times) - min(times) < window
-
-
 class RangeSensors:
     """Collects the Range messages of several topics, one for each beam of a robot.
 
-    Messages belong together if their times lie within three quarters of the time between two messages of a topic.
-    Topics may overtake each other. So readings are complete when each topic has had its message or a later one, which
-    says that its message is lost. A topic that has been silent for a while is not waited for. Beams without a message
-    have no reading. The time of the readings is the median of those of the messages.
+    Messages belong together if their times lie within three quarters of a period. Readings are complete when each topic
+    has had its message, or when a message comes that does not belong to them. Beams without a message have no reading.
+    The time of the readings is the median of those of the messages.
 
     Parameters
     ----------
     robot
         The robot. Its beams are in the order of the topics.
+    period
+        Time between two measurements, s.
 
     Attributes
     ----------
     robot
         The robot, with the beams as the messages describe them. None until each topic has had a message.
-    late, doubled
-        Numbers of messages that came after a later one, and that came twice. They are not used.
     """
 
-    def __init__(self, robot: RobotSpec) -> None:
+    def __init__(self, robot: RobotSpec, period: float) -> None:
         self.robot: RobotSpec | None = None
-        self.late = self.doubled = 0
-        self._wanted, self._beams = robot, dict[int, SensorSpec]()
-        self._latest, self._last = dict[int, float](), -math.inf
-        self._spacings: deque[float] = deque(maxlen=_SPACINGS)
-        self._open = list[_Moment]()
+        self._wanted, self._period, self._beams = robot, period, dict[int, SensorSpec]()
+        self._times, self._ranges = dict[int, float](), dict[int, int | None]()
+        self._latest = dict[int, float]()
 
     def add(self, number: int, time: float, message: Any) -> list[Reading]:
         """Take the message of the topic with a number. The readings that are complete now."""
         limits = float(message.min_range), float(message.max_range)
         self._describe(number, limits)
-        before = self._latest.get(number, time)
-        if number in self._latest and -CLOCK_SET <= time - before <= 0.0:
-            self.doubled, self.late = self.doubled + (time == before), self.late + (time < before)
+        before = self._latest.get(number, -math.inf)
+        if before - CLOCK_SET <= time <= before:  # late, or twice
             return []
         self._latest[number] = time
-        if time < before:  # the clock was set
-            self._open, self._last = [], -math.inf
-        if time > before:
-            self._spacings.append(time - before)
-        if self._spacings:
-            (reading,) = in_mm([float(message.range)], *limits)
-            self._collect(number, time, reading)
-        return self._complete()
+        times = [*self._times.values(), time]
+        is_other = number in self._times or max(times) - min(times) > _TOGETHER * self._period
+        done = self._taken() if is_other else []
+        self._times[number], (self._ranges[number],) = time, in_mm([float(message.range)], *limits)
+        return done + (self._taken() if len(self._times) == len(self._wanted.beams) else [])
 
     def _describe(self, number: int, limits: tuple[float, float]) -> None:
         """Learn from the first message of each topic how far its beam sees."""
@@ -169,42 +140,12 @@ class RangeSensors:
         if len(self._beams) == len(self._wanted.beams):
             self.robot = replace(self._wanted, beams=tuple(self._beams[each] for each in sorted(self._beams)))
 
-    def _collect(self, number: int, time: float, reading: int | None) -> None:
-        """Put a reading to those of its moment."""
-        window = _TOGETHER * self._spacing
-        moment = next((each for each in self._open if each.takes(number, time, window)), None)
-        if moment is None and time <= self._last:
-            self.late += 1
-            return
-        if moment is None:
-            moment = _Moment()
-            self._open.append(moment)
-        moment.times[number], moment.ranges[number] = time, reading
-
-    @property
-    def _spacing(self) -> float:
-        """Time between two messages of a topic, s."""
-        return float(np.median(self._spacings))
-
-    def _complete(self) -> list[Reading]:
-        done = []
-        self._open.sort(key=lambda each: each.time)
-        while self._open and not any(self._is_awaited(number, self._open[0]) for number in self._numbers):
-            moment = self._open.pop(0)
-            self._last = moment.newest
-            done.append(Reading(moment.time, tuple(moment.ranges.get(number) for number in self._numbers)))
-        return done
-
-    @property
-    def _numbers(self) -> range:
-        return range(len(self._wanted.beams))
-
-    def _is_awaited(self, number: int, moment: _Moment) -> bool:
-        """Whether the message of a topic may still come."""
-        latest = self._latest.get(number, -math.inf)
-        if number in moment.times or latest > moment.newest:
-            return False
-        return max(self._latest.values()) - latest < _SILENT * self._spacing
+    def _taken(self) -> list[Reading]:
+        """The readings that were collected, which begin anew."""
+        ranges = tuple(self._ranges.get(number) for number in range(len(self._wanted.beams)))
+        reading = Reading(float(np.median([*self._times.values()])), ranges)
+        self._times, self._ranges = {}, {}
+        return [reading]
 
 
 def in_mm(readings: Sequence[float] | FloatArray, least: float, largest: float) -> Ranges:

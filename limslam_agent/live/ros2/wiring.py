@@ -29,7 +29,8 @@ def wired_by_ros(described: RobotSpec | None, arguments: Sequence[str]) -> Itera
     if described is None:
         raise ValueError("--ros2 needs --robot, the description of body, wheels and beams: messages do not hold it")
     with ros_node(arguments) as node:
-        link = RosLink(node, node.parameters.robot(described), node.parameters)
+        node.parameters.check(described)
+        link = RosLink(node, described, node.parameters)
         outputs = Outputs(node, link)
 
         def policy(asked: Policy | None, config: AgentConfig, robot: RobotSpec) -> WayHome:

@@ -34,14 +34,18 @@ from limslam_agent.slam.batch.compiled_steps import (
     clear,
     clone,
     collect,
+    first_jitter,
     has_ended,
     is_due,
+    jitter_of,
     move,
     process,
     prune,
     size_of,
     slip,
     slip_covariance,
+    tick_by,
+    turned,
     wheel_motion,
 )
 from limslam_agent.slam.batch.grid import CropArray, crop, update
@@ -285,15 +289,18 @@ def state_of(states: States, number: int) -> States:
             walls.tally[number],
         ),
         states.travel[number], states.pending[number], states.fill[number], states.contact[number],
-        states.grid[number], states.window[number],
+        states.ticks[number], states.grid[number], states.window[number],
     )  # fmt: skip
 
 
 @algebra
 def accept(
     state: States, ranges: FloatArray, wheels: FloatArray, spec: Spec, measured: BoolArray
-) -> None:  # fmt: skip
-    """Predict by the wheel travel (2,), m, and collect the new readings; fills which readings (b,) are new."""
+) -> FloatArray:  # fmt: skip
+    """Predict by the wheel travel (2,), m, and collect the new readings; fills which readings (b,) are new.
+
+    The encoders' jitter (3, 3) is returned: see ``encoder_ticks.jitter_of``.
+    """
     settings, beams, travel = spec.settings[0], spec.beams, state.travel
     ekf, walls, hits = state.filter, state.walls, np.zeros(len(ranges), dtype=np.bool_)
     ekf.counts[STEP] += 1
@@ -303,6 +310,11 @@ def accept(
         measured[beam] = is_number and ekf.counts[STEP] % spec.periods[beam] == 0
         hits[beam] = measured[beam] and beams[beam, TOO_NEAR] < ranges[beam] < beams[beam, TOO_FAR]
     increment, covariance = wheel_motion(wheels, settings.axle, settings.wheel_variance)
+    before = state.ticks.copy()
+    for wheel in range(2):
+        state.ticks[wheel] = tick_by(before[wheel], wheels[wheel])
+    covariance += first_jitter(before, state.ticks, settings.axle)
+    jitter = jitter_of(state.ticks, settings.axle)
     angles, too_near, radius = beams[:, ANGLE], beams[:, TOO_NEAR], settings.radius
     variance, angle = slip(state.contact, ranges, measured, increment[0], angles, too_near, radius, settings.std)
     if variance:
@@ -318,7 +330,8 @@ def accept(
         if ekf.counts[CLONES] == len(ekf.clones):
             walls.tally[OVERFLOWS] += 1
             prune(ekf, state.pending, state.fill, len(ekf.clones) - 1)
-        collect(travel, state.pending, state.fill, ekf.counts[STEP], ranges, hits, spec.sides, clone(ekf, 0))
+        collect(travel, state.pending, state.fill, ekf.counts[STEP], ranges, hits, spec.sides, clone(ekf, 0, jitter))
+    return jitter
 
 
 @entry
@@ -346,7 +359,7 @@ def step_some(
         number = chosen[place]
         state = state_of(states, number)
         ekf, travel = state.filter, state.travel
-        accept(state, ranges[number], wheels[number], spec, measured)
+        jitter = accept(state, ranges[number], wheels[number], spec, measured)
         for side in range(_NUM_SIDES):
             is_over = has_ended(travel, state.fill, side, WALL_END)
             if state.fill[side, FRESH] >= settings.batch or is_over:
@@ -355,7 +368,7 @@ def step_some(
                     None,
                 )  # fmt: skip
         pose[number] = ekf.x[:POSE]
-        covariance[number] = ekf.P[:POSE, :POSE]
+        covariance[number] = ekf.P[:POSE, :POSE] + turned(jitter, ekf.x[2])
         update(
             pose[number], state.grid, state.window, ranges[number], measured, settings, spec.beams, stamps, place + 1
         )  # fmt: skip
@@ -375,7 +388,7 @@ def begin(state: States, start: FloatArray, cell: float) -> None:
     state.travel[:] = 0.0
     state.fill[:] = 0
     state.walls.tally[:] = 0
-    state.contact[:] = -1.0
+    state.contact[:], state.ticks[:] = -1.0, 0.0
     state.travel[DRIVEN_AT], state.travel[TURNED_AT] = -np.inf, -np.inf
     state.grid[:] = 0
     half = state.grid.shape[0] // 2

@@ -8,7 +8,8 @@ from limslam_agent.kernels.covariance import move_pose
 from limslam_agent.kernels.extents import clear_along_beams
 from limslam_agent.slam.batch.compilation import algebra
 from limslam_agent.slam.consistent import association, clone_filter, pending_readings, separate_bias
-from limslam_agent.slam.core import contact, motion
+from limslam_agent.slam.core import contact, encoder_ticks, motion
+from limslam_env.geometry import se2
 
 
 @algebra
@@ -45,3 +46,6 @@ slip, slip_covariance = compiled_step(contact.slip), compiled_step(contact.slip_
 clone, size_of = compiled_step(clone_filter.clone), compiled_step(clone_filter.size_of)
 move, clear = compiled_step(move_pose), compiled_step(clear_along_beams)
 wheel_motion = compiled_step(motion.wheel_motion)
+tick_by, jitter_of = compiled_step(encoder_ticks.tick_by), compiled_step(encoder_ticks.jitter_of)
+first_jitter = compiled_step(encoder_ticks.first_jitter)
+turned = compiled_step(se2.turned)

@@ -64,6 +64,8 @@ class States(NamedTuple):
         (n, 7), (n, 3, most, 5) and (n, 3, 2), as in ``consistent.pending_readings``.
     contact
         (n, beams): what :func:`limslam_agent.slam.core.contact.slip` remembers.
+    ticks
+        (n, 2): what ``core.encoder_ticks.tick_by`` has found of the encoders, m.
     grid, window
         Occupancy (n, cells, cells); the cell (row, column) of the world is stored at these numbers modulo ``cells``.
         Row and column (n, 2) of the lowest world cell that the grid holds.
@@ -75,6 +77,7 @@ class States(NamedTuple):
     pending: FloatArray
     fill: IntArray
     contact: FloatArray
+    ticks: FloatArray
     grid: NDArray[np.int16]
     window: IntArray
 
@@ -132,6 +135,7 @@ def states_for(robot: RobotSpec, config: ConsistentConfig, num_envs: int, capaci
         pending=np.zeros((num_envs, len(SIDES), clones * widest, 5)),
         fill=np.zeros((num_envs, len(SIDES), 2), dtype=np.int64),
         contact=np.zeros((num_envs, len(robot.beams))),
+        ticks=np.zeros((num_envs, 2)),
         grid=np.zeros((num_envs, capacity.cells, capacity.cells), dtype=np.int16),
         window=np.zeros((num_envs, 2), dtype=np.int64),
     )

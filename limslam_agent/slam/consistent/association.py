@@ -109,12 +109,12 @@ def process(
     points = end_points(ekf, places, readings, math.nan)
     # Beams ahead meet a wall at points far apart, with nothing in between.
     max_gap = GAP_AHEAD if row % _NUM_SIDES == AHEAD else settings.segment_gap
-    owner, lines, _ = extract_lines(
+    owner, lines, ends = extract_lines(
         points, max_gap, settings.min_votes, settings.r_step, settings.theta_step, settings.near_line,
         settings.segment_length, settings.only_best,
     )  # fmt: skip
     if listener is not None:
-        listener.extracted(row, points, owner)
+        listener.extracted(row, points, lines, ends)
     is_kept = np.ones(count, dtype=np.bool_)
     for index in range(len(lines)):
         members = np.flatnonzero(owner == index)

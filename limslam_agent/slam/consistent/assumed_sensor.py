@@ -71,7 +71,7 @@ class AssumedSensor:
             return None
         self._is_counted = False
         config, sensor, noise = self._config, self.sensor, self._noise.estimate
-        change, evidence = errors.estimate_of(LENGTHS)[0], errors.evidence[LENGTHS]
+        change, evidence = errors.estimate_of(LENGTHS)[0], errors.length_evidence
         change[1] = np.clip(change[1], -sensor.cone, LARGEST_CONE - sensor.cone)
         evidence = np.where(np.abs(change) > (LEAST_BIAS, LEAST_ANGLE), evidence, 0.0)
         gate, noise_gate = config.gate, config.noise_gate
@@ -98,7 +98,7 @@ class AssumedSensor:
             return None
         delay, gate = self.sensor.delay, self._config.further_gate if self.sensor.delay else self._config.gate
         further = float(errors.estimate_of(COMMON)[0][DELAY])
-        if abs(further) < LEAST_DELAY or delay + further < 0.0 or errors.evidence[DELAY] < gate:
+        if abs(further) < LEAST_DELAY or delay + further < 0.0 or errors.delay_evidence < gate:
             return None
         return self.sensor._replace(delay=min(delay + further, LONGEST))
 
@@ -117,11 +117,15 @@ class AssumedSensor:
         if not count:
             return None
         errors = errors.discounted(min(1.0, self.usual_std / self.specified.usual_std(self._reach)) ** 2)
-        turns, evidence, gate = errors.estimate_of(TURNS)[0], errors.turn_evidence, self._config.gate
+        turns = errors.estimate_of(TURNS)[0]
+        if np.abs(turns).max() < LEAST_ANGLE:
+            return None
         if sensor.turns:
             # The gain is that beside a prior about the assumed directions. The prior of all turns is about zero.
             gain, gate = errors.turn_gain, self._config.further_gate + count
             evidence = gain - 2.0 * float(turns @ np.array(sensor.turns)) / self._config.turn_std**2
-        if evidence < gate or np.abs(turns).max() < LEAST_ANGLE:
+        else:
+            evidence, gate = errors.turn_evidence, self._config.gate
+        if evidence < gate:
             return None
         return sensor._replace(turns=tuple((turns + (sensor.turns or np.zeros(count))).tolist()))

@@ -19,10 +19,10 @@ from limslam_agent.kernels.tables import CLONES, LINES, LINES_FROM, POSE, POSES_
 from limslam_agent.slam.consistent import clone_filter
 from limslam_agent.slam.consistent.clone_filter import begins_of, clones_from, equality, line_at, num_lines, size_of
 from limslam_agent.slam.consistent.separate_bias import DELAY, TURNS, ConstantErrors, OdometryErrors, RangeErrors
-from limslam_agent.slam.core.motion import is_sure
+from limslam_agent.slam.core.motion import Motion
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import normalise
-from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.geometry.se2 import turned, wrap_angle
 
 _LINES, _CLONES = 24, 12  # room that is made at once, besides an eighth of the state
 
@@ -58,7 +58,9 @@ class CloneEKF:
             None if calibration is None else OdometryErrors(len(start) // POSE, calibration),
             None if range_errors is None else RangeErrors(range_errors),
         )
-        self._motions = np.zeros((len(start) // POSE, POSE))  # of the poses in the latest step
+        robots = len(start) // POSE
+        # Of the poses in the latest step: the change in the world, and the jitter in the robot's frame.
+        self._motions, self._jitters = np.zeros((robots, POSE)), np.zeros((robots, POSE, POSE))
         counts = np.array([len(start), len(start), 0, 0, 0])
         by_errors = np.zeros((len(start), self._errors.count))
         self.arrays = Filter(
@@ -96,7 +98,7 @@ class CloneEKF:
     @property
     def poses(self) -> FloatArray:
         """The poses (n, 3), a copy."""
-        return np.array(self.x[: self._poses_end].reshape(-1, POSE))
+        return self.arrays.x[: self._poses_end].reshape(-1, POSE).copy()
 
     @property
     def pose(self) -> FloatArray:
@@ -107,6 +109,9 @@ class CloneEKF:
     def joint_pose_covariance(self) -> FloatArray:
         """Covariance of all poses together (3 n, 3 n), a copy."""
         joint = np.array(self.arrays.P[: self._poses_end, : self._poses_end])
+        for first, jitter in zip(range(0, len(joint), POSE), self._jitters, strict=True):
+            own = slice(first, first + POSE)
+            joint[own, own] += turned(jitter, float(self.arrays.x[first + 2]))
         return joint + self._spread_by_turns(len(joint)) if self.has_turned_beams else joint
 
     @property
@@ -184,31 +189,20 @@ class CloneEKF:
             self.x[part], self.P[part], self.P[:, part] = calibration, 0.0, 0.0
             self.P[part, part] = covariance
 
-    def predict(
-        self, increment: FloatArray, covariance: FloatArray, robot: int = 0, by_calibration: FloatArray | None = None
-    ) -> None:
-        """Move a robot.
-
-        Parameters
-        ----------
-        increment, covariance
-            The motion in the robot's frame (3,), m, m, rad, and its covariance (3, 3).
-        robot
-            Which robot moves.
-        by_calibration
-            Derivative (3, 3) of the increment by the odometry's calibration, where that is estimated.
-        """
+    def predict(self, motion: Motion, robot: int = 0) -> None:
+        """Move a robot."""
         arrays, at, size = self.arrays, POSE * robot, size_of(self.arrays.counts)
         by_pose, by_increment, moved = np.zeros((POSE, POSE)), np.zeros((POSE, POSE)), slice(at, at + POSE)
+        increment, covariance = motion.increment, motion.covariance
         move_pose(arrays.x, arrays.P, size, at, increment, covariance, by_pose, by_increment, self._poses_end)
-        self._motions[robot] = by_increment @ increment
-        if not is_sure(float(increment[2]), float(covariance[2, 2])):
+        self._motions[robot], self._jitters[robot] = by_increment @ increment, motion.jitter
+        if not motion.has_turned:
             self._motions[robot, 2] = 0.0
         if arrays.by_errors.shape[1]:
             arrays.by_errors[moved] = by_pose @ arrays.by_errors[moved]
-        if by_calibration is None:
+        if motion.by_calibration is None:
             return
-        drift = by_increment @ by_calibration
+        drift = by_increment @ motion.by_calibration
         if self._errors.odometry is not None:
             arrays.by_errors[moved, moved] += drift
         else:
@@ -253,10 +247,10 @@ class CloneEKF:
     def clone(self, robot: int = 0) -> int:
         """Add the pose at which a robot's present readings were taken to the state, and return its number.
 
-        It is a copy of the robot's pose, and readings that are late by a time were taken where the robot was before.
+        It is a copy of the robot's pose with its jitter. Late readings were taken where the robot was before.
         """
         self.make_room(clones=1)
-        number, ranges = clone_filter.clone(self.arrays, robot), self._errors.ranges
+        number, ranges = clone_filter.clone(self.arrays, robot, self._jitters[robot]), self._errors.ranges
         if ranges is not None:
             self.by_errors[-POSE:, DELAY - ranges.count] -= self._motions[robot]
         return number

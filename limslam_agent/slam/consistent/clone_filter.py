@@ -8,7 +8,7 @@ import math
 
 import numpy as np
 
-from limslam_agent.kernels.covariance import copy_pose, correct_state, dense_block, dense_rows, keep_states
+from limslam_agent.kernels.covariance import copy_pose, correct_state, dense_block, dense_rows, keep_states, move_pose
 from limslam_agent.kernels.measurement import ends_of_beams, error_transport
 from limslam_agent.kernels.segments import cut_at_bends
 from limslam_agent.kernels.tables import CLONES, LINES, LINES_FROM, NEXT_CLONE, POSE, POSES_END, Filter
@@ -87,10 +87,16 @@ def compare(ekf: Filter, places: IntArray, readings: FloatArray, index: int, var
     return compare_readings(ekf.x, ekf.P, clones_from(ekf.counts), places, readings, line, anchor, variances)
 
 
-def clone(ekf: Filter, robot: int) -> int:
-    """Add a copy of a robot's pose to the state, which must have room for it, and return the copy's number."""
-    number = ekf.counts[NEXT_CLONE]
-    copy_pose(ekf.x, ekf.P, ekf.by_errors, size_of(ekf.counts), ekf.counts[POSES_END], POSE * robot)
+def clone(ekf: Filter, robot: int, jitter: FloatArray) -> int:
+    """Add a copy of a robot's pose to the state, which must have room for it, and return the copy's number.
+
+    The copy is where the robot is, and the pose is the sum of what its encoders have reported: ``jitter`` (3, 3) is the
+    covariance of their difference, in the robot's frame.
+    """
+    number, size, whole = ekf.counts[NEXT_CLONE], size_of(ekf.counts), ekf.counts[POSES_END]
+    copy_pose(ekf.x, ekf.P, ekf.by_errors, size, whole, POSE * robot)
+    by_pose, by_increment = np.zeros((POSE, POSE)), np.zeros((POSE, POSE))
+    move_pose(ekf.x, ekf.P, size + POSE, size, np.zeros(POSE), jitter, by_pose, by_increment, whole)
     ekf.clones[ekf.counts[CLONES]] = number
     ekf.counts[CLONES] += 1
     ekf.counts[NEXT_CLONE] += 1

@@ -194,7 +194,7 @@ class ConsistentEstimator(Estimator):
 
     def predict(self, motion: Motion, robot: int) -> None:
         """Predict the pose of a robot that has moved."""
-        self._filter.predict(motion.increment, motion.covariance, robot, motion.by_calibration)
+        self._filter.predict(motion, robot)
         self._travel[robot, DRIVEN] += math.hypot(*motion.increment[:2].tolist())
         self._travel[robot, TURNED] += abs(float(motion.increment[2]))
 

@@ -8,7 +8,6 @@ from limslam_agent.kernels.tables import NUMBER, THETA
 from limslam_agent.slam.consistent.limits import MAX_ANGLE, MAX_END_GAP, MAX_OFFSET
 from limslam_agent.slam.consistent.pending_readings import BEAM, RANGE, SIDES, TAKEN_AT
 from limslam_agent.slam.core.diagnostics import AssociationRecord, CandidateTest, Closure, Comparison, Extraction
-from limslam_agent.slam.core.line_fit import fit_line
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import angle_between, direction, normal
 
@@ -23,13 +22,11 @@ class StepReports:
     def __init__(self, estimator: "ConsistentEstimator", robot: int, step: int) -> None:
         self._estimator, self._robot, self._step = estimator, robot, step
 
-    def extracted(self, row: int, points: FloatArray, owner: IntArray) -> None:
-        """The lines that were found in the pending readings of a side."""
-        estimator, std = self._estimator, self._estimator.settings.usual_std
-        fits = tuple(fit_line(points[owner == line], std) for line in range(owner.max(initial=-1) + 1))
+    def extracted(self, row: int, points: FloatArray, lines: FloatArray, ends: FloatArray) -> None:
+        """The lines (k, 2) with their ends (k, 2, 2) that were found in the pending readings of a side."""
+        estimator, side = self._estimator, SIDES[row % len(SIDES)]
         estimator.last_extraction = Extraction(
-            self._robot, SIDES[row % len(SIDES)], self._step, estimator.poses[self._robot], points, fits,
-            is_in_world=True,
+            self._robot, side, self._step, estimator.poses[self._robot], points, lines, ends, is_in_world=True
         )  # fmt: skip
 
     def considered(self, waiting: FloatArray, residuals: FloatArray) -> None:

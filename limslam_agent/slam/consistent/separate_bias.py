@@ -115,15 +115,17 @@ class RangeErrors(SeparateBias):
         return further
 
     @property
-    def evidence(self) -> FloatArray:
-        """Twice the logarithm of the Bayes factor for bias, opening angle and delay (3,).
+    def length_evidence(self) -> FloatArray:
+        """Twice the logarithm of the Bayes factor for bias and opening angle (2,).
 
-        Bias and opening angle are compared with the other one alone, so that none is taken for the other one, and a
-        delay with both of them.
+        Each is compared with the other one alone, so that none is taken for the other one.
         """
-        lengths = self.evidence_of(LENGTHS)
-        alone = [self.evidence_of(np.array([other])) for other in (1, 0)]
-        return np.array([*(lengths - each for each in alone), self.evidence_of(COMMON) - lengths])
+        return self.evidence_of(LENGTHS) - np.array([self.evidence_of(np.array([other])) for other in (1, 0)])
+
+    @property
+    def delay_evidence(self) -> float:
+        """The same for a delay, compared with bias and opening angle."""
+        return self.evidence_of(COMMON) - self.evidence_of(LENGTHS)
 
     @property
     def turns(self) -> FloatArray:

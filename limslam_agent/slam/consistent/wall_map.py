@@ -233,11 +233,11 @@ class WallMap:
     @property
     def landmarks(self) -> list[Landmark]:
         """The landmarks that are walls of the map."""
-        owners, is_shown = self._segments()[1], self._is_shown
+        owners, is_shown, intervals = self._segments()[1], self._is_shown, self._wall_intervals()
         return [
             replace(mark, segments=tuple(np.flatnonzero(owners == index).tolist()))
             for index, mark in enumerate(self.all_landmarks)
-            if is_shown[index] and len(self._wall_intervals(index))
+            if is_shown[index] and len(intervals[index])
         ]
 
     @property
@@ -262,13 +262,15 @@ class WallMap:
         """Which landmarks (n,) have enough readings."""
         return np.asarray(self.arrays.table[: len(self), READINGS] >= self._config.min_readings)
 
-    def _wall_intervals(self, index: int) -> FloatArray:
-        """Where along a landmark there is wall (k, 2), m; kept until the landmark changes."""
-        number, changes = self.arrays.table[index, [NUMBER, CHANGES]].tolist()
-        known = self._intervals.get(number)
-        if known is None or known[0] != changes:
-            known = self._intervals[number] = changes, self._extent(index).intervals(MAX_GAP, THROUGH_TOLERANCE)
-        return known[1]
+    def _wall_intervals(self) -> list[FloatArray]:
+        """Where along each landmark there is wall (k, 2), m; kept until the landmark changes."""
+        found = []
+        for index, (number, changes) in enumerate(self.arrays.table[: len(self), [NUMBER, CHANGES]].tolist()):
+            known = self._intervals.get(number)
+            if known is None or known[0] != changes:
+                known = self._intervals[number] = changes, self._extent(index).intervals(MAX_GAP, THROUGH_TOLERANCE)
+            found.append(known[1])
+        return found
 
     def _segments(self) -> tuple[FloatArray, IntArray]:
         """The walls of the map (N, 4), m, and the index of the landmark that each lies on (N,).
@@ -277,7 +279,7 @@ class WallMap:
         """
         key = self.arrays.table[: len(self)].tobytes()
         if self._drawn[0] != key:
-            pieces = [self._wall_intervals(index) for index in range(len(self))]
+            pieces = self._wall_intervals()
             owners = np.repeat(np.arange(len(pieces)), [len(each) for each in pieces])
             along, lines = np.concatenate((np.zeros((0, 2)), *pieces)), self._belief.anchored[owners]
             anchors, (cos, sin) = self._belief.anchors[owners], (np.cos(lines[:, 1:]), np.sin(lines[:, 1:]))

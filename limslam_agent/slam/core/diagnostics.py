@@ -4,9 +4,6 @@ import math
 from dataclasses import dataclass
 from functools import cached_property
 
-import numpy as np
-
-from limslam_agent.slam.core.line_fit import LineFit
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import to_frame
 from limslam_env.geometry.se2 import inverse, transform_points
@@ -94,8 +91,8 @@ class Extraction:
         The robot, side and step of the scan.
     pose
         Estimated pose of the robot (3,), m, m, rad.
-    scan, fits
-        The scan (n, 2), m, and its lines.
+    scan, found, found_ends
+        The scan (n, 2), m, its lines (k, 2) as (r, theta), m and rad, and their end points (k, 2, 2), m.
     is_in_world
         Whether scan and lines are in the world, and not in the robot's frame.
     """
@@ -105,7 +102,8 @@ class Extraction:
     step: int
     pose: FloatArray
     scan: FloatArray
-    fits: tuple[LineFit, ...]
+    found: FloatArray
+    found_ends: FloatArray
     is_in_world: bool = False
 
     # Most extractions are never looked at, so that they are taken into the robot's frame only when they are.
@@ -117,15 +115,13 @@ class Extraction:
     @cached_property
     def lines(self) -> FloatArray:
         """The lines (k, 2) as (r, theta) in the robot's frame, m and rad."""
-        found = np.array([fit.line for fit in self.fits]).reshape(-1, 2)
-        return to_frame(found, self.pose) if self.is_in_world else found
+        return to_frame(self.found, self.pose) if self.is_in_world else self.found
 
     @cached_property
     def ends(self) -> FloatArray:
         """The end points (k, 2, 2) of the lines in the robot's frame, m."""
-        ends = np.array([fit.ends for fit in self.fits]).reshape(-1, 2)
-        ends = transform_points(inverse(self.pose), ends) if self.is_in_world else ends
-        return ends.reshape(-1, 2, 2)
+        ends = self.found_ends
+        return transform_points(inverse(self.pose), ends.reshape(-1, 2)).reshape(-1, 2, 2) if self.is_in_world else ends
 
 
 @dataclass(frozen=True, eq=False)

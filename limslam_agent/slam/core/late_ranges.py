@@ -14,8 +14,6 @@ from limslam_env.interface import Observation
 LONGEST = 10.0
 """Largest delay, in steps."""
 
-_SAME, _FINE = 1e-6, 0.002  # m: changes of the travel between two steps that only encoders of finer steps report
-
 
 def held_back(wheels: FloatArray, delay: float) -> FloatArray:
     """The travel (t, n, 2) of the wheels of n robots in each step, m, delayed by a number of steps."""
@@ -40,15 +38,11 @@ class WaitingTravel:
     ----------
     travel
         Travel (n, 2) that waits, m.
-    is_fine
-        Whether the steps of the encoders are so fine that a delay of the ranges can be told from them: a coarse encoder
-        reports late itself.
     """
 
     def __init__(self, robots: int) -> None:
         self._totals = [np.zeros((robots, 2))]
         self._given = self.travel = self._totals[0]
-        self.is_fine, self._last = False, self._totals[0]
 
     def synchronous(self, observations: Sequence[Observation], delay: float) -> Sequence[Observation]:
         """The observations of the next step, with travel that waits for ranges that are late by so many steps.
@@ -57,10 +51,7 @@ class WaitingTravel:
         """
         if not (observations and all("wheels" in seen for seen in observations)):
             return observations
-        wheels = np.array([seen["wheels"] for seen in observations], dtype=float)
-        total = self._totals[-1] + wheels
-        change, self._last = np.abs(wheels - self._last), wheels
-        self.is_fine = self.is_fine or bool(((change > _SAME) & (change < _FINE)).any())
+        total = self._totals[-1] + np.array([seen["wheels"] for seen in observations], dtype=float)
         self._totals = [*self._totals[-int(LONGEST) - 1 :], total]
         if not (delay or self.travel.any()):
             self._given = total

@@ -1,7 +1,7 @@
 """Motion of a robot in one step, with its covariance, from wheel travel or from a log's odometry."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -21,15 +21,6 @@ TOO_FAST = 300.0
 _SURE_TURN = 4.0  # in standard deviations: a smaller turn may be noise only
 
 
-def is_sure(turn: float, variance: float) -> bool:
-    """Whether a turn, rad, is no noise only.
-
-    A filter takes the derivative by a constant error as exact, and would explain the noise of a straight drive by an
-    axle that is too narrow, or by late ranges (errors in variables).
-    """
-    return bool(turn**2 > _SURE_TURN**2 * variance)
-
-
 @dataclass(frozen=True, eq=False)
 class Motion:
     """One step's motion.
@@ -42,11 +33,23 @@ class Motion:
         Of the increment (3, 3).
     by_calibration
         Derivative (3, 3) of the increment by the odometry's calibration, where that is estimated.
+    jitter
+        Covariance (3, 3) of the pose, in its frame, about the sum of all increments: ``encoder_ticks.jitter_of``.
     """
 
     increment: FloatArray
     covariance: FloatArray
     by_calibration: FloatArray | None = None
+    jitter: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
+
+    @property
+    def has_turned(self) -> bool:
+        """Whether the turn is no noise only.
+
+        A filter takes the derivative by a constant error as exact, and would explain the noise of a straight drive by
+        an axle that is too narrow, or by late ranges (errors in variables).
+        """
+        return bool(self.increment[2] ** 2 > _SURE_TURN**2 * (self.covariance[2, 2] + 2.0 * self.jitter[2, 2]))
 
 
 class OdometryCalibration(NamedTuple):
@@ -127,16 +130,16 @@ def calibrated(motion: Motion, axle: float, calibration: OdometryCalibration) ->
     driven = math.copysign(math.hypot(x, y), ahead) * (half / math.sin(half) if half else 1.0)
     lever, drift = 0.25 * axle * turn, driven / axle
     distance, turned = size * driven + uneven * lever, (size * turn + uneven * drift) / wider
-    sure, sure_turned = (turn, turned) if is_sure(turn, motion.covariance[2, 2]) else (0.0, uneven * drift / wider)
+    sure, sure_turned = (turn, turned) if motion.has_turned else (0.0, uneven * drift / wider)
     by_calibration = arc_jacobian(distance, turned) @ np.array([
         [0.5 * driven - lever, 0.5 * driven + lever, 0.0],
         [(0.5 * sure - drift) / wider, (0.5 * sure + drift) / wider, -sure_turned / wider],
     ])  # fmt: skip
     if calibration == AS_SPECIFIED:
-        return Motion(motion.increment, motion.covariance, by_calibration)
+        return replace(motion, by_calibration=by_calibration)
     # The motion of a log need not be an arc that wheels can drive.
     aside = motion.increment - arc(driven, turn)
-    return Motion(arc(distance, turned) + aside, motion.covariance, by_calibration)
+    return replace(motion, increment=arc(distance, turned) + aside, by_calibration=by_calibration)
 
 
 def motion_of(observation: Observation, robot: RobotSpec, noise: NominalNoise, odometry: OdometryConfig) -> Motion:

@@ -5,7 +5,7 @@ Every step has its own pose, and every reading that is associated with a line is
 are several chains that share the lines.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -147,7 +147,7 @@ def solve(problem: Problem, state: State, labels: IntArray) -> Solution:
     for iteration in range(_MOST_ITERATIONS):
         readings = expected(problem, state, labels)
         if iteration < _CHOOSING:
-            weights = not_grazing(readings, labels) / problem.stds**2
+            weights = not_grazing(readings, labels) / problem.variances(state, readings)
         graph.linearise(state, readings, weights)
         factors = graph.equations.factorise()
         step = -graph.equations.solved(factors, graph.equations.gradient)
@@ -179,6 +179,18 @@ def range_residuals(problem: Problem, state: State, readings: Expected) -> Float
 def not_grazing(readings: Expected, labels: IntArray) -> BoolArray:
     """Which readings (k,) are of a line in front of the beam that the beam does not graze."""
     return np.asarray((labels >= 0) & (np.abs(readings.cosines) >= GRAZING) & (readings.ranges > 0.0))
+
+
+def where_read(problem: Problem, state: State, labels: IntArray) -> State:
+    """The state with each pose moved within its jitter to where its readings, of lines (k,), are likeliest from."""
+    readings, jitters = expected(problem, state, labels), problem.jitters(state).reshape(-1, 3, 3)
+    weights = not_grazing(readings, labels) / problem.stds**2
+    weighted, places = readings.by_pose * weights[:, None], problem.readings.places
+    information, score = np.zeros_like(jitters), np.zeros((len(jitters), 3, 1))
+    np.add.at(information, places, weighted[:, :, None] * readings.by_pose[:, None])
+    np.add.at(score, places, (weighted * range_residuals(problem, state, readings)[:, None])[..., None])
+    moved_by = np.linalg.solve(np.eye(3) + jitters @ information, jitters @ score)
+    return replace(state, poses=state.poses + moved_by.reshape(state.poses.shape))
 
 
 class _Graph:

@@ -13,6 +13,7 @@ from scipy.linalg import block_diag
 from limslam_agent.config.consistent import SelfCalibrationConfig
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.slam.core.contact import slip_covariances
+from limslam_agent.slam.core.encoder_ticks import jitter_of, tick_variances, ticks_of
 from limslam_agent.slam.core.motion import LEAST_VARIANCE
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph.factors import Expected, drive, expected_readings, motions_between
@@ -81,6 +82,8 @@ class Problem:
         How the ranges are measured. A calibration estimates their bias from that of the sensor on.
     prior
         Inverse covariance of a robot's calibration, or None.
+    ticks
+        The ticks (n, 2) of the wheels' encoders, m, as ``encoder_ticks.tick_by`` finds them.
     jumps
         Motions (n, t - 1, 3) of carried robots, m, of which the wheels say nothing; None if no robot was carried.
     """
@@ -92,6 +95,7 @@ class Problem:
     readings: Readings
     looks: Readings
     sensor: RangeSensor
+    ticks: FloatArray
     prior: FloatArray | None = None
     jumps: FloatArray | None = None
 
@@ -120,10 +124,24 @@ class Problem:
         """Standard deviation of a reading of usual length, m."""
         return max(self.sensor.usual_std(float(self.robot.max_ranges.max())), LEAST_RANGE_STD)
 
+    def jitters(self, state: "State") -> FloatArray:
+        """Covariances (n, t, 3, 3) of the poses about what the encoders have reported: ``encoder_ticks.jitter_of``."""
+        turns = np.tile(np.eye(3), (*state.poses.shape[:2], 1, 1))
+        turns[..., 0, 0] = turns[..., 1, 1] = np.cos(state.poses[..., 2])
+        turns[..., 1, 0] = np.sin(state.poses[..., 2])
+        turns[..., 0, 1] = -turns[..., 1, 0]
+        own = np.array([jitter_of(ticks, self.robot.axle) for ticks in self.ticks])
+        return np.asarray(turns @ own[:, None] @ np.swapaxes(turns, -1, -2))
+
     @cached_property
     def stds(self) -> FloatArray:
-        """Standard deviation of each reading (k,), m."""
+        """Standard deviation of each reading (k,) by its sensor, m."""
         return np.maximum(self.sensor.stds(self.readings.distances), LEAST_RANGE_STD)
+
+    def variances(self, state: "State", found: Expected) -> FloatArray:
+        """Variance of each reading (k,), m^2, by the sensor and by the jitter of its pose, from what it should be."""
+        jitters = self.jitters(state).reshape(-1, 3, 3)[self.readings.places]
+        return np.asarray(self.stds**2 + np.einsum("ki,kij,kj->k", found.by_pose, jitters, found.by_pose))
 
     @cached_property
     def assumed_calibration(self) -> FloatArray:
@@ -186,6 +204,7 @@ def make_problem(
     prior: FloatArray | None = None,
     first_step: int = 0,
     sensor: RangeSensor | None = None,
+    ticks: FloatArray | None = None,
 ) -> Problem:
     """Collect the measurements of a run.
 
@@ -207,6 +226,8 @@ def make_problem(
         Step of the drive that row 0 belongs to. It decides which readings a slow sensor repeats.
     sensor
         How the ranges are measured, if that is known to differ from ``robot`` and ``noise``.
+    ticks
+        The ticks (n, 2) of the encoders, m; by the wheels if left out.
     """
     reported = np.moveaxis(np.asarray(wheels, dtype=float), 0, 1)[:, 1:]
     motions = np.concatenate((reported, np.zeros_like(reported[..., :1])), axis=-1)
@@ -218,12 +239,15 @@ def make_problem(
     looked = measured & (ranges > robot.too_near)
     readings = _listed(looked & (ranges < robot.too_far), ranges)
     looks = _listed(looked, np.minimum(ranges, robot.max_ranges))
+    ticks = ticks_of(wheels) if ticks is None else ticks
     covariances = slip_covariances(robot, max(noise.range_std, LEAST_RANGE_STD), reported, ranges, measured)
     covariances[..., [0, 1], [0, 1]] += noise.wheel_variance * np.abs(reported) + LEAST_VARIANCE
     covariances[..., 2, 2] += ASIDE_STD**2
+    if not first_step:  # see ``encoder_ticks.first_jitter``
+        covariances[:, 0, [0, 1], [0, 1]] += tick_variances(ticks)
     roots = np.linalg.inv(np.linalg.cholesky(covariances))
     starts = np.asarray(starts, dtype=float)
-    return Problem(sensor.mounted(robot), starts, motions, roots, readings, looks, sensor, prior)
+    return Problem(sensor.mounted(robot), starts, motions, roots, readings, looks, sensor, ticks, prior)
 
 
 def _listed(kept: BoolArray, ranges: FloatArray) -> Readings:

@@ -10,11 +10,12 @@ import numpy as np
 
 from limslam_agent.kernels.tables import FEWEST
 from limslam_agent.slam.core.line_fit import fit_line
-from limslam_agent.slam.line_graph import line_kernels as kernels
+from limslam_agent.slam.line_graph.crossings import best_lines
 from limslam_agent.slam.line_graph.factors import expected_readings, rays
 from limslam_agent.slam.line_graph.line_merging import Lines, merge_lines, wall_kinds
 from limslam_agent.slam.line_graph.line_smoother import Solution, solve
-from limslam_agent.slam.line_graph.problem import Problem, State
+from limslam_agent.slam.line_graph.new_lines import with_new_lines
+from limslam_agent.slam.line_graph.problem import Problem, State, expected
 from limslam_agent.slam.line_graph.straightness import straight_labels
 from limslam_agent.slam.line_graph.wall_faces import NEGATIVE, POSITIVE, SURE, board_odds
 from limslam_env.geometry import FloatArray, IntArray
@@ -59,7 +60,17 @@ def reassociate(problem: Problem, state: State, labels: IntArray) -> Association
     DegenerateError
         If the readings do not determine the poses.
     """
-    found = solve_labels(problem, state, labels)
+    found = settled(solve_labels(problem, state, labels))
+    _, best = assigned(problem, found.state, seen_ends(problem, found.state, found.labels))
+    labels = with_new_lines(problem, found.state, found.labels, np.flatnonzero((best < 0) & (found.labels < 0)))
+    if np.array_equal(labels, found.labels):
+        return found
+    return settled(solve_again(problem, with_lines(problem, found.state, labels), labels))
+
+
+def settled(found: Association) -> Association:
+    """Rounds of merging, assignment, solution and division until nothing changes any more."""
+    problem = found.problem
     for _ in range(_ROUNDS):
         before = found.state.poses
         merged, has_merged, kinds = merge(found)
@@ -67,7 +78,7 @@ def reassociate(problem: Problem, state: State, labels: IntArray) -> Association
         if board_odds(0.0, *kinds) > SURE:
             # The walls are boards for sure: what was read from one side can be read from the other side.
             seen[..., 0], seen[..., 1] = seen[..., 0].min(axis=1)[:, None], seen[..., 1].max(axis=1)[:, None]
-        found = straightened(solve_again(problem, merged.state, assigned(problem, merged.state, seen)))
+        found = straightened(solve_again(problem, merged.state, assigned(problem, merged.state, seen)[0]))
         if np.abs(found.state.poses - before)[..., :2].max() < _SETTLED and not has_merged:
             break
     return found
@@ -146,22 +157,20 @@ def seen_ends(problem: Problem, state: State, labels: IntArray) -> FloatArray:
     return ends.reshape(-1, 2, 2)
 
 
-def assigned(problem: Problem, state: State, ends: FloatArray) -> IntArray:
-    """For each reading, the line that predicts it, or -1 if no line or two lines predict it.
+def assigned(problem: Problem, state: State, ends: FloatArray) -> tuple[IntArray, IntArray]:
+    """For each reading (k,), the line that predicts it, or -1 if none or two do; and the best one, or -1 if none does.
 
     A line can explain the readings from a side between the ends (m, 2, 2) on this side, and up to
     ``_BEYOND`` outside.
     """
     readings = problem.readings
-    best, misfits = np.empty(len(readings), dtype=np.int64), np.empty((len(readings), 2))
     biases = state.calibration[readings.places // problem.steps, 3]
-    kernels.best_lines(
-        state.flat_poses, readings.places, problem.beams, readings.distances - biases, state.lines, state.anchors,
-        ends, _BEYOND, problem.sensor.cone, best, misfits,
-    )  # fmt: skip
-    misfits /= problem.stds[:, None]
+    best, misfits = best_lines(
+        state, readings.places, problem.beams, readings.distances - biases, ends, _BEYOND, problem.sensor.cone
+    )
+    misfits /= np.sqrt(problem.variances(state, expected(problem, state, best)))[:, None]
     is_clear = (misfits[:, 0] < _GATE) & (misfits[:, 1] > misfits[:, 0] + _MARGIN)
-    return np.where(is_clear, best, -1)
+    return np.where(is_clear, best, -1), np.where(misfits[:, 0] < _GATE, best, -1)
 
 
 def straightened(found: Association) -> Association:

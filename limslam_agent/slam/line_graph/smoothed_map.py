@@ -7,19 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limslam_agent.config.consistent import ExtentConfig
-from limslam_agent.kernels.tables import BIN, THROUGH_SIGMAS, THROUGH_SLACK
+from limslam_agent.kernels.tables import BIN, FEWEST, THROUGH_SIGMAS, THROUGH_SLACK
 from limslam_agent.slam.consistent.limits import MAX_GAP, THROUGH_TOLERANCE
 from limslam_agent.slam.consistent.wall_map import WallExtent
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.line_graph import line_kernels as kernels
+from limslam_agent.slam.line_graph.crossings import count_crossings
 from limslam_agent.slam.line_graph.problem import Readings, State
 from limslam_agent.slam.line_graph.reassociation import Association, places_along
 from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.geometry.line import direction, normal, normalise
-from limslam_env.geometry.segment import lengths
-
-_SHORTEST_IN_STDS = 7.5  # least length of a drawn segment in standard deviations of a range
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,14 +53,11 @@ def tally(found: Association) -> Tally:
     bins -= low[labels]
     hits = np.zeros((count, int((high - low).max(initial=0)) + 1), dtype=np.int64)
     np.add.at(hits, (labels, bins), 1)
-    misses = np.zeros_like(hits)
     reached = np.stack((np.full(hits.shape, np.inf), np.full(hits.shape, -np.inf)), axis=1)
     np.minimum.at(reached[:, 0], (labels, bins), along)
     np.maximum.at(reached[:, 1], (labels, bins), along)
-    crossed = kernels.count_crossings(
-        state.flat_poses, looks.places, problem.look_beams, looks.distances, state.lines, state.anchors,
-        low, hits, THROUGH_SIGMAS * problem.range_std + THROUGH_SLACK, misses,
-    )  # fmt: skip
+    margin = THROUGH_SIGMAS * problem.range_std + THROUGH_SLACK
+    misses, crossed = count_crossings(state, looks.places, problem.look_beams, looks.distances, low, hits, margin)
     return Tally(low, hits, misses, reached, crossed)
 
 
@@ -117,13 +110,13 @@ def world_lines(found: Association) -> tuple[FloatArray, FloatArray]:
 
 
 def wall_extents(found: Association) -> dict[int, WallExtent]:
-    """Where along each line beams ended and passed, by the line's index, for lines with enough readings."""
+    """Where along each line beams ended and passed, by the line's index."""
     counted = tally(found)
     return {
         index: WallExtent(
             int(counted.low[index]), np.stack((counted.hits[index], counted.misses[index])), counted.reached[index]
         )
-        for index in np.flatnonzero(counted.hits.sum(axis=1) >= ExtentConfig.min_readings).tolist()
+        for index in range(len(counted.low))
     }
 
 
@@ -135,12 +128,15 @@ def drawn_pieces(extent: WallExtent) -> FloatArray:
 def _drawn(found: Association) -> tuple[FloatArray, IntArray]:
     """The wall segments (k, 4), m, and the line (k,) of each."""
     drawn, owners = [no_rows(4)], [np.zeros(0, dtype=np.int64)]
+    along = places_along(found.problem, found.state, found.labels)
     for index, extent in wall_extents(found).items():
-        drawn.append(_points(found.state, index, drawn_pieces(extent)).reshape(-1, 4))
-        owners.append(np.full(len(drawn[-1]), index))
-    every, owner = np.concatenate(drawn), np.concatenate(owners)
-    is_long = lengths(every) >= max(ExtentConfig.min_length, _SHORTEST_IN_STDS * found.problem.range_std)
-    return np.asarray(every[is_long]), np.asarray(owner[is_long])
+        pieces, own = drawn_pieces(extent), along[found.labels == index, None]
+        count = np.sum((own >= pieces[:, 0]) & (own <= pieces[:, 1]), axis=0)
+        # Many beams that end at one point show no wall.
+        pieces = pieces[(count >= FEWEST) & (np.ptp(pieces, axis=1) >= BIN)]
+        drawn.append(_points(found.state, index, pieces).reshape(-1, 4))
+        owners.append(np.full(len(pieces), index))
+    return np.concatenate(drawn), np.concatenate(owners)
 
 
 def _points(state: State, index: int, along: FloatArray) -> FloatArray:

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -10,12 +11,13 @@ from scipy.linalg import block_diag
 from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.kernels.tables import FEWEST
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
+from limslam_agent.slam.core.encoder_ticks import ticks_of
 from limslam_agent.slam.core.late_ranges import ahead, behind, held_back
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.least_squares.normal_equations import DegenerateError
 from limslam_agent.slam.line_graph.factors import motion_jacobians, motions_between
-from limslam_agent.slam.line_graph.line_smoother import Solution, solve
+from limslam_agent.slam.line_graph.line_smoother import Solution, solve, where_read
 from limslam_agent.slam.line_graph.problem import (
     CALIBRATION_PRIOR,
     RELATIVE_PRIOR,
@@ -26,7 +28,7 @@ from limslam_agent.slam.line_graph.problem import (
 from limslam_agent.slam.line_graph.reassociation import Association, reassociate
 from limslam_agent.slam.line_graph.smoothed_map import contradictions, smoothed_map
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
-from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.geometry.se2 import compose, inverse, turned, wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec
 
 # Chi-square of the estimated errors, of which each robot has four, from which on they are taken to be real. Felt by the
@@ -61,6 +63,8 @@ class FilteredRun:
         Robots and parts of the drive, from a step to before another one, in one step of which a robot has slipped.
     sensor
         How the sensor measures, as the filter has found out. None if it is as ``robot`` and ``noise`` state.
+    ticks
+        The ticks (n, 2) of the encoders, m, as the filter has found them; by ``wheels`` if left out.
     waiting
         Travel (t, n, 2) that waits for late ranges, m. With it, each pose is that of the readings of its step.
     """
@@ -78,6 +82,7 @@ class FilteredRun:
     breaks: tuple[tuple[int, int], ...] = ()
     slips: tuple[tuple[int, int, int], ...] = ()
     sensor: RangeSensor | None = None
+    ticks: FloatArray | None = None
     waiting: FloatArray | None = None
 
     @property
@@ -88,7 +93,8 @@ class FilteredRun:
             return self
         wheels = held_back(self.wheels, delay)
         waiting = np.cumsum(self.wheels - wheels, axis=0)
-        return replace(self, wheels=wheels, poses=behind(self.poses, waiting, self.robot.axle), waiting=waiting)
+        poses, ticks = behind(self.poses, waiting, self.robot.axle), ticks_of(self.wheels)
+        return replace(self, wheels=wheels, poses=poses, ticks=ticks, waiting=waiting)
 
     def until(self, step: int | None) -> "FilteredRun":
         """The run before a step of its own, with what the filter had found out by then."""
@@ -118,6 +124,8 @@ class SmoothedRun:
         The poses (t, n, 3) at which the ranges were read: others than ``poses`` if these are late.
     landmarks, segments
         The walls of the map: their lines as landmarks with covariances, and their segments (k, 4), m.
+    associations
+        The readings of each robot that lie on each landmark, by its place in ``landmarks``.
     calibration
         Calibration (n, 4): relative excess of left wheel, right wheel and axle over their specified values, and the
         bias of all ranges, m. None where the robots are taken to be as specified, and no bias is known.
@@ -132,6 +140,7 @@ class SmoothedRun:
     read_at: FloatArray
     landmarks: list[Landmark]
     segments: FloatArray
+    associations: list[AssociationRecord]
     calibration: FloatArray | None
     contradictions: float
     robot: RobotSpec
@@ -153,14 +162,60 @@ def smooth_run(
     return None if found is None else _smoothed(found, run)
 
 
+def beside(first: FilteredRun, second: FilteredRun, frame: FloatArray) -> FilteredRun:
+    """Two runs of one robot each as a run of two robots, of which the one whose run is shorter stands still at its end.
+
+    ``frame`` (3,) is the pose of the second run's frame in that of the first one.
+    """
+    moved = replace(
+        second, poses=compose(frame, second.poses), covariances=turned(second.covariances, float(frame[2]))
+    )  # fmt: skip
+    steps = max(len(first.poses), len(second.poses))
+    at_the_end = {"wheels": 0.0, "ranges": math.nan, "usable": False, "poses": None, "covariances": None}
+    columns: dict[str, Any] = {}
+    for name, value in at_the_end.items():
+        own = [getattr(run, name) for run in (first, moved)]
+        rest = [np.full((steps - len(each), *each.shape[1:]), each[-1] if value is None else value) for each in own]
+        columns[name] = np.concatenate([np.concatenate(each) for each in zip(own, rest, strict=True)], axis=1)
+    apart = 1 + max((record.landmark for record in first.associations), default=-1)
+    seconds = [replace(each, landmark=each.landmark + apart, robot=1) for each in second.associations]
+    united = [replace(each, older=each.older + apart, younger=each.younger + apart) for each in second.closures]
+    longer = max((first, second), key=lambda each: len(each.poses))  # its readings say more about the sensor
+    return FilteredRun(
+        robot=first.robot,
+        noise=first.noise,
+        associations=[*first.associations, *seconds],
+        closures=[*first.closures, *united],
+        breaks=(*first.breaks, *((1, step) for _, step in second.breaks)),
+        slips=(*first.slips, *((1, begin, end) for _, begin, end in second.slips)),
+        sensor=longer.sensor,
+        **columns,
+    )
+
+
+def smooth_with_unknown_start(run: FilteredRun, config: SmootherConfig | None = None) -> SmoothedRun | None:
+    """Smooth a run of two robots as :func:`smooth_run`. The second one's start is known only roughly.
+
+    It may have been carried before its first step. Its start then follows from its pose after this step.
+    """
+    usable = run.usable.copy()
+    usable[0, 1] = False
+    found = smooth_run(replace(run, usable=usable, breaks=(*run.breaks, (1, 1))), config)
+    if found is not None:
+        motion = compose(inverse(run.poses[1, 1]), run.poses[0, 1])
+        found.poses[0, 1], found.covariances[0, 1] = compose(found.poses[1, 1], motion), found.covariances[1, 1]
+    return found
+
+
 def settle(run: FilteredRun, config: SmootherConfig) -> Association | None:
     """The solution of a run; None if there is nothing to smooth."""
     if len(run.poses) < 2:
         return None
     prior = CALIBRATION_PRIOR if config.calibrate == "always" else None
     problem = make_problem(
-        run.robot, run.noise, run.poses[0], run.wheels, run.ranges, run.usable, prior, run.first_step, run.sensor
-    )
+        run.robot, run.noise, run.poses[0], run.wheels, run.ranges, run.usable, prior, run.first_step, run.sensor,
+        run.ticks,
+    )  # fmt: skip
     problem = with_breaks(with_slips(problem, run), run)
     labels = filter_labels(problem, run.associations, run.closures, run.first_step)
     if np.count_nonzero(labels >= 0) < FEWEST:
@@ -248,10 +303,12 @@ def filter_labels(
 
 def _smoothed(found: Association, run: FilteredRun) -> SmoothedRun:
     problem = found.problem
-    poses = np.moveaxis(found.state.poses, 0, 1).copy()
+    covariances = np.moveaxis(found.solution.of_poses + problem.jitters(found.state), 0, 1)
+    state = where_read(problem, found.state, found.labels)
+    found = replace(found, solution=replace(found.solution, state=state))
+    poses = np.moveaxis(state.poses, 0, 1).copy()
     poses[..., 2] = wrap_angle(poses[..., 2])
     landmarks, segments = smoothed_map(found)
-    covariances = np.moveaxis(found.solution.of_poses, 0, 1)
     read_at = np.concatenate((poses, run.poses[len(poses) :]))
     return SmoothedRun(
         poses=read_at if run.waiting is None else ahead(read_at, run.waiting, run.robot.axle),
@@ -259,7 +316,20 @@ def _smoothed(found: Association, run: FilteredRun) -> SmoothedRun:
         covariances=np.concatenate((covariances, run.covariances[len(poses) :])),
         landmarks=landmarks,
         segments=segments,
+        associations=_associations(found, landmarks, run.first_step),
         calibration=found.state.calibration if problem.prior is not None or problem.sensor.bias else None,
         contradictions=contradictions(found),
         robot=problem.robot,
     )
+
+
+def _associations(found: Association, landmarks: list[Landmark], first_step: int) -> list[AssociationRecord]:
+    problem, readings = found.problem, found.problem.readings
+    records = []
+    for number, mark in enumerate(landmarks):
+        for robot in range(len(problem.starts)):
+            own = (found.labels == mark.number) & (readings.places // problem.steps == robot)
+            rows = np.column_stack((readings.places[own] % problem.steps + first_step, readings.beams[own]))
+            if len(rows):
+                records.append(AssociationRecord(number, is_new=False, readings=rows, robot=robot))
+    return records

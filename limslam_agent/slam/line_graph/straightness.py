@@ -31,7 +31,7 @@ def straight_labels(problem: Problem, state: State, labels: IntArray, along: Flo
     readings = expected(problem, state, labels)
     cosines = readings.cosines
     # The distance of a reading from its line is the residual along the beam times the cosine.
-    variances = np.maximum(problem.stds * np.abs(cosines), 1e-9) ** 2
+    variances = np.maximum(problem.variances(state, readings) * cosines**2, 1e-18)
     points = np.stack((along, range_residuals(problem, state, readings) * cosines, 1.0 / variances))
     order = np.lexsort((along, labels))
     order = order[not_grazing(readings, labels)[order]]

@@ -118,8 +118,9 @@ class PublishedEstimator(Estimator):
 
     def _use(self, robot: int, step: int, side: Side, scan: Scan) -> None:
         lines = extract_lines(scan.points, self._config.hough, self._std)
-        fits = tuple(line.fit for line in lines)
-        self.last_extraction = Extraction(robot, side, step, self._belief.poses[robot], scan.points, fits)
+        found = np.array([line.fit.line for line in lines]).reshape(-1, 2)
+        ends = np.array([line.fit.ends for line in lines]).reshape(-1, 2, 2)
+        self.last_extraction = Extraction(robot, side, step, self._belief.poses[robot], scan.points, found, ends)
         for line in lines:
             self._incorporate(robot, step, line, scan.select(line.members))
 

@@ -1,6 +1,5 @@
-"""Reading files of limited size and lists of numbers in them, and replacing files in one step."""
+"""Reading files of limited size and lists of numbers in them."""
 
-import secrets
 from pathlib import Path
 from typing import Any
 
@@ -57,22 +56,3 @@ def number_array(value: Any, key: str, dimensions: int) -> Any:
     if odd is not None:
         raise WorldError(f"{key}[{odd}] has {counts[odd]} numbers, and {key}[0] has {counts[0]}")
     return np.array(value, dtype=float)
-
-
-def replace_file(path: Path, content: bytes) -> None:
-    """Write a file under another name in the same folder, then rename it, so that no incomplete file is ever seen.
-
-    Raises
-    ------
-    WorldError
-        If the file cannot be written.
-    """
-    beside = path.with_name(f".{secrets.token_hex(8)}.part")
-    try:
-        try:
-            beside.write_bytes(content)
-            beside.replace(path)
-        finally:
-            beside.unlink(missing_ok=True)
-    except (OSError, ValueError) as error:
-        raise WorldError(f"{path}: cannot be written: {error}") from error

@@ -3,14 +3,13 @@
 JSON files may have the same keys.
 """
 
+import tomllib
 from typing import Any
 
-from limslam_env.toml_text import parse_toml
 from limslam_env.worlds.formats.text_files import number_array
 from limslam_env.worlds.world import World, WorldError, named
 
 _KEYS = {"name", "size", "walls", "obstacles", "doors", "starts", "loop"}
-_ESCAPES = {'"': '\\"', "\\": "\\\\", "\b": "\\b", "\t": "\\t", "\n": "\\n", "\f": "\\f", "\r": "\\r"}
 
 
 def parse_world(text: str, label: str) -> World:
@@ -22,8 +21,8 @@ def parse_world(text: str, label: str) -> World:
         If the text is not a world.
     """
     try:
-        table = parse_toml(text)
-    except ValueError as error:
+        table = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
         # Besides its own error, tomllib lets through what Python says of numbers with thousands of digits.
         raise WorldError(f"{label}: not TOML: {error}") from error
     with named(label):
@@ -54,7 +53,10 @@ def keyed_world(table: dict[str, Any]) -> World:
 
 def world_toml(world: World) -> str:
     """The text of a TOML file from which ``parse_world`` makes an equal world."""
-    lines = [f"name = {_quoted(world.name)}", f"size = {list(world.size)}", *_listed("walls", world.walls.tolist())]
+    import tomli_w
+
+    name = tomli_w.dumps({"name": world.name}).rstrip("\n")
+    lines = [name, f"size = {list(world.size)}", *_listed("walls", world.walls.tolist())]
     if world.obstacles:
         lines += _listed("obstacles", [polygon.tolist() for polygon in world.obstacles])
     for key in ("doors", "starts", "loop"):
@@ -66,12 +68,3 @@ def world_toml(world: World) -> str:
 def _listed(key: str, rows: list[Any]) -> list[str]:
     # What Python writes of a list of floats is TOML, and the shortest that reads back as the same floats.
     return [f"{key} = [", *(f"    {row}," for row in rows), "]"]
-
-
-def _quoted(text: str) -> str:
-    """A text as TOML's basic string, which can hold every character."""
-    return '"' + "".join(_ESCAPES.get(letter) or _visible(letter) for letter in text) + '"'
-
-
-def _visible(letter: str) -> str:
-    return f"\\u{ord(letter):04x}" if ord(letter) < 32 or ord(letter) == 127 else letter

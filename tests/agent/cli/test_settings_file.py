@@ -27,7 +27,7 @@ from limslam_env.config import NoiseConfig
 from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.robots import ROBOTS
 from limslam_env.worlds.formats.loading import load_world
-from limslam_env.worlds.formats.writing import write_world
+from limslam_env.worlds.formats.toml import world_toml
 
 SAME = {"log.npz", "map.json", "map.pgm", "map.yaml", "trajectory_est.tum", "run.toml"}
 
@@ -89,7 +89,7 @@ def test_a_run_with_settings_of_every_kind_is_repeated_by_its_file(tmp_path):
 def test_a_run_in_a_world_of_a_file_can_be_handed_on_and_repeated(tmp_path):
     path = tmp_path / "plans" / "mine.toml"
     path.parent.mkdir()
-    write_world(load_world("square"), path)
+    path.write_text(world_toml(load_world("square")), encoding="utf-8")
     first, second = tmp_path / "first", tmp_path / "second"
     assert limslam("run", "--world", path, "--ablation", "none", "--max-time", "3", "--out", first).exit_code == 0
     assert tomllib.loads((first / "run.toml").read_text())["world"] == "world.toml"

@@ -51,14 +51,13 @@ def test_a_good_file_is_summed_up_in_a_line(limslam, good):
     assert float(out.split(", ")[-1].split(" m^2")[0]) == pytest.approx(2.95, abs=0.1)
 
 
-def test_a_world_that_a_robot_could_leave_is_refused_with_the_file_and_the_place_of_the_gap(limslam, tmp_path):
+def test_a_world_that_a_robot_could_leave_is_refused_with_the_file(limslam, tmp_path):
     path = tmp_path / "hall.toml"
     walls = "[[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 4, 4], [3, 4, 0, 4], [0, 4, 0, 0]]"
     path.write_text(f'name = "hall"\nsize = [6.0, 4.0]\nwalls = {walls}\nstarts = [[1.0, 1.0, 0.0]]\n')
     code, _, error = limslam("worlds", "check", path)
     assert code == 2
     assert f"{path}: world 'hall': starts[0] lies in a region that is not closed" in error
-    assert "; the outer wall is open near (3." in error
     assert error.count("\n") == 1
 
 

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from limslam_agent.grid.frontier import group_of, group_places, sight_begins
+from limslam_agent.grid.frontier import frontier_cells, group_of, group_places
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.grid.planner import routes, wall_distance
 from limslam_env.geometry import BoolArray, FloatArray
@@ -44,18 +44,14 @@ def test_groups_have_cells_and_a_place_each() -> None:
     assert group_places(grid, np.zeros_like(frontier)).shape == (0, 2)
 
 
-def test_the_end_of_a_way_is_seen_from_where_nothing_stands_between() -> None:
-    grid = grid_of("." * 12, "......#.....", "......#.....", "......#.....")
-    # Up in column 3, along row 0, and down in column 9.
-    cells = [(row, 3) for row in (3, 2, 1, 0)] + [(0, column) for column in range(4, 10)] + [(1, 9), (2, 9), (3, 9)]
-    path = np.array([place(*cell) for cell in cells])
-    assert cells[sight_begins(grid, path, 1.0)] == (0, 6)
-    assert cells[sight_begins(grid, path, 0.25)] == (1, 9)
-    assert sight_begins(grid, path[-1:], 1.0) == 0
-    # Along a straight way the distance decides.
-    straight = np.array([place(0, column) for column in range(12)])
-    assert sight_begins(grid, straight, 0.55) == 6
-    assert sight_begins(grid, straight, 5.0) == 0
+def test_frontiers_are_groups_of_free_cells_beside_unknown_ones() -> None:
+    grid = grid_of("#########", "#....???#", "#.......#", "#.#######")
+    ends = ["---------", "----x----", "-----xxx-"]
+    assert drawn(frontier_cells(grid, 1)) == [*ends, "-x-------"], "beyond the grid, all is unknown"
+    assert drawn(frontier_cells(grid, 2)) == [*ends, "---------"]
+    ignored = np.zeros(grid.values.shape, dtype=bool)
+    ignored[2, 5] = True
+    assert drawn(frontier_cells(grid, 2, ignored)) == ["-" * 9, "-" * 9, "------xx-", "-" * 9]
 
 
 # A plain Dijkstra, cell by cell.
@@ -193,6 +189,14 @@ def test_a_near_target_is_found_without_going_everywhere() -> None:
     cost = routes(grid, place(30, 30), 0.1, 0.1, targets=targets).cost
     assert cost[30, 34] == pytest.approx(0.4)
     assert np.isfinite(cost).sum() < 400
+
+
+def test_steps_far_from_walls_cost_three_times_as_much() -> None:
+    grid = grid_of("#" * 100, *["." * 100] * 99)
+    cost = routes(grid, place(60, 50), 0.1, 0.1, coast=2.5).cost
+    assert cost[60, 60] == pytest.approx(3.0 * 10 * CELL)
+    assert routes(grid, place(60, 50), 0.1, 0.1).cost[60, 60] == pytest.approx(10 * CELL)
+    assert routes(grid, place(10, 50), 0.1, 0.1, coast=2.5).cost[10, 60] == pytest.approx(10 * CELL)
 
 
 def test_closed_cells_are_driven_round_though_they_are_free() -> None:

@@ -1,4 +1,4 @@
-"""Ends of beams beside walls and the body: compiled as in plain numpy."""
+"""Ends of beams beside the body and on other robots: compiled as in plain numpy."""
 
 import math
 
@@ -7,7 +7,6 @@ import pytest
 
 from limslam_agent.kernels.nearness import (
     beams_on_robot,
-    count_on_walls,
     place_readings,
     room_ahead,
     safe_share,
@@ -15,7 +14,6 @@ from limslam_agent.kernels.nearness import (
 from limslam_env import RobotSpec
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import transform_points
-from limslam_env.geometry.segment import distances
 
 ROBOT, SEEDS = RobotSpec(), range(40)
 BEAMS = len(ROBOT.beams)
@@ -59,19 +57,6 @@ def test_the_share_of_a_way_that_is_safe() -> None:
         assert share == (safe[0] if safe else 0.0)
         found.add(share)
     assert found == {0.0, 0.25, 0.5, 1.0}
-
-
-def test_readings_that_end_on_walls() -> None:
-    counts = set()
-    for seed in SEEDS:
-        generator, pose, ranges = drawn(seed)
-        segments = generator.normal(0.0, 2.0, (7, 4))
-        hits = (ranges > ROBOT.too_near) & (ranges < ROBOT.too_far)
-        away = distances(ends_of(pose, ranges)[hits], segments).min(axis=1, initial=math.inf)
-        counts.add(count := count_on_walls(pose, ranges, ROBOT.beam_table, segments, 0.2))
-        assert count == np.count_nonzero(away < 0.2)
-    assert len(counts) > 2
-    assert count_on_walls(np.zeros(3), np.ones(BEAMS), ROBOT.beam_table, np.zeros((0, 4)), 0.2) == 0
 
 
 def test_room_ahead() -> None:

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from limslam_agent.kernels.readings import mark_dropouts, sort_readings, weigh_changes
+from limslam_agent.dropouts import short_series
+from limslam_agent.kernels.readings import sort_readings, weigh_changes
 from limslam_agent.readings import as_readings
 from limslam_env import RobotSpec
 from limslam_env.geometry import BoolArray, FloatArray
@@ -81,6 +82,4 @@ def test_dropouts(seed: int) -> None:
     expected = nothing.copy()
     for first in range(15 - 4 + 1):
         expected[first : first + 4, nothing[first : first + 4].all(axis=0)] = False
-    found = np.empty(nothing.shape, dtype=bool)
-    mark_dropouts(nothing, 4, found)
-    np.testing.assert_array_equal(found, expected)
+    np.testing.assert_array_equal(short_series(nothing, 4), expected)

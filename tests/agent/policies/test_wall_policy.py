@@ -15,7 +15,7 @@ from limslam_agent.grid.unfinished import Faces
 from limslam_agent.policies.controller import PATIENCE
 from limslam_agent.policies.wall_look import sweep_along
 from limslam_agent.policies.wall_policy import WallPolicy
-from limslam_agent.policies.wall_views import LookMemory, View, next_view
+from limslam_agent.policies.wall_views import View, next_view, open_border
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_env import World
@@ -44,7 +44,7 @@ def belief_at(pose: FloatArray, walls: FloatArray, ranges: FloatArray = ROBOT.ma
 
 
 def test_in_a_room_with_all_its_walls_there_is_nothing_to_look_at() -> None:
-    assert next_view(belief_at([1.5, 1.2, 0.0], WALLS), LookMemory(), ROBOT, CONFIG) is None
+    assert not len(open_border(belief_at([1.5, 1.2, 0.0], WALLS), []))
     policy = WallPolicy(ROBOT, CONFIG)
     np.testing.assert_array_equal(policy.act(belief_at([1.5, 1.2, 0.0], WALLS)), [0.0, 0.0])
     assert policy.stop_reason == "explored: no frontier is left, and all walls were looked at"
@@ -59,8 +59,10 @@ def test_in_a_room_with_all_its_walls_there_is_nothing_to_look_at() -> None:
 )
 def test_a_missing_part_of_a_wall_is_looked_at_from_a_place_that_sees_it(side, start, length, place) -> None:
     walls = with_gap(side, start, length)
-    view = next_view(belief_at([*place, 0.0], walls), LookMemory(), ROBOT, CONFIG)
+    belief = belief_at([*place, 0.0], walls)
+    view = next_view(belief, open_border(belief, []), ROBOT)
     assert view is not None
+    assert not len(open_border(belief, [view.faces]))
     wall = WALLS[side]
     along = (wall[2:] - wall[:2]) / np.hypot(*(wall[2:] - wall[:2]))
     assert start < (view.middle - wall[:2]) @ along < start + length
@@ -86,11 +88,10 @@ def view_of(middle: FloatArray, count: int, stand: FloatArray) -> View:
     heading=st.floats(-math.pi, math.pi),
     count=st.integers(2, 8),
     away=st.floats(0.3, 0.9),
-    std=st.sampled_from([0.005, 0.02, 0.04]),
 )
-def test_a_sweep_lets_a_beam_pass_over_the_whole_stretch(heading, count, away, std) -> None:
+def test_a_sweep_lets_a_beam_pass_over_the_whole_stretch(heading, count, away) -> None:
     view = view_of(np.array([1.0, 0.0]), count, np.array([1.0, away]))
-    sweep = sweep_along(view, np.array([1.0, away, heading]), ROBOT, std)
+    sweep = sweep_along(view, np.array([1.0, away, heading]), ROBOT)
     first, width = view.bearings(view.stand)
     assert width == pytest.approx(2.0 * math.atan2(0.5 * CELL * count, away), rel=0.3)
     headings = np.linspace(sweep.start, sweep.end, 400)
@@ -110,8 +111,8 @@ def test_a_robot_that_cannot_move_gives_every_look_up_and_ends() -> None:
     while policy.stop_reason is None and steps < 3000:
         policy.act(belief)
         steps += 1
-    assert policy.stop_reason == "explored: no frontier is left, and all walls were looked at"
-    assert 2 * PATIENCE < steps < 1000
+    assert policy.stop_reason == "explored: no frontier is left, and some walls cannot be looked at"
+    assert PATIENCE < steps < 1000
     np.testing.assert_array_equal(policy.act(belief), [0.0, 0.0])
     assert policy.goal is None
     assert len(policy.plan) == 0

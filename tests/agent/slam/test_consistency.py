@@ -10,17 +10,27 @@ from support.drives import FOUR_BEAMS, laps_of_square
 
 from limslam_agent import LineSlam, preset
 from limslam_env import NominalNoise
+from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 
 
-def mean_nees(noise: float, runs: int) -> float:
+def counted(wheels: FloatArray, tick: float, seed: int) -> FloatArray:
+    """Travels (t, 2), m, as encoders with a tick, m, report them, which were somewhere within a tick at the start."""
+    if not tick:
+        return wheels
+    totals = np.cumsum(wheels, axis=0) + np.random.default_rng(seed).uniform(0.0, tick, 2)
+    return np.diff(np.floor(totals / tick) * tick, axis=0, prepend=np.zeros((1, 2)))
+
+
+def mean_nees(noise: float, runs: int, tick: float = 0.0) -> float:
     """Mean NEES / 3 of some runs, one a seed."""
     found = []
     for seed in range(runs):
         log = laps_of_square(noise, seed)
         slam, moments = LineSlam(FOUR_BEAMS, preset("consistent", NominalNoise(noise)), log.poses[0]), len(log) // 4
+        wheels = counted(np.array([seen["wheels"] for seen in log.observations]), tick, seed)
         for step, observation in enumerate(log.observations):
-            slam.step(observation)
+            slam.step({**observation, "wheels": wheels[step]})
             if step % moments == moments - 1:
                 error = slam.pose - log.poses[step]
                 error[2] = wrap_angle(float(error[2]))
@@ -30,6 +40,10 @@ def mean_nees(noise: float, runs: int) -> float:
 
 def test_a_few_laps_are_about_as_wrong_as_believed() -> None:
     assert 0.3 < mean_nees(0.02, 8) < 2.2
+
+
+def test_coarse_encoders_make_laps_about_as_wrong_as_believed() -> None:
+    assert 0.2 < mean_nees(0.02, 8, tick=0.01) < 2.2
 
 
 @pytest.mark.slow

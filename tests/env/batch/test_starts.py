@@ -70,3 +70,10 @@ def test_two_robots_do_not_start_in_one_place():
     starts = np.repeat(starts_in(load_world("env1"), 4, 1)[:, None], 2, axis=1)
     with pytest.raises(WorldError, match="two robots are to start in one place"):
         Places(load_world("env1"), ROBOT, 2, 4).begin(np.arange(4), keys_of(4), starts)
+
+
+def test_where_no_robot_fits_is_refused():
+    corners = np.array([[0.0, 0.0], [0.15, 0.0], [0.15, 2.0], [0.0, 2.0]])
+    walls = np.hstack((corners, np.roll(corners, -1, axis=0)))
+    with pytest.raises(WorldError, match="no room"):
+        prepare(World("slit", (0.15, 2.0), walls), ROBOT, 1)

@@ -26,7 +26,7 @@ from limslam_env import (
     World,
     load_world,
 )
-from limslam_env.envs.adapter import MAX_ROBOTS
+from limslam_env.envs.arguments import MAX_ROBOTS
 from limslam_env.interface import beams_on_rim
 from limslam_env.worlds.world import WorldError
 
@@ -436,7 +436,7 @@ def test_a_number_of_robots_that_cannot_be_is_refused(robots):
 
 @pytest.mark.parametrize("cycles", [0, -5])
 def test_a_limit_of_cycles_that_cannot_be_is_refused(cycles):
-    with pytest.raises(ValueError, match=f"max_cycles must be 1 or more, or None, not {cycles}"):
+    with pytest.raises(ValueError, match=f"max_cycles must be a whole number, 1 or more, or None, not {cycles}"):
         LimSlamParallelEnv("env1", max_cycles=cycles)
 
 

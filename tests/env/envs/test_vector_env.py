@@ -123,7 +123,7 @@ def test_noise_has_the_same_distributions():
     # One step from the same start again and again: all that differs is the noise.
     single, rows = LimSlamEnv("env1", noise=noise), []
     single.reset(seed=6)
-    simulation = single._episode.simulation
+    simulation = single._simulation
     start = load_world("env1").starts[:1]
     for _ in range(count):
         simulation._physics.place(start, single.robot.axle)
@@ -304,8 +304,7 @@ def test_wrappers_of_gymnasium_work():
         ({"num_envs": 0}, "num_envs must be a whole number"),
         ({"world": ["env1", "env2"]}, "2 worlds for 3"),
         ({"world": "nowhere"}, "no world is called"),
-        ({"noise": [QUIET, QUIET]}, "2 noise settings for 3"),
-        ({"sensor_noise": [0.1, 0.2]}, "2 values of sensor_noise for 3"),
+        ({"sensor_noise": [0.1, 0.2, 0.3]}, "sensor_noise must be a number"),
         ({"sensor_noise": -1.0}, "sensor_noise must be a number"),
         ({"coverage_goal": 2.0}, "coverage_goal must lie"),
         ({"max_episode_steps": 0}, "1 or more, or None, not 0"),
@@ -313,13 +312,11 @@ def test_wrappers_of_gymnasium_work():
         ({"plans": 4}, "plans are for worlds that are drawn"),
         ({"world": "random", "plans": 0}, "plans must be 1 or more"),
         ({"world": ["random", "env1", "env1"]}, "floor plans are drawn for all"),
-        ({"render_mode": "human"}, "render_mode of a batch must be rgb_array or None, not 'human'"),
         ({"autoreset_mode": "sometimes"}, "not a valid AutoresetMode"),
         ({"num_envs": True}, "num_envs must be a whole number, 1 or more, not True"),
         ({"max_episode_steps": 2.5}, "the steps of an episode must be a whole number, 1 or more, or None, not 2.5"),
         ({"world": SMALL, "plans": [3, -1]}, "plans must be 1 or more, or seeds"),
-        ({"noise": [QUIET, None, QUIET]}, "noise must be a NoiseConfig, or one for each"),
-        ({"sensor_noise": [0.0, (0.1, (0.2, 0.3)), None]}, "sensor_noise must be a number or a range"),
+        ({"noise": [QUIET, None, QUIET]}, "noise must be a NoiseConfig"),
     ],
 )
 def test_arguments_that_cannot_be_are_refused_in_one_line(arguments, reason):

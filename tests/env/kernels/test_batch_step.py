@@ -7,14 +7,14 @@ from hypothesis import strategies as st
 from scipy import stats
 
 from limslam_env import NoiseConfig, RobotSpec, load_world
-from limslam_env.batch.noise import noise_settings
+from limslam_env.batch.batch import noise_settings
 from limslam_env.batch.worlds import from_tiles, to_tiles
 from limslam_env.compilation import compiled
 from limslam_env.kernels.batch_rays import cast_fan, find_unseen
 from limslam_env.kernels.coverage import mark_disc, mark_ray
 from limslam_env.kernels.random_numbers import derive_keys, draw_rows, mixed, normal
 from limslam_env.kernels.rays import meeting
-from limslam_env.kernels.tiles import take_disc, take_ray
+from limslam_env.kernels.tiles import walk_disc, walk_ray
 from limslam_env.simulation.sensors import build_wall_index, walls_around
 
 CELL = 0.1
@@ -36,8 +36,8 @@ def marked(seen, x, y, dx, dy, reach, radius):
 @compiled
 def taken(left, tile_columns, tile_rows, x, y, dx, dy, reach, radius):
     x, y = (x - AREA[0]) / CELL, (y - AREA[1]) / CELL
-    new = take_ray(left, 0, tile_columns, tile_rows, x, y, dx, dy, reach / CELL - 1e-6)
-    return new + take_disc(left, 0, tile_columns, tile_rows, x, y, (radius - 1e-3) / CELL)
+    new = walk_ray(left, 0, tile_columns, tile_rows, x, y, dx, dy, reach / CELL - 1e-6)
+    return new + walk_disc(left, 0, tile_columns, tile_rows, x, y, (radius - 1e-3) / CELL)
 
 
 @compiled
@@ -88,9 +88,9 @@ def test_normal_numbers_are_normal():
 def test_uniform_numbers_are_uniform_and_of_their_key():
     keys = derive_keys(np.arange(100, dtype=np.uint64), np.ones(100, dtype=np.int64), 1)
     numbers, again = np.empty((100, 100)), np.empty((1, 100))
-    rows, bounds = np.zeros(100, dtype=np.int64), (np.zeros((1, 100)), np.ones((1, 100)), np.arange(100))
-    draw_rows(keys, rows, *bounds, numbers)
-    draw_rows(keys[41:42], rows, *bounds, again)
+    bounds = np.zeros(100), np.ones(100), np.arange(100)
+    draw_rows(keys, *bounds, numbers)
+    draw_rows(keys[41:42], *bounds, again)
     np.testing.assert_array_equal(numbers[41], again[0])
     assert len(np.unique(numbers)) == numbers.size
     assert stats.kstest(numbers.ravel(), "uniform").pvalue > 0.001
@@ -184,7 +184,7 @@ def test_ranges_of_noise_are_drawn_from_evenly_and_for_each():
     keys = derive_keys(np.arange(2000, dtype=np.uint64), np.zeros(2000, dtype=np.int64), 1)
     noise = NoiseConfig(sensor_noise=(0.01, 0.03), wheel_mismatch=(-0.1, 0.1))
     table = np.empty((2000, 14))
-    draw_rows(keys, np.zeros(2000, dtype=np.int64), *noise_settings([noise], RobotSpec()), table)
+    draw_rows(keys, *noise_settings(noise, RobotSpec()), table)
     assert stats.kstest(table[:, 0], stats.uniform(0.01, 0.02).cdf).pvalue > 0.001
     np.testing.assert_allclose(table[:, 6] + table[:, 7], 2.0)
     assert abs(np.corrcoef(table[:, 0], table[:, 6])[0, 1]) < 0.1

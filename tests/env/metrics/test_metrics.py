@@ -195,6 +195,13 @@ class TestVisibleSamples:
         owner = visible_samples(world, 0.10, 5.0)[2]
         np.testing.assert_array_equal(np.bincount(owner), [80, 80, 80, 80, 0, 40, 40, 40, 40])
 
+    @pytest.mark.parametrize(("shortest", "count"), [({}, 0), ({"shortest": 0.0}, 3)])
+    def test_short_sides_give_samples_only_if_asked(self, shortest: dict[str, float], count: int) -> None:
+        pillar = np.array([[1.0, 1.0], [1.15, 1.0], [1.15, 1.15], [1.0, 1.15]])
+        world = World("box", (4, 4), room(4, 4), obstacles=(pillar,), starts=poses((0.5, 0.5, 0)))
+        owner = visible_samples(world, 0.10, 5.0, **shortest)[2]
+        np.testing.assert_array_equal(np.bincount(owner, minlength=8), [80] * 4 + [count] * 4)
+
     @pytest.mark.parametrize(
         ("gap", "max_range", "seen"),
         [

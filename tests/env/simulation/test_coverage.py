@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 
 from limslam_env import NoiseConfig, RobotSpec, World, load_world
-from limslam_env.config import DrawnNoise
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import beams_on_rim
 from limslam_env.kernels.coverage import mark_disc
 from limslam_env.kernels.observation import drive_and_observe
 from limslam_env.simulation.coverage import CELL, coverage_grid
-from limslam_env.simulation.odometry import wheel_noise
-from limslam_env.simulation.sensors import beam_table, build_wall_index, range_noise
+from limslam_env.simulation.noise import noise_table
+from limslam_env.simulation.sensors import beam_table, build_wall_index
 from limslam_env.simulation.simulation import Simulation
 from limslam_env.worlds.formats.loading import shipped_worlds
 
@@ -29,7 +28,7 @@ def box_world(*walls: list[float]) -> World:
 def seen_from(world: World, poses: FloatArray) -> np.ndarray:
     """The cells that beams and body mark at each of the poses in turn, one robot alone in the world."""
     grid, beams = coverage_grid(world, ROBOT, world.starts[:1]), len(ROBOT.beams)
-    noise = np.concatenate((range_noise(DrawnNoise()), wheel_noise(DrawnNoise(), 1.0)))
+    noise = noise_table(vars(NoiseConfig()), ROBOT)
     scene, table = build_wall_index(world.edges).scene, beam_table(ROBOT)
     seen, new, found = np.zeros_like(grid.coverable), 0, np.zeros(1, dtype=np.int64)
     is_moved = True

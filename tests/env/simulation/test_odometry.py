@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from limslam_env import NoiseConfig, RobotSpec, World
-from limslam_env.config import DrawnNoise
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
 from limslam_env.kernels.readings import reported_travel
-from limslam_env.simulation.odometry import ground_travel, wheel_noise
+from limslam_env.simulation.noise import ground_travel, noise_table
 from limslam_env.simulation.simulation import Readings, Simulation, Truth
 
 ROBOT = RobotSpec()
@@ -21,9 +20,10 @@ MIDDLE = np.array([0.5 * SIDE, 0.5 * SIDE, 0.3])
 TOP = ROBOT.max_wheel_speed * ROBOT.control_period
 
 
-def reports(travel: FloatArray, noise: DrawnNoise, seed: int = 0, limit: float = 0.06) -> FloatArray:
+def reports(travel: FloatArray, noise: NoiseConfig, seed: int = 0, limit: float = 0.06) -> FloatArray:
     """What the encoders say to a list of wheel travels (n, 2)."""
-    table, generator = wheel_noise(noise, limit), np.random.default_rng(seed)
+    table, generator = noise_table(vars(noise), ROBOT)[6:11], np.random.default_rng(seed)
+    table[4] = limit
     told, untold = np.zeros(travel.shape), [0.0, 0.0]
     for row, normals in enumerate(generator.standard_normal(travel.shape)):
         for side in range(2):
@@ -63,7 +63,7 @@ def travel_of(poses: FloatArray, axle: float) -> FloatArray:
 @pytest.mark.parametrize("travel", [0.002, 0.01, 0.03, -0.02])
 def test_wheel_variance_is_proportional_to_travel(travel):
     count, per_metre = 20_000, 2e-5
-    errors = reports(np.full((count, 2), travel), DrawnNoise(wheel_variance=per_metre), limit=1.0) - travel
+    errors = reports(np.full((count, 2), travel), NoiseConfig(wheel_variance=per_metre), limit=1.0) - travel
     # The noise of one report must not be taken back by the next.
     variance = errors.var(axis=0) / (per_metre * abs(travel))
     np.testing.assert_allclose(variance, 1.0, atol=5.0 * math.sqrt(2.0 / count))
@@ -100,7 +100,7 @@ def test_unequal_wheels_drive_as_before_and_only_report_otherwise():
 
 
 def test_a_report_is_clipped_to_the_limit_and_the_rest_comes_later():
-    found = reports(np.array([[0.1, -0.1], [0.01, 0.0], [0.0, 0.0]]), DrawnNoise(wheel_variance=0.0), limit=0.06)
+    found = reports(np.array([[0.1, -0.1], [0.01, 0.0], [0.0, 0.0]]), NoiseConfig(wheel_variance=0.0), limit=0.06)
     np.testing.assert_allclose(found, [[0.06, -0.06], [0.05, -0.04], [0.0, 0.0]], atol=1e-12)
 
 
@@ -128,7 +128,7 @@ def test_in_contact_the_encoders_go_on_reporting_the_wheels():
 @pytest.mark.parametrize(("rate", "travel"), [(1.0, 0.03), (10.0, 0.03), (30.0, -0.01), (1e6, 0.001)])
 def test_a_wheel_slips_as_often_per_metre_as_asked(rate, travel):
     count = 50_000
-    noise = DrawnNoise(slip_rate=rate, slip_share=0.25)
+    noise = noise_table(vars(NoiseConfig(slip_rate=rate, slip_share=0.25)), ROBOT)
     uniforms = np.random.default_rng(0).random((count, 2))
     carried = ground_travel(np.full((count, 2), travel), noise, uniforms)
     slips = carried != travel

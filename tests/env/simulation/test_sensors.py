@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 
 from limslam_env import NoiseConfig, RobotSpec, SensorSpec, World, load_world
-from limslam_env.config import DrawnNoise
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.segment import polygon_edges
 from limslam_env.interface import beams_on_rim
 from limslam_env.kernels.observation import drive_and_observe
 from limslam_env.kernels.rays import NOTHING, cast_at_discs
 from limslam_env.kernels.readings import noisy_reading
-from limslam_env.simulation.odometry import wheel_noise
-from limslam_env.simulation.sensors import CELL, beam_table, build_wall_index, range_noise
+from limslam_env.simulation.noise import noise_table
+from limslam_env.simulation.sensors import CELL, beam_table, build_wall_index
 from limslam_env.simulation.simulation import Readings, Simulation, Truth
 from limslam_env.worlds.formats.loading import shipped_worlds
 
@@ -64,7 +63,7 @@ def look(
     edges: FloatArray, pose: tuple[float, float, float], robot: RobotSpec, cone: float = 0.0
 ) -> tuple[FloatArray, FloatArray]:
     """Walls hit (n_beams,) and ranges (n_beams,) of a robot that may stand where no robot could start."""
-    noise = np.concatenate((range_noise(DrawnNoise(cone=cone)), wheel_noise(DrawnNoise(), 1.0)))
+    noise = noise_table(vars(NoiseConfig(cone=cone)), robot)
     is_moved, count, cells = True, len(robot.beams), np.zeros((1, 1), dtype=bool)
     hits, ranges = np.zeros((1, count), dtype=np.int64), np.zeros((1, count), dtype=np.float32)
     drive_and_observe(
@@ -195,7 +194,7 @@ def test_a_beam_that_starts_at_the_middle_measures_from_there():
 
 def readings_of(ideal: float, count: int, seed: int = 0, hit: int = 0, **noise: float) -> FloatArray:
     """Many readings of the same thing."""
-    table, generator = range_noise(DrawnNoise(**noise)), np.random.default_rng(seed)
+    table, generator = noise_table(vars(NoiseConfig(**noise)), FRONT), np.random.default_rng(seed)
     drawn = zip(generator.standard_normal(count), generator.random(count), strict=True)
     return np.array([noisy_reading(ideal, hit, 0.05, 1.5, *table[:5], normal, uniform) for normal, uniform in drawn])
 

@@ -11,10 +11,7 @@ import pytest
 from limslam_agent import Belief, LearnedPolicy
 from limslam_agent.config.presets import GridConfig, PolicyConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.policies.learned.learned import (
-    ONLY_REMNANTS,
-    own_part,
-)
+from limslam_agent.policies.learned.learned import own_part
 from limslam_agent.policies.learned.look_ahead import FULL
 from limslam_agent.policies.learned.network import LAYERS, DirectionNetwork, load_network, save_network
 from limslam_agent.policies.learned.polar_view import AHEAD, CHANNELS, ViewConfig, observe
@@ -150,18 +147,6 @@ def test_driving_ahead_shows_what_the_beams_at_the_sides_will_see():
     assert (np.diff(ahead * np.array(FULL)[:, None], axis=0) >= 0.0).all()
     # There is a wall below, so that nothing is driven there.
     assert far[6] == 0.0
-
-
-@pytest.mark.parametrize(("large", "is_over"), [(20, True), (1, False)])
-def test_the_exploration_is_over_when_the_map_does_not_grow_and_only_remnants_are_left(monkeypatch, large, is_over):
-    for name, value in {"_WINDOW": 1.0, "_FARTHEST": 0.0, "_LARGE_FRONTIER": large}.items():
-        monkeypatch.setattr(f"limslam_agent.policies.learned.learned.{name}", value)
-    policy = LearnedPolicy(ROBOT, PolicyConfig(), network(ViewConfig()))
-    for step in range(40):
-        policy.act(belief([1.05, 0.35, 0.0]))
-        if step == 8:
-            assert policy.stop_reason is None, "the map may still have grown in the last second"
-    assert (policy.stop_reason == ONLY_REMNANTS) is is_over
 
 
 def test_what_is_nearer_to_a_teammate_is_left_to_it():

@@ -17,6 +17,8 @@ from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.clone_filter import difference, merge
 from limslam_agent.slam.consistent.limits import EQUALITY_NOISE
 from limslam_agent.slam.consistent.pending_readings import places_of
+from limslam_agent.slam.core.encoder_ticks import jitter_of
+from limslam_agent.slam.core.motion import Motion
 from limslam_env import RobotSpec
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import direction, nearest_form, normal, normalise
@@ -54,7 +56,7 @@ def driven(seed: int, clones: int = 8, pose: FloatArray | None = None) -> tuple[
     numbers = []
     for _ in range(clones):
         numbers.append(ekf.clone())
-        ekf.predict(STEP, MOTION)
+        ekf.predict(Motion(STEP, MOTION))
     return ekf, readings_of([number for number in numbers for _ in LEFT], LEFT * clones)
 
 
@@ -186,6 +188,18 @@ def test_a_clone_equals_its_pose_with_full_correlation_and_leaves_the_rest_alone
     # The difference of pose and clone is known exactly.
     between = np.hstack((np.eye(3), np.zeros((3, len(state) - 3)), -np.eye(3)))
     np.testing.assert_array_equal(between @ ekf.P @ between.T, 0.0)
+
+
+def test_a_clone_and_the_reported_pose_have_the_jitter_of_the_encoders() -> None:
+    ekf, _ = driven(0, clones=3, pose=np.array([0.4, -0.2, 2.0]))
+    jitter, before = jitter_of(np.array([0.01, 0.02]), 0.16), ekf.P.copy()
+    ekf.predict(Motion(np.zeros(3), np.zeros((3, 3)), jitter=jitter))
+    ekf.clone()
+    by_jitter = compose_jacobians(ekf.pose, np.zeros(3))[1]
+    np.testing.assert_allclose(ekf.P[-3:, :-3], before[:3], atol=1e-15)
+    np.testing.assert_allclose(ekf.P[-3:, -3:] - before[:3, :3], by_jitter @ jitter @ by_jitter.T, atol=1e-15)
+    np.testing.assert_array_equal(ekf.P[:-3, :-3], before)
+    np.testing.assert_allclose(ekf.joint_pose_covariance, ekf.P[-3:, -3:], atol=1e-15)
 
 
 # Observations.
@@ -413,7 +427,7 @@ class _Wanderer:
     def predict(self) -> None:
         increment = np.array([0.03, 0.0, 0.05])
         self.truth = compose(self.truth, increment)
-        self.ekf.predict(increment + self.generator.normal(size=3) * np.sqrt(np.diag(MOTION)), MOTION)
+        self.ekf.predict(Motion(increment + self.generator.normal(size=3) * np.sqrt(np.diag(MOTION)), MOTION))
 
     def clone(self) -> None:
         self.clones[self.ekf.clone()] = self.truth
@@ -500,7 +514,7 @@ def test_what_odometry_is_wrong_by_spreads_to_the_pose_as_the_dense_filter_has_i
     ekf.clone(1)
     by_calibration = spread(3, 3, scale=1.0)
     covariance, before = ekf.P.copy(), ekf.x.copy()
-    ekf.predict(STEP, MOTION, 1, by_calibration)
+    ekf.predict(Motion(STEP, MOTION, by_calibration), 1)
     by_pose, by_increment = compose_jacobians(before[3:6], STEP)
     dense, noise = np.eye(len(covariance)), np.zeros_like(covariance)
     dense[3:6, 3:6], dense[3:6, 9:12] = by_pose, by_increment @ by_calibration

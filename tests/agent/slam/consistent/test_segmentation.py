@@ -105,7 +105,7 @@ def drive_past(corners: FloatArray, length: float, noise: float, seed: int, whee
         reported = wheels + generator.normal(0.0, math.sqrt(wheel_variance * STEP), 2)
         truth = compose(truth, motion.increment)
         told = motion_from_wheels(reported, ROBOT, nominal)
-        belief.predict(told.increment, told.covariance)
+        belief.predict(told)
     readings = Readings(
         np.array(clones), ROBOT.beam_origins[beams], ROBOT.beam_angles[beams], np.array(ranges),
         np.column_stack((clones, beams)),

@@ -1,6 +1,7 @@
 """Constant errors that are estimated beside the filter: as if they had been in its state, and only where needed."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -48,7 +49,7 @@ class Corridor:
             found = ekf.calibration()
             motion = calibrated(reported, ROBOT.axle, OdometryCalibration(*found[0]) if found else assumed)
             is_estimated = found is not None or ekf.calibration_evidence is not None
-            ekf.predict(motion.increment, motion.covariance, 0, motion.by_calibration if is_estimated else None)
+            ekf.predict(motion if is_estimated else replace(motion, by_calibration=None))
 
     def look(self, side: int) -> None:
         ranges = [range_to(self.pose, beam, WALLS[side]) for beam in SIDES[side]]

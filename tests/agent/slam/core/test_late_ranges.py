@@ -6,6 +6,7 @@ import pytest
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.separate_bias import DELAY
 from limslam_agent.slam.core.late_ranges import WaitingTravel, ahead, behind, held_back
+from limslam_agent.slam.core.motion import Motion
 from limslam_env.geometry.se2 import arc, compose, wrap_angle
 
 TRAVEL = np.random.default_rng(0).normal(0.03, 0.02, (40, 2, 2))
@@ -50,7 +51,7 @@ def test_ahead_is_the_arc_of_the_travel_and_behind_leads_back():
 def test_a_clone_is_where_late_ranges_were_read():
     start, step, turn = np.array([1.0, 2.0, 0.3]), 0.03, 0.02
     ekf = CloneEKF(start, range_errors=(0.02, 0.05, 1.0))
-    ekf.predict(arc(step, turn), np.zeros((3, 3)))
+    ekf.predict(Motion(arc(step, turn), np.zeros((3, 3))))
     ekf.clone()
     late, early = (compose(start, arc((1.0 - delay) * step, (1.0 - delay) * turn)) for delay in (0.1, -0.1))
     np.testing.assert_allclose(ekf.by_errors[-3:, DELAY], (late - early) / 0.2, atol=5e-4)

@@ -12,9 +12,9 @@ from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.line_graph.problem import RELATIVE_PRIOR, expected, state_from_poses
 from limslam_agent.slam.line_graph.reassociation import solve_labels
-from limslam_agent.slam.line_graph.smoother import FilteredRun, settle, smooth_run
-from limslam_agent.two_logs.by_lines import joined_run
+from limslam_agent.slam.line_graph.smoother import FilteredRun, beside, settle, smooth_run, smooth_with_unknown_start
 from limslam_env import NominalNoise
+from limslam_env.geometry.se2 import wrap_angle
 
 CONFIG = SmootherConfig()
 FOUND = RangeSensor(0.01, growth=0.02, cone=0.03, bias=0.04)
@@ -54,10 +54,24 @@ def test_the_sensor_that_the_filter_found_is_taken_over():
     assert position_error(found.state, poses) < 0.02
 
 
+def test_poses_with_coarse_encoders_are_about_as_wrong_as_believed():
+    problem, poses = noisy_run(6, 0.02)
+    run, tick = run_of(problem, poses, None), 0.01
+    totals = np.cumsum(run.wheels, axis=0) + np.random.default_rng(6).uniform(0.0, tick, 2)
+    wheels = np.diff(np.floor(totals / tick) * tick, axis=0, prepend=np.zeros((1, 1, 2)))
+    found = smooth_run(replace(run, wheels=wheels), CONFIG)
+    errors = (found.poses - run.poses)[1:, 0]
+    errors[:, 2] = wrap_angle(errors[:, 2])
+    assert np.hypot(*errors[:, :2].T).mean() < 0.1
+    assert (
+        np.einsum("ti,ti->t", errors, np.linalg.solve(found.covariances[1:, 0], errors[..., None])[..., 0]).mean() < 6.0
+    )
+
+
 def test_two_runs_with_known_turns_are_smoothed_as_one():
     problem, poses = noisy_run(6, 0.02)
     run = run_of(problem, poses, RangeSensor(0.02, turns=(0.01,) * 6))
-    smoothed = smooth_run(joined_run(run, run, np.zeros(3)), CONFIG)
+    smoothed = smooth_with_unknown_start(beside(run, run, np.zeros(3)), CONFIG)
     assert smoothed.robot.beam_angles == pytest.approx(problem.robot.beam_angles + 0.01)
 
 
