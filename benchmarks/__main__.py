@@ -1,4 +1,4 @@
-"""``python -m benchmarks``: suites of runs (``run``), their tables, and training.
+"""``python -m benchmarks``: suites of runs (``run``), their tables, the scoreboard, training and speed.
 
 What takes long to import is imported inside the commands, so that help comes at once.
 """
@@ -8,7 +8,7 @@ import signal
 import sys
 from collections.abc import Iterable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import typer
 
@@ -143,7 +143,7 @@ def table(folders: Folders) -> None:
 
 @app.command()
 def speed(
-    device: Annotated[str, typer.Option(help="cpu, or cuda for batches on a GPU only.")] = "cpu",
+    device: Annotated[Literal["cpu", "cuda"], typer.Option(help="cuda: only batches, on a GPU.")] = "cpu",
     processor_time: Annotated[
         bool, typer.Option("--processor-time", help="Count processor time, for a machine that is busy.")
     ] = False,

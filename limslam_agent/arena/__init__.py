@@ -1,1 +1,1 @@
-"""The arena: a benchmark that anybody can enter. Entries explore or map fixed plans, and are ranked."""
+"""The arena: a benchmark that anybody can enter. Entries explore fixed plans, and are ranked."""

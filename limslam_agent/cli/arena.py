@@ -94,11 +94,11 @@ def verify(
     from limslam_agent.arena import verify as again
     from limslam_env.messages import counted, one_line
 
-    found, stamp, track = again.opened(folder, entry, _read_seed() if secret_seed else None)
+    found, stamp, all_plans = again.opened(folder, entry, _read_seed() if secret_seed else None)
     if changed := again.other_versions(stamp):
         warn([f"the results are of other versions ({changed})"])
     checked = different = 0
-    for plan, differences in again.verify(folder, found, track, plans, jobs):
+    for plan, differences in again.verify(folder, found, all_plans, plans, jobs):
         typer.echo(one_line(f"plan {plan:3}    {'; '.join(differences) or 'equal'}", 500))
         checked, different = checked + 1, different + bool(differences)
     within = " within the bounds of a process" if found.manifest.is_process else ""

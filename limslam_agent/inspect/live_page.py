@@ -3,7 +3,7 @@
 import threading
 import time
 from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from types import MappingProxyType
 from typing import Any
@@ -27,6 +27,9 @@ LEAST_PAUSE = 1.0
 SHARE = 0.05
 """Largest share of the time of a run that goes into the states of its recording."""
 
+_PATIENCE = 1.0
+"""Seconds after which a page that waits for a new state is told that there is none."""
+
 
 class LivePage:
     """The latest state of a recording, for any number of pages that show it.
@@ -42,9 +45,10 @@ class LivePage:
     def __init__(self, title: str, address: str, edges: FloatArray | None = None) -> None:
         self.title, self.address, self.is_over = title, address, False
         self._fixed = {} if edges is None else {"edges": edges.astype(np.float32)}
-        self._lock = threading.Lock()
-        self._state: tuple[dict[str, NDArray[Any]], dict[str, Any]] | None = None
-        self._version, self._text, self._text_version = 0, "", 0
+        self._changed = threading.Condition()
+        # Each is replaced as a whole, so that the run does not wait while a state is packed for a page.
+        self._state: tuple[int, dict[str, NDArray[Any]], dict[str, Any]] = 0, {}, {}
+        self._text = 0, ""
         self._due = 0.0
 
     def update(self, recorder: Recorder) -> None:
@@ -60,22 +64,31 @@ class LivePage:
         """Offer the last state, and say that no other will come."""
         if recorder is not None:
             self._offer(recorder)
-        self.is_over = True
+        with self._changed:
+            self.is_over = True
+            self._changed.notify_all()
 
     def _offer(self, recorder: Recorder) -> None:
-        state = self._fixed | recorder.arrays(), {**recorder.meta(), "check": ""}
-        with self._lock:
-            self._state, self._version = state, self._version + 1
+        state = self._state[0] + 1, self._fixed | recorder.arrays(), {**recorder.meta(), "check": ""}
+        with self._changed:
+            self._state = state
+            self._changed.notify_all()
 
     def newest(self, version: int) -> tuple[int, str]:
-        """The number of the latest state, and the state as the page reads it; empty if its number is ``version``."""
-        with self._lock:
-            if self._state is None or self._version == version:
-                return self._version, ""
-            if self._version != self._text_version:
-                arrays, meta = self._state
-                self._text, self._text_version = packed(arrays, told_to_page(self.title, meta), level=1), self._version
-            return self._version, self._text
+        """The number of the latest state, and the state as the page reads it; empty if its number is ``version``.
+
+        A page that has the latest one waits here for the next, because browsers slow the clocks of hidden pages.
+        """
+        with self._changed:
+            self._changed.wait_for(lambda: self._state[0] not in {0, version} or self.is_over, _PATIENCE)
+            number, arrays, meta = self._state
+        if number in {0, version}:
+            return number, ""
+        packed_number, text = self._text
+        if packed_number != number:
+            text = packed(arrays, told_to_page(self.title, meta), level=1)
+            self._text = number, text
+        return number, text
 
 
 class Follower:
@@ -172,5 +185,6 @@ class _Handler(BaseHTTPRequestHandler):
         for name, value in {"Content-Type": kind, "Content-Length": str(len(content)), **told}.items():
             self.send_header(name, value)
         self.send_header("Cache-Control", "no-store")
-        self.end_headers()
-        self.wfile.write(content)
+        with suppress(OSError):  # the page was closed
+            self.end_headers()
+            self.wfile.write(content)

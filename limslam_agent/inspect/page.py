@@ -76,7 +76,7 @@ def empty_page(title: str) -> str:
 
 def told_to_page(title: str, meta: Mapping[str, Any]) -> dict[str, Any]:
     """The table of a recording with the title and the texts for students."""
-    lessons = LESSONS | EXPLANATIONS
+    lessons = {kind: (caption.headline, caption.explanation) for kind, caption in LESSONS.items()} | EXPLANATIONS
     lessons |= {"loop": MERGED} if meta["merges"] else {}
     return {**meta, "title": title, "lessons": lessons}
 

@@ -8,8 +8,8 @@ import sys
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Generator, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import SpawnProcess
@@ -128,7 +128,8 @@ class _Worker(Generic[J, R]):
             context = multiprocessing.get_context("spawn")
             ours, theirs = context.Pipe()
             process = context.Process(target=_serve, args=(theirs, self._work), daemon=True)
-            process.start()
+            with _ctrl_c_ignored():
+                process.start()
             # While this process holds a copy of the worker's end, the death of the worker does not close the pipe.
             theirs.close()
             self._running = process, ours
@@ -153,10 +154,10 @@ def _death(exit_code: int) -> str:
 
 def _serve(connection: Connection, work: Callable[[Any], Any]) -> None:
     """Run jobs in a process of their own, on one thread, until the pipe is closed."""
-    if sys.platform == "win32":
-        signal.signal(signal.SIGINT, signal.SIG_IGN)
-    else:
-        os.setpgid(0, 0)  # Ctrl-C reaches the processes of a terminal's own group alone, and their parent ends this one
+    # What a job starts would inherit an ignored signal, but it does not inherit a handler.
+    signal.signal(signal.SIGINT, lambda *_: None)
+    if sys.platform != "win32":
+        os.setpgid(0, 0)
     signal.signal(signal.SIGTERM, lambda *_: _kill_group(os.getpid()))
     threading.Thread(target=_end_with_parent, daemon=True).start()
     import cv2
@@ -189,3 +190,16 @@ def _kill_group(number: int) -> None:
         os.kill(number, signal.SIGTERM)
     else:
         os.killpg(number, signal.SIGKILL)
+
+
+@contextmanager
+def _ctrl_c_ignored() -> Iterator[None]:
+    """Start processes that ignore Ctrl-C: it reaches all processes of a terminal, and their parent ends the workers."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handler)

@@ -77,10 +77,6 @@ class Roadmap:
         """Whether the robot can drive straight from points (n, 2) to others (n, 2), m."""
         return np.asarray(self._costs(np.atleast_2d(first), np.atleast_2d(second)) < np.inf)
 
-    def lengths_from(self, place: int) -> FloatArray:
-        """Lengths (n,) of the paths from a place to all others, m; paths with little clearance count more."""
-        return self._tree(place)[0]
-
     def way(self, first: FloatArray, second: FloatArray) -> FloatArray | None:
         """The turning points and the end (k, 2) of a path between two points (2,), m; None if there is no path."""
         if self.is_free(first, second)[0]:

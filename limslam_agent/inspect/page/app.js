@@ -355,11 +355,9 @@ async function start() {
   if (isLive) watch(window.player, number);
 }
 
-const pause = (milliseconds) => new Promise((done) => { setTimeout(done, milliseconds); });
-
-// The latest state of a run that goes on now: its number, whether it is the last one, and its text, which is empty if
-// the number is known already.
-async function newestState(known) {
+// The next state of a run that goes on now: its number, whether it is the last one, and its text, which is empty if
+// none has come for a while.
+async function nextState(known) {
   const answer = await fetch(`/recording?${known}`);
   return {number: Number(answer.headers.get('X-State')), isOver: answer.headers.get('X-Over') === '1', text: await answer.text()};
 }
@@ -367,10 +365,9 @@ async function newestState(known) {
 // The first state, which may not have come yet.
 async function firstState() {
   for (;;) {
-    const {number, text} = await newestState(0);
-    if (text) return {number, text};
+    const state = await nextState(0);
+    if (state.text) return state;
     byId('loading').textContent = 'Waiting for the first step of the run ...';
-    await pause(300);
   }
 }
 
@@ -382,8 +379,7 @@ async function watch(player, first) {
   let known = first, isOver = false;
   try {
     while (!isOver) {
-      await pause(500);
-      const state = await newestState(known);
+      const state = await nextState(known);
       if (state.text) player.replace(await unpack(state.text));
       ({number: known, isOver} = state);
     }

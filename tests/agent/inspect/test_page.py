@@ -7,21 +7,11 @@ import pytest
 from support.browser import CHROMIUM, browser
 from support.inspection import data_in, inspected, unpacked
 
+from limslam_agent.video.belief_frame import hough_image
+
 pytestmark = pytest.mark.skipif(not CHROMIUM, reason="there is no Chromium")
 
 FRAME = "player.frame"
-
-
-def hough_image(points, r_step, theta_bins=90):
-    """Number of points (p, 2), m, on each line (r, theta), and the largest r, m."""
-    farthest = np.linalg.norm(points, axis=1).max()
-    step = max(r_step, 2.0 * farthest / 240)
-    half = int(np.ceil(farthest / step))
-    theta = (np.arange(theta_bins) + 0.5) * (np.pi / theta_bins)
-    rows = np.round(points @ np.vstack((np.cos(theta), np.sin(theta))) / step).astype(int) + half
-    votes = np.zeros((2 * half + 1, theta_bins), dtype=int)
-    np.add.at(votes, (np.clip(rows, 0, 2 * half), np.arange(theta_bins)), 1)
-    return votes, (half + 0.5) * step
 
 
 @pytest.fixture(scope="module")

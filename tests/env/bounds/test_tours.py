@@ -55,7 +55,7 @@ def test_the_only_way_through_a_long_slanted_passage_is_found():
     world = World("passage", (8.0, 4.0), np.hstack((corners, np.roll(corners, -1, axis=0))))
     roads = Roadmap(world, ROBOT.radius, np.array([0.5, 3.5]))
     assert (roads.places[:, 0] > 5.5).sum() > 20
-    assert np.isfinite(roads.lengths_from(0)).all()
+    assert all(roads.way(roads.places[0], place) is not None for place in roads.places)
     way = np.vstack(([[0.5, 3.5]], roads.way(np.array([0.5, 3.5]), np.array([7.5, 0.5]))))
     assert roads.is_free(way[:-1], way[1:]).all()
 
@@ -74,6 +74,6 @@ def test_ways_find_narrow_doors_and_no_closed_rooms():
     roads = Roadmap(ROOMS, ROBOT.radius, START[:2])
     assert (roads.places[:, 0] > 2.5).any()
     assert (roads.places[:, 0] < 4.0).all()
-    assert np.isfinite(roads.lengths_from(0)).all()
+    assert all(roads.way(roads.places[0], place) is not None for place in roads.places)
     assert roads.way(START[:2], np.array([3.0, 1.0])) is not None
     assert roads.way(START[:2], np.array([5.0, 1.0])) is None
