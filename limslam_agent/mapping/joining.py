@@ -259,6 +259,7 @@ class JoiningMapper(Mapper):
         is_of_wall = np.isfinite(ranges) & ~may_have_met(poses, ranges, self.robot)
         grid.draw(smoothed.robot, smoothed.read_at, ranges, is_of_wall)
         self._use(slam, grid)
+        slam.ticks[:] = [mapper.slam.ticks[0] for mapper in self._alone]
         self._waiting = WaitingTravel(2)
         odometry = np.array([row[2] for row in self._rows])
         odometry[:, 1] = compose(compose(start, inverse(self._starts[1])), odometry[:, 1])

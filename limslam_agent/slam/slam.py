@@ -264,7 +264,7 @@ class LineSlam:
 
     def learn_from(self, other: "LineSlam") -> None:
         """Take odometry and sensor to be from now on as the same robot has found them with another SLAM."""
-        self.ticks = other.ticks.copy()
+        self.ticks[: len(other.ticks)] = other.ticks
         if other.sensor is not None and other.sensor != self.sensor:
             self.assume(other.sensor)
         if any(found is not None for found in other.odometry_calibrations):
