@@ -163,9 +163,8 @@ class StatusMonitor:
         self._checked = self._place
         present.sensor = self.sensor
         self._changes.look(self._sights, self._first, self._place, present, covariance)
-        oldest = max(self._changes.oldest, self._step - STEPS)  # more would count no more
-        begin = max(min(oldest, self._step - 2 * LASTING) - self._first, 0)
-        self._sights, self._first = self._sights[begin:], self._first + begin
+        self._sights = self._sights[-STEPS:]  # more would count no more
+        self._first = self._step + 1 - len(self._sights)
         self.broken = self._broken_beam(present)
         self._judge(float(covariance[2, 2]))
 

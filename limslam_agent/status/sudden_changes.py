@@ -35,6 +35,7 @@ from limslam_env.interface import RobotSpec
 WINDOW, LONGEST_SPACING = 3.0, 0.30
 """Length of the last part of the drive whose readings count, and way between two changes at most, m."""
 
+_SUPPORTED = 15.0  # evidence of readings that clearly fit
 _EXPLAINED = 1.0  # evidence of a reading for the map: more than that of seeing nothing on free ground
 _MAPS = 4
 
@@ -191,9 +192,11 @@ class SuddenChanges:
     def _slipped(self, change: Change, later: FloatArray, here: Explained, covariance: FloatArray) -> Suspicion | None:
         """That the robot has slipped at a change, by the rays (n, 7) since then; None if that is not certain.
 
-        Readings on unknown ground may fit a turned map by chance. So one of them must contradict the believed pose.
+        Readings on unknown ground may fit a turned map by chance. So one of them must contradict the believed pose, and
+        those after it must not clearly fit there.
         """
-        if not here.against.any():
+        (contradicting,) = np.nonzero(here.against)
+        if not len(contradicting) or here.evidence[contradicting[-1] + 1 :].sum() > _SUPPORTED:
             return None
         slip = slip_fit(change.known, later)
         evidence = slip.evidence - float(here.evidence.sum())

@@ -70,7 +70,7 @@ def test_every_number_of_the_agent_has_bounds_that_its_default_keeps(name):
             with pytest.raises(ValueError, match=f"^{number} must be"):
                 replace(group, **{number: math.nan})
             checked += 1
-    assert checked >= 40
+    assert checked >= 38
 
 
 @pytest.mark.parametrize("ablation", ABLATIONS)

@@ -60,9 +60,11 @@ def test_in_a_room_with_all_its_walls_there_is_nothing_to_look_at() -> None:
 def test_a_missing_part_of_a_wall_is_looked_at_from_a_place_that_sees_it(side, start, length, place) -> None:
     walls = with_gap(side, start, length)
     belief = belief_at([*place, 0.0], walls)
-    view = next_view(belief, open_border(belief, []), ROBOT)
+    border = open_border(belief, [])
+    view = next_view(belief, border, ROBOT)
     assert view is not None
-    assert not len(open_border(belief, [view.faces]))
+    # A view may show a part of a stretch. What it shows is not looked at again.
+    assert len(open_border(belief, [view.faces])) <= len(border) - len(view.faces)
     wall = WALLS[side]
     along = (wall[2:] - wall[:2]) / np.hypot(*(wall[2:] - wall[:2]))
     assert start < (view.middle - wall[:2]) @ along < start + length
