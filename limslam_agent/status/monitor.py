@@ -12,7 +12,7 @@ import numpy as np
 
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.known_map import DECIDED, DOUBTED, KnownMap
-from limslam_agent.status.rays import LASTING, STEPS, rays_of
+from limslam_agent.status.rays import STEPS, rays_of
 from limslam_agent.status.status import LARGE_CORRECTION, UNSURE_HEADING, Status
 from limslam_agent.status.sudden_changes import LONGEST_SPACING, WINDOW, Sight, SuddenChanges, by_beam
 from limslam_env.geometry import FloatArray

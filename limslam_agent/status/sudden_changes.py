@@ -128,7 +128,7 @@ class SuddenChanges:
         Parameters
         ----------
         sights, first
-            The latest steps, since the oldest change as far as they are kept, and the number of the first of them.
+            The latest steps, and the number of the first of them.
         place
             Where in the drive the robot is, m.
         known, covariance
@@ -145,11 +145,6 @@ class SuddenChanges:
         """Forget all changes: the estimator has closed a loop, and moved the map."""
         self._changes = list[Change]()
         self.suspicion: Suspicion | None = None
-
-    @property
-    def oldest(self) -> int:
-        """Number of the step of the oldest change that counts; that of the latest step without one."""
-        return self._changes[0].step if self._changes else self._weighed
 
     def _weigh(
         self, sights: Sequence[Sight], first: int, place: float, known: KnownMap, covariance: FloatArray
