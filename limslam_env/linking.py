@@ -12,7 +12,6 @@ under numba's compiler lock, and undone when the function is done. Loading code 
 
 import contextlib
 import functools
-import gc
 import weakref
 from collections.abc import Callable, Iterator
 from typing import Any
@@ -253,19 +252,6 @@ def _replaced(holder: Any, **values: Any) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def _without_collection() -> Iterator[None]:
-    """Leave the search for unused objects until later: it takes a tenth of the time and finds next to nothing."""
-    if not gc.isenabled():
-        yield
-        return
-    gc.disable()
-    try:
-        yield
-    finally:
-        gc.enable()
-
-
-@contextlib.contextmanager
 def _linking(target: Any) -> Iterator[None]:
     """Let numba link what it compiles on the way, functions of its own included."""
 
@@ -277,7 +263,6 @@ def _linking(target: Any) -> Iterator[None]:
             return type(target).unserialize_library(target, serialized)
 
     with (
-        _without_collection(),
         _replaced(target, create_library=create, unserialize_library=load),
         _replaced(cpu.CPUContext, get_executable=_executable, get_abi_sizeof=_size_of),
         _replaced(cpu.CPUContext, load_additional_registries=_load_new),

@@ -190,7 +190,7 @@ class SuddenChanges:
         Readings on unknown ground may fit a turned map by chance. So one of them must contradict the believed pose, and
         those after it must not clearly fit there.
         """
-        (contradicting,) = np.nonzero(here.against)
+        contradicting = np.flatnonzero(here.against)
         if not len(contradicting) or here.evidence[contradicting[-1] + 1 :].sum() > _SUPPORTED:
             return None
         slip = slip_fit(change.known, later)
