@@ -43,9 +43,10 @@ def reported_travel(
     """The travel (m) that an encoder reports of a wheel's ``travel`` (m), and the remainder for later reports (m).
 
     It counts ``factor`` times the travel, with noise of ``variance`` per metre from the N(0, 1) number ``normal``,
-    and what was ``unreported`` so far (m); in steps of ``resolution`` (m; 0 for none), and no more than ``limit`` (m).
+    and what was ``unreported`` so far (m); no more than ``limit`` (m) at once. Its ticks are ``resolution`` (m; 0 for
+    none) apart and stay where they are on the wheel: driving back over a tick takes it away again.
     """
     counted = travel * factor + math.sqrt(variance * abs(travel)) * normal + unreported
-    reported = math.trunc(counted / resolution) * resolution if resolution > 0.0 else counted
+    reported = math.floor(counted / resolution) * resolution if resolution > 0.0 else counted
     reported = min(max(reported, -limit), limit)
     return reported, counted - reported
