@@ -34,24 +34,12 @@ TIMES = "\N{MULTIPLICATION SIGN}"
 
 
 def table(rows: Sequence[Row]) -> str:
-    """All tables of the given rows, as Markdown.
-
-    Raises
-    ------
-    ValueError
-        If there are no rows.
-    """
+    """All tables of the given rows, as Markdown."""
     return "\n\n".join(sheet.markdown() for sheet in sheets(rows)) + "\n"
 
 
 def sheets(rows: Sequence[Row]) -> list[Sheet]:
-    """All tables of the given rows.
-
-    Raises
-    ------
-    ValueError
-        If there are no rows.
-    """
+    """All tables of the given rows."""
     if not rows:
         raise ValueError("no results: there is not one row to make a table of")
     parts = groups(rows)

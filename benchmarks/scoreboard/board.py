@@ -105,13 +105,7 @@ def written(board: Board) -> bytes:
 
 
 def read_board(path: Path) -> Board:
-    """Read a scoreboard, by its file or by the folder of its results.
-
-    Raises
-    ------
-    ValueError
-        If it cannot be read.
-    """
+    """Read a scoreboard, by its file or by the folder of its results."""
     path = path / FILE if path.is_dir() else path
     try:
         board: Board = json.loads(read_limited(path, _MAX_BYTES))

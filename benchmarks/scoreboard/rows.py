@@ -122,13 +122,7 @@ class Rows:
             raise ValueError(f"each row has a name of its own, unlike {', '.join(repeated) or 'no row'}")
 
     def chosen(self, patterns: Sequence[str]) -> list[Row]:
-        """The rows whose names match one of the patterns (``*`` stands for any text); all without patterns.
-
-        Raises
-        ------
-        ValueError
-            If a pattern matches no row.
-        """
+        """The rows whose names match one of the patterns (``*`` stands for any text); all without patterns."""
         for pattern in patterns:
             if not any(fnmatchcase(row.name, pattern) for row in self.row):
                 raise ValueError(
@@ -138,11 +132,5 @@ class Rows:
 
 
 def read_rows(path: Path = SHIPPED) -> Rows:
-    """Read a file of rows.
-
-    Raises
-    ------
-    ValueError
-        If the file cannot be used; the message is one line that names file and key.
-    """
+    """Read a file of rows."""
     return built(Rows, read_toml(path), path.name)

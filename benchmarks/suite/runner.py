@@ -70,11 +70,6 @@ def run_suite(
         The function that computes the outcome of a job.
     retry_failed
         Run failed jobs again.
-
-    Raises
-    ------
-    ValueError
-        If the folder cannot be used: see :func:`limslam_agent.measurements.store.open_store`.
     """
     begin = time.monotonic()
     stamp = Stamp(versions(), commit(), suite.name, suite.digest, len(suite.jobs))

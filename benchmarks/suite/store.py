@@ -80,11 +80,5 @@ def row_of(stamp: Stamp, job: Job, result: Outcome | Failure) -> Row:
 
 
 def read_rows(*paths: Path) -> list[Row]:
-    """The rows of folders of results, or of files ``results.jsonl``, each job once.
-
-    Raises
-    ------
-    ValueError
-        If a file is missing, a line is not a valid row, or two different rows have the same job.
-    """
+    """The rows of folders of results, or of files ``results.jsonl``, each job once."""
     return store.rows_once(FORMAT, [row for path in paths for row in store.read_rows(FORMAT, path)])

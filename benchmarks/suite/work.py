@@ -17,13 +17,7 @@ from limslam_env.worlds.formats.loading import WorldSource, load_world
 
 
 def data_folder() -> Path:
-    """The folder of recorded data: ``LIMSLAM_DATA``, or ``shared/data`` beside the checkout.
-
-    Raises
-    ------
-    ValueError
-        If there is no such folder.
-    """
+    """The folder of recorded data: ``LIMSLAM_DATA``, or ``shared/data`` beside the checkout."""
     folder = Path(os.environ.get("LIMSLAM_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
     if not folder.is_dir():
         raise ValueError(
@@ -33,13 +27,7 @@ def data_folder() -> Path:
 
 
 def data_file(name: str) -> Path:
-    """A file in the data folder.
-
-    Raises
-    ------
-    ValueError
-        If there is no such file, or no such folder.
-    """
+    """A file in the data folder."""
     path = data_folder() / name
     if not path.is_file():
         raise ValueError(f"{path}: no such file in the folder of recorded data")
@@ -49,13 +37,7 @@ def data_file(name: str) -> Path:
 # The plan and its free space are computed once for all seeds of the plan.
 @functools.lru_cache(maxsize=8)
 def world_source(world: str) -> WorldSource:
-    """The argument of ``load_world`` for a job's world.
-
-    Raises
-    ------
-    ValueError
-        If the text does not name a floor plan.
-    """
+    """The argument of ``load_world`` for a job's world."""
     if world.startswith(RANDOM):
         return load_world(world)
     if world.startswith(PLAN):
@@ -64,24 +46,12 @@ def world_source(world: str) -> WorldSource:
 
 
 def contents(jobs: Iterable[Job]) -> dict[str, str]:
-    """Digests of the worlds that jobs use, by their names.
-
-    Raises
-    ------
-    ValueError
-        If a world is missing or invalid.
-    """
+    """Digests of the worlds that jobs use, by their names."""
     return {world: load_world(world_source(world)).digest for world in {job.world for job in jobs}}
 
 
 def run_config(job: Job) -> RunConfig:
-    """The run configuration of a job.
-
-    Raises
-    ------
-    ValueError
-        If the job cannot be run.
-    """
+    """The run configuration of a job."""
     begin = fault_begins(job)
     return RunConfig(
         world_source(job.world), job.noise, job.preset, job.seed,
@@ -92,13 +62,7 @@ def run_config(job: Job) -> RunConfig:
 
 
 def run_job(job: Job) -> Outcome:
-    """Run a job and score it. All random numbers depend on the job's seed only.
-
-    Raises
-    ------
-    ValueError
-        If the job cannot be run.
-    """
+    """Run a job and score it. All random numbers depend on the job's seed only."""
     begin = fault_begins(job)
     if job.fault is None or begin is None:
         return _scored(run_episode(run_config(job)))

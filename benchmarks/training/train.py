@@ -93,11 +93,6 @@ def train(config: TrainConfig, folder: Path) -> Path:
     -------
     weights
         File of the weights.
-
-    Raises
-    ------
-    ValueError
-        If the folder contains a training.
     """
     if (folder / CONFIG).exists():
         raise ValueError(f"{folder}: holds a training: choose another folder")

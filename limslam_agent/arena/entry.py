@@ -136,13 +136,7 @@ def read_entry(folder: Path) -> Entry:
 
 
 def manifest_of(table: dict[str, object], where: str) -> Manifest:
-    """The manifest that a table holds, from the file and key ``where``.
-
-    Raises
-    ------
-    SettingsError
-        If it cannot be used.
-    """
+    """The manifest that a table holds, from the file and key ``where``."""
     # A manifest has no defaults. The values of this one are only there to be replaced by those of the table.
     possible = Manifest(name="-", authors=("-",), kind="shipped", run="frontier", uses="belief")
     missing = [name for name in ("name", "authors", "kind", "uses") if name not in table]

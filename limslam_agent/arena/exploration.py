@@ -10,7 +10,7 @@ from limslam_agent.arena.scoring import correct_coverage, exploration_scores
 from limslam_agent.arena.tracks import Plan
 from limslam_agent.policies.policy import Policy
 from limslam_agent.runs.actor_checks import is_policy
-from limslam_agent.runs.actor_policy import ActorPolicy
+from limslam_agent.runs.actors import ActorPolicy
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.policy_file import made_by_file, naming_lines_of
 from limslam_agent.runs.record import Episode
@@ -46,11 +46,6 @@ def explore(
         Who explores what.
     folder, keep
         The folder of the run, and what writes it. None keeps nothing.
-
-    Raises
-    ------
-    ValueError
-        If the entry cannot drive.
     """
     config, last = run_config(entry, plan), dict[str, "LimSlamParallelEnv"]()
     policies = _policies(entry, config)

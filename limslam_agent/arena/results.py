@@ -105,13 +105,7 @@ def digest_of(content: Any) -> str:
 
 
 def read_results(folder: Path) -> tuple[Stamp, dict[int, Row]]:
-    """The stamp of a folder of results, and its rows by the numbers of their plans, in their order.
-
-    Raises
-    ------
-    ValueError
-        If the folder holds no results of the arena.
-    """
+    """The stamp of a folder of results, and its rows by the numbers of their plans, in their order."""
     stamp = store.read_stamp(FORMAT, folder)
     rows = store.rows_once(FORMAT, store.read_rows(FORMAT, folder))
     if not rows:

@@ -81,11 +81,6 @@ def run_entry(
         Run the plans again in which the entry failed.
     report
         Called with each new row.
-
-    Raises
-    ------
-    ValueError
-        If the folder cannot be used, or a process of the arena has died.
     """
     place, inside = folder.absolute(), entry.folder.resolve()
     if folder.resolve() == inside or inside in folder.resolve().parents:
@@ -105,13 +100,7 @@ def run_entry(
 
 
 def results_of(todo: Sequence[Job], jobs: int) -> Iterator[Row]:
-    """The rows of jobs as they end, in any order.
-
-    Raises
-    ------
-    ValueError
-        If a process has died, or could not write.
-    """
+    """The rows of jobs as they end, in any order."""
     if jobs == 1:
         yield from map(run_job, todo)
         return

@@ -62,11 +62,6 @@ def verify(
         Number of rows. None runs all.
     jobs
         Number of processes.
-
-    Raises
-    ------
-    ValueError
-        If there are no rows, or a row does not belong to its plan or to the entry.
     """
     _, rows = read_results(folder)
     for row in rows.values():

@@ -31,11 +31,6 @@ def _read_seed() -> int:
     """The secret seed from standard input, which is closed then.
 
     An entry runs as the same user, and can read the command lines and environments of the processes above it.
-
-    Raises
-    ------
-    ValueError
-        If the input is no whole number of 0 or more.
     """
     text = getpass("secret seed: ") if sys.stdin.isatty() else sys.stdin.readline(_LONGEST_SEED)
     with open(os.devnull, "rb") as nothing, suppress(OSError):  # noqa: PTH123 (a device)

@@ -49,13 +49,7 @@ def live(
 
 
 def carry_out(options: LiveOptions, config: "AgentConfig", wired: "Wired") -> None:
-    """Drive a robot, write the folder of the session, and print its summary.
-
-    Raises
-    ------
-    ValueError
-        If no robot answers, the robot cannot be driven, or the folder cannot be written.
-    """
+    """Drive a robot, write the folder of the session, and print its summary."""
     from limslam_agent.live.folder import session_lines, write_session
     from limslam_agent.live.link import NoRobotError
     from limslam_agent.live.recording import Recording, kept
@@ -118,13 +112,7 @@ def _wired(options: LiveOptions, described: "RobotSpec | None", ros_arguments: S
 
 
 def _robot_of(hello: "Hello", described: "RobotSpec | None") -> "RobotSpec":
-    """The robot of ``--robot``, else the shipped robot that it says it is.
-
-    Raises
-    ------
-    ValueError
-        If there is no such robot, or it has another number of beams.
-    """
+    """The robot of ``--robot``, else the shipped robot that it says it is."""
     from limslam_env.robots import ROBOTS
 
     if described is None and hello.name not in ROBOTS:

@@ -48,13 +48,7 @@ def replay(
 
 
 def _pair(name: str, paths: list[Path] | None, shown: str) -> dict[str, Path | None]:
-    """One or two paths by the names of their options.
-
-    Raises
-    ------
-    ValueError
-        If there are more of them.
-    """
+    """One or two paths by the names of their options."""
     if paths and len(paths) > 2:
         raise ValueError(f"{shown}: {len(paths)} were given; one log is replayed, or two logs are joined")
     first, second = [*(paths or []), None, None][:2]
@@ -87,13 +81,7 @@ class Job:
 
 
 def _carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None") -> None:
-    """Replay a log, write its folder, and print its summary. ``robot`` is the robot that recorded a table.
-
-    Raises
-    ------
-    ValueError
-        If it cannot be replayed or written.
-    """
+    """Replay a log, write its folder, and print its summary. ``robot`` is the robot that recorded a table."""
     from limslam_agent.places.saved_map import read_saved_map
     from limslam_agent.replay.plausibility import log_warnings, map_warnings
     from limslam_agent.replay.replay import replay_log, write_replay
@@ -115,13 +103,7 @@ def _carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec |
 
 
 def _carry_out_both(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None") -> None:
-    """Replay two logs, join them if they fit, write their folder, and print its summary.
-
-    Raises
-    ------
-    ValueError
-        If they cannot be replayed or written, or an option is for one log only.
-    """
+    """Replay two logs, join them if they fit, write their folder, and print its summary."""
     from limslam_agent.replay.plausibility import log_warnings
     from limslam_agent.runs.results import versions
     from limslam_agent.two_logs.joining import check_logs, replay_logs
@@ -188,13 +170,7 @@ def _stem(path: Path) -> str:
 
 
 def job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None") -> Job:
-    """Read a log and all that is known about it.
-
-    Raises
-    ------
-    ValueError
-        If the log or another file cannot be used.
-    """
+    """Read a log and all that is known about it."""
     from limslam_agent.logs.log_reader import read_log
     from limslam_agent.logs.relations import read_relations
     from limslam_agent.replay.calibration import calibrated
@@ -237,13 +213,7 @@ def _table_options(options: ReplayOptions, robot: "RobotSpec | None") -> "TableO
 
 
 def _check_options(log: Path, options: ReplayOptions, recorded: "RecordedLog") -> None:
-    """Refuse options that do not fit the log.
-
-    Raises
-    ------
-    ValueError
-        If one does not; the message names it.
-    """
+    """Refuse options that do not fit the log."""
     if options.noise > (reach := float(recorded.robot.max_ranges.max())):
         raise ValueError(f"--noise {options.noise:g} m is more than the longest range of {reach:g} m: is it in metres?")
     if options.map is not None and recorded.wheels is None:
@@ -253,13 +223,7 @@ def _check_options(log: Path, options: ReplayOptions, recorded: "RecordedLog") -
 
 
 def _scores_of(job: Job, result: "Replay", relations: Path | None) -> dict[str, Any]:
-    """Metrics of a replay against the truth and against known relative poses.
-
-    Raises
-    ------
-    ValueError
-        If none of the relations is in the log's time.
-    """
+    """Metrics of a replay against the truth and against known relative poses."""
     from limslam_agent.replay.replay import relation_scores
     from limslam_agent.runs.results import trajectory_scores
     from limslam_agent.runs.smoothing import path_scores

@@ -38,13 +38,7 @@ def run(
 
 
 def carry_out(given: Given, options: RunOptions) -> None:
-    """Run what was asked for, write its folder, and print its summary.
-
-    Raises
-    ------
-    ValueError
-        If it cannot be run or written.
-    """
+    """Run what was asked for, write its folder, and print its summary."""
     from limslam_agent.output.run_folder import new_folder
     from limslam_agent.output.summary import record_summary, run_summary
     from limslam_agent.runs.results import write_episode

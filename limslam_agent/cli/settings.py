@@ -63,13 +63,7 @@ class Given:
         return cls(path, read_toml(path) if path else {}, options)
 
     def merged(self, defaults: Options, tables: tuple[str, ...]) -> Options:
-        """The options: those on the command line, else those of the file, else the defaults.
-
-        Raises
-        ------
-        SettingsError
-            If an option has an impossible value, or the file has an unknown key beside options and ``tables``.
-        """
+        """The options: those on the command line, else those of the file, else the defaults."""
         in_file = self.of_file(defaults, tables)
         known = {field.name for field in fields(defaults)}
         try:
@@ -179,11 +173,6 @@ def robot_named(named: str) -> "RobotSpec":
 
     The file has the settings of `RobotSpec`. Its beams are tables of `SensorSpec`, or ``beams_deg``, ``min_range`` and
     ``max_range`` for beams that start on the rim of the body.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such robot, or its settings cannot be used.
     """
     from limslam_env.robots import ROBOTS
 
@@ -229,26 +218,14 @@ def _robot_in(table: dict[str, Any], where: str) -> "RobotSpec":
 
 
 def _wheel_variance(std: float) -> float:
-    """The variance of a wheel's travel after 1 m, m^2, that ``--odometry-noise`` says.
-
-    Raises
-    ------
-    SettingsError
-        If the standard deviation is impossible.
-    """
+    """The variance of a wheel's travel after 1 m, m^2, that ``--odometry-noise`` says."""
     if not 0.0 <= std <= _MAX_WHEEL_STD:
         raise SettingsError(f"--odometry-noise must be a number from 0 to {_MAX_WHEEL_STD:g}, not {std:g}")
     return std**2
 
 
 def run_options(given: Given) -> RunOptions:
-    """The options of a run; paths of a world and a policy in the file are relative to the file.
-
-    Raises
-    ------
-    SettingsError
-        If one of them is impossible, or the file has an unknown key.
-    """
+    """The options of a run; paths of a world and a policy in the file are relative to the file."""
     options = given.merged(RunOptions(), ("agent", "robot", "true_noise"))
     for name, ends in (("world", r"\.\w+"), ("policy", r"\.py:\w+")):
         value = getattr(options, name)
@@ -260,13 +237,7 @@ def run_options(given: Given) -> RunOptions:
 
 
 def run_config(given: Given, options: RunOptions) -> "RunConfig":
-    """What is run. Without a longest time, that of a large world grows with its ground.
-
-    Raises
-    ------
-    ValueError
-        If it cannot be run.
-    """
+    """What is run. Without a longest time, that of a large world grows with its ground."""
     from limslam_agent.config.presets import preset, with_until
     from limslam_agent.runs.run_config import LONGEST_TIME, RunConfig
     from limslam_env.config import NoiseConfig
@@ -319,13 +290,7 @@ def _kept_policy(folder: Path, policy: str) -> str:
 
 
 def replay_agent(given: Given, options: ReplayOptions) -> "AgentConfig":
-    """The settings of a replay's agent, before the calibration.
-
-    Raises
-    ------
-    ValueError
-        If they cannot be used.
-    """
+    """The settings of a replay's agent, before the calibration."""
     from limslam_agent.config.presets import preset
     from limslam_agent.replay.options import odometry_config
     from limslam_env.interface import NominalNoise

@@ -64,13 +64,7 @@ def _drawn(out: Path | None, title: str, size: tuple[float, float], draw: "Draw"
 
 
 def true_edges(run: "FinishedRun") -> "FloatArray | None":
-    """The walls (k, 4), m, of the world that was run in: of the run's folder, or of a world that ships unchanged.
-
-    Raises
-    ------
-    ValueError
-        If the file of the world in the folder cannot be read.
-    """
+    """The walls (k, 4), m, of the world that was run in: of the run's folder, or of a world that ships unchanged."""
     from limslam_agent.output.finished_run import WORLD
     from limslam_env.worlds.formats.loading import load_world, shipped_worlds
 

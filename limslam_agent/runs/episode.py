@@ -16,7 +16,7 @@ from limslam_agent.mapping.team import LimSlamTeam
 from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.places.saved_map import read_saved_map
 from limslam_agent.policies.policy import NOT_EXPLORED, Policy
-from limslam_agent.runs.actor_policy import ActorPolicy
+from limslam_agent.runs.actors import ActorPolicy
 from limslam_agent.runs.kidnapping import another_place
 from limslam_agent.runs.policies import Tour, policies_for
 from limslam_agent.runs.policy_file import naming_lines_of

@@ -61,13 +61,7 @@ class Inspection:
 
 
 def inspect_run(config: RunConfig, run: FinishedRun, progress: Progress) -> Inspection:
-    """Record a run in a simulated world from its folder.
-
-    Raises
-    ------
-    FolderError
-        If the folder has no usable log.
-    """
+    """Record a run in a simulated world from its folder."""
     readings = read_readings(run)
     if readings is None or not run.true:
         missing = LOG if readings is None else "trajectory_true.tum"
@@ -182,13 +176,7 @@ def _words(difference: float) -> str:
 
 
 def _read(path: Path, found: Callable[[Any], Any], otherwise: Any) -> Any:
-    """What a function finds in a JSON file of the smoother, or something else if there is no such file.
-
-    Raises
-    ------
-    FolderError
-        If the file is damaged.
-    """
+    """What a function finds in a JSON file of the smoother, or something else if there is no such file."""
     if not path.is_file():
         return otherwise
     try:

@@ -119,13 +119,7 @@ def policies_for(
 
 
 def check_belief_policy(policy: str) -> None:
-    """Check that the policy exists and acts on the belief alone, before there is a robot to make it for.
-
-    Raises
-    ------
-    ValueError
-        If it does not exist or knows the truth.
-    """
+    """Check that the policy exists and acts on the belief alone, before there is a robot to make it for."""
     check_policy(policy, laps=0, robots=1)
     if policy == TOUR:
         raise ValueError(f"the policy {policy!r} knows the truth: use limslam run --policy {policy}")
@@ -134,13 +128,7 @@ def check_belief_policy(policy: str) -> None:
 def policies_by_belief(
     policy: str, robot: RobotSpec, config: AgentConfig, *, robots: int, seed: int
 ) -> list[Policy] | None:
-    """A policy for each robot that acts on the belief alone. None for ``frontier``, whose policies a team makes itself.
-
-    Raises
-    ------
-    ValueError
-        If no policy has this name, or the policy knows the truth.
-    """
+    """A policy for each robot that acts on the belief alone. None for ``frontier``: a team makes its policies itself."""
     check_belief_policy(policy)
     if is_file_policy(policy):
         return file_policies(policy, robot, config.policy, robots=robots, seed=seed)
