@@ -305,7 +305,9 @@ def _declared(kind: type[Any]) -> list[inspect.Parameter]:
             is_shown = field.default is not None and field.default is not False
             option.show_default = f"{field.default:g}" if isinstance(field.default, float) else str(field.default)
             option.show_default = option.show_default if is_shown else False
-        if plain is bool:  # nothing is said to switch it off
+        if isinstance(option.default, str):  # where typer keeps the first name of an option
+            option.param_decls = (option.default,)
+        elif plain is bool:  # nothing is said to switch it off
             option.param_decls = (f"--{field.name.replace('_', '-')}",)
         option.default = None
         kind_of_argument = inspect.Parameter.POSITIONAL_OR_KEYWORD

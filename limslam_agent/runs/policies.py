@@ -128,7 +128,7 @@ def check_belief_policy(policy: str) -> None:
 def policies_by_belief(
     policy: str, robot: RobotSpec, config: AgentConfig, *, robots: int, seed: int
 ) -> list[Policy] | None:
-    """A policy for each robot that acts on the belief alone. None for ``frontier``: a team makes its policies itself."""
+    """A policy for each robot that acts on the belief alone. None for ``frontier``: a team makes those itself."""
     check_belief_policy(policy)
     if is_file_policy(policy):
         return file_policies(policy, robot, config.policy, robots=robots, seed=seed)
