@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from limslam_agent.arena.entry import Entry, manifest_of, manifest_table
+from limslam_agent.arena.entry import Entry, Manifest, manifest_table
 from limslam_agent.arena.tracks import VERSION, plans_of
+from limslam_agent.config.tables import built
 from limslam_agent.measurements import store
 from limslam_env.messages import one_line
 
@@ -75,7 +76,7 @@ class Stamp(store.BaseStamp):
     def __post_init__(self) -> None:
         if self.arena != VERSION:
             raise ValueError(f"results of version {self.arena} of the arena, not of {VERSION}")
-        manifest_of(self.entry, "entry")
+        built(Manifest, self.entry, "entry")
 
     @property
     def identity(self) -> Mapping[str, Hashable]:

@@ -68,7 +68,7 @@ def verify(
         _check_origin(folder, row, entry, plans)
     spread = np.linspace(0, len(rows) - 1, min(count or len(rows), len(rows))).round().astype(int)
     wanted = [list(rows)[place] for place in spread]
-    jobs_again = [Job(entry, plans[number], None, versions(), commit()) for number in wanted]
+    jobs_again = [Job(entry, plans[number], versions(), commit()) for number in wanted]
     for row in results_of(jobs_again, jobs):
         yield row.plan, differences(rows[row.plan], row, is_process=entry.manifest.is_process)
 
