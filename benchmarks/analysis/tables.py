@@ -4,14 +4,14 @@ No table depends on the name of a world. Groups are formed from the worlds, nois
 ablations in the rows, and a table without a group is left out.
 """
 
+import re
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
 
 from benchmarks.analysis.groups import FRONTIER, PUBLISHED, Group, Setting, Value, groups, metric, setting_of, with_sums
-from benchmarks.analysis.sheets import Sheet
 from benchmarks.suite.jobs import KIDNAPPED
 from benchmarks.suite.store import Row
 from limslam_agent.measurements.statistics import MISSING, Estimate, Pairs, median, number, paired
@@ -31,6 +31,46 @@ Column: TypeAlias = tuple[str, Callable[[Group], str]]
 """The heading of a column, and the text of its cell for a group."""
 
 TIMES = "\N{MULTIPLICATION SIGN}"
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A table.
+
+    Attributes
+    ----------
+    title, note
+        The text above and below the table: its content, and how to read it.
+    header
+        Names of the columns.
+    rows
+        Cells; each row has as many cells as there are columns.
+    words
+        Number of columns, from the left, that contain words; the other columns contain numbers.
+    """
+
+    title: str
+    note: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    words: int = 1
+
+    def without_empty(self) -> "Sheet":
+        """The table without columns of numbers that contain no number."""
+        kept = [
+            number
+            for number in range(len(self.header))
+            if number < self.words or any(row[number] != MISSING for row in self.rows)
+        ]
+        rows = tuple(tuple(row[number] for number in kept) for row in self.rows)
+        return Sheet(self.title, self.note, tuple(self.header[number] for number in kept), rows, self.words)
+
+    def markdown(self) -> str:
+        """The table in Markdown."""
+        marks = ["---" if number < self.words else "---:" for number in range(len(self.header))]
+        lines = [f"### {_escaped(self.title)}", "", _line(map(_escaped, self.header)), f"|{'|'.join(marks)}|"]
+        lines += [_line(map(_escaped, row)) for row in self.rows]
+        return "\n".join([*lines, *(["", _escaped(self.note)] if self.note else [])])
 
 
 def table(rows: Sequence[Row]) -> str:
@@ -246,3 +286,12 @@ def _failures(rows: Sequence[Row]) -> Sheet | None:
     header = ("world", "noise", "robots", "method", "policy", "seed", "reason")
     note = f"{len(failed)} of {len(rows)} runs failed. They are in every count, and in no median."
     return Sheet("Failures", note, header, tuple(failed), len(header)) if failed else None
+
+
+def _line(cells: "map[str]") -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _escaped(text: str) -> str:
+    """Text without marks of Markdown; line breaks become spaces."""
+    return re.sub(r"([\\|<*`])", r"\\\1", " ".join(text.split()))

@@ -1,20 +1,22 @@
 """The scoreboard: what is missing is measured, and the figures are kept in one file."""
 
+import ast
 import json
 import os
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import limslam_agent
 from benchmarks.scoreboard.compare import Cell
 from benchmarks.scoreboard.measure import measure
 from benchmarks.scoreboard.rows import Row, Rows
-from benchmarks.scoreboard.sources import digest_of, estimator_files, size_of
 from benchmarks.suite.jobs import digest
 from benchmarks.suite.runner import Summary, run_suite
 from benchmarks.suite.store import read_rows
@@ -34,6 +36,16 @@ _HEADER = (
     "row", "n", "filter ATE m", "aligned", "smoothed ATE m", "aligned", "NEES/3 filter / smoothed", "F1 / faces 5 cm",
     "wrong and ok s (at the end)", "false alarms s", "status", "CPU s drive / smoothing",
 )  # fmt: skip
+
+ESTIMATOR = (
+    "slam", "places", "status", "kernels",
+    "mapping/mapper.py", "mapping/frames.py", "mapping/frame_mapper.py", "mapping/renewal.py", "mapping/joining.py",
+    "dropouts.py",
+    "replay/calibration.py", "replay/filter_estimate.py", "replay/hand_over.py", "replay/plausibility.py",
+    "replay/smoothing.py", "replay/trust.py", "two_logs/by_graph.py", "two_logs/by_lines.py", "two_logs/joining.py",
+    "two_logs/joint.py", "two_logs/place.py",
+)  # fmt: skip
+"""The folders and files of the estimation side, in ``limslam_agent``. What does not exist is left out."""
 
 Board = dict[str, Any]
 """``provenance``, ``size`` and ``cells``, as in the file."""
@@ -174,3 +186,28 @@ def _has_data() -> bool:
         return data_folder().is_dir()
     except ValueError:
         return False
+
+
+def estimator_files() -> list[Path]:
+    """The files of the estimator of the package that is imported."""
+    found = (Path(limslam_agent.__file__).parent / name for name in ESTIMATOR)
+    return sorted(file for path in found for file in ([path] if path.suffix else path.rglob("*.py")) if file.is_file())
+
+
+def size_of(files: list[Path]) -> dict[str, int]:
+    """Lines, files, and assignments at module level whose value has a number in it."""
+    texts = [file.read_text(encoding="utf-8") for file in files]
+    nodes = [node for text in texts for node in ast.parse(text).body]
+    constants = sum(_has_number(node.value) for node in nodes if isinstance(node, ast.Assign | ast.AnnAssign))
+    return {"lines": sum(len(text.splitlines()) for text in texts), "files": len(files), "constants": constants}
+
+
+def digest_of(files: list[Path]) -> str:
+    """Digest of the content of files: 16 hexadecimal digits."""
+    return sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
+
+
+def _has_number(value: ast.expr | None) -> bool:
+    return value is not None and any(
+        isinstance(node, ast.Constant) and type(node.value) in {int, float} for node in ast.walk(value)
+    )

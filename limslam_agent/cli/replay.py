@@ -225,8 +225,7 @@ def _check_options(log: Path, options: ReplayOptions, recorded: "RecordedLog") -
 def _scores_of(job: Job, result: "Replay", relations: Path | None) -> dict[str, Any]:
     """Metrics of a replay against the truth and against known relative poses."""
     from limslam_agent.replay.replay import relation_scores
-    from limslam_agent.runs.results import trajectory_scores
-    from limslam_agent.runs.smoothing import path_scores
+    from limslam_agent.runs.results import path_scores, trajectory_scores
 
     scores: dict[str, Any] = {}
     if job.log.true_pose is not None:
@@ -242,7 +241,7 @@ def _scores_of(job: Job, result: "Replay", relations: Path | None) -> dict[str, 
 
 def _scores_of_both(joint: "JointReplay", relations: "tuple[Relations | None, Relations | None]") -> dict[str, Any]:
     """Metrics of both logs together. Relations that both logs share may lie between the logs."""
-    from limslam_agent.runs.smoothing import mean_scores
+    from limslam_agent.runs.results import mean_scores
     from limslam_agent.two_logs.output import relation_scores
     from limslam_env.metrics.metrics import trajectory_metrics
 
@@ -252,6 +251,6 @@ def _scores_of_both(joint: "JointReplay", relations: "tuple[Relations | None, Re
         return scores
     names = {"est": "ate_m", "odometry": "odometry_ate_m", "smoothed": "ate_smoothed_m"}
     for kind, paths in joint.paths().items():
-        found = mean_scores([dict(trajectory_metrics(*each)) for each in zip(true, paths, strict=True)])
+        found = mean_scores([trajectory_metrics(*each) for each in zip(true, paths, strict=True)])
         scores[names[kind]] = found["ate_m"]
     return scores

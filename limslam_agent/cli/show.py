@@ -1,4 +1,4 @@
-"""``limslam show`` and ``limslam compare``: look at a finished run, or at several side by side."""
+"""``limslam show``, ``compare`` and ``export``: what is done with finished runs."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -134,3 +134,24 @@ def compare(
     edges = [true_edges(run) for run in runs]
     size = sheet_size(len(runs))
     _drawn(out, "LimSLAM: comparison", size, lambda figure: draw_comparison(figure, runs, edges))
+
+
+def export(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a finished run or replay.")],
+    *,
+    csv: Annotated[bool, typer.Option("--csv", help="Tables: trajectories, walls, and the log of readings.")] = False,
+    dxf: Annotated[bool, typer.Option("--dxf", help="Walls and paths for a CAD program: map.dxf.")] = False,
+    bag: Annotated[bool, typer.Option("--bag", help="A ROS 2 bag, which Foxglove opens, too: the folder bag.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for the files.", show_default="DIR/export")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace existing files.")] = False,
+) -> None:
+    """Write a finished run in the formats of other programs."""
+    from limslam_agent.output.formats.export import export_run
+    from limslam_env.messages import printable
+
+    wanted = {"csv": csv, "dxf": dxf, "bag": bag}
+    formats = [name for name, is_wanted in wanted.items() if is_wanted]
+    if not formats:
+        raise ValueError("a format is needed: --csv, --dxf or --bag")
+    for path in export_run(folder, out or folder / "export", formats, force=force):
+        typer.echo(printable(f"written     {path}"))

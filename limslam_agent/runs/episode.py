@@ -17,7 +17,6 @@ from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.places.saved_map import read_saved_map
 from limslam_agent.policies.policy import NOT_EXPLORED, Policy
 from limslam_agent.runs.actors import ActorPolicy
-from limslam_agent.runs.kidnapping import another_place
 from limslam_agent.runs.policies import Tour, policies_for
 from limslam_agent.runs.policy_file import naming_lines_of
 from limslam_agent.runs.record import Episode
@@ -26,16 +25,18 @@ from limslam_agent.status.status import LEVELS
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, turned
-from limslam_env.interface import Observation
+from limslam_env.interface import Observation, RobotSpec
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.regions import start_region
-from limslam_env.worlds.world import World
+from limslam_env.worlds.world import World, WorldError
 
 OUT_OF_TIME = "time: the run's longest time is over"
 
+LEAST_MOVE = 2.0
+"""Least distance to which a robot is carried, m."""
+
 Watcher = Callable[[LimSlamTeam, LimSlamParallelEnv, float, float], None]
 """Called at each step, after the team has decided, with team, env, simulated time (s) and true coverage (0 to 1)."""
-
 
 _Row = dict[str, Any]
 """One step of a run with all robots, by the names of the columns in :class:`Episode`."""
@@ -225,3 +226,19 @@ def _inform(policies: Sequence[Policy], observations: Sequence[Observation], tru
             policy.observe_truth(truth["pose"])
         if isinstance(policy, ActorPolicy):
             policy.observe(observation)
+
+
+def another_place(world: World, robot: RobotSpec, pose: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """A random free pose (3,) that the robot could drive to, at least 2 m away from its pose (3,).
+
+    Raises
+    ------
+    WorldError
+        If there is no such place.
+    """
+    grid = world.free_space(robot.radius)
+    places = grid.centres(grid.region_of(pose[:2]))
+    far = places[np.hypot(*(places - pose[:2]).T) > LEAST_MOVE]
+    if not len(far):
+        raise WorldError(f"world {world.name!r} has no free place that is {LEAST_MOVE:g} m away from the robot")
+    return np.array([*far[rng.integers(len(far))], rng.uniform(-np.pi, np.pi)])

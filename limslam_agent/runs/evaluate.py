@@ -14,7 +14,7 @@ from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.actor_checks import check_actor, is_policy
 from limslam_agent.runs.actors import ALONE, Driver, driver_of
 from limslam_agent.runs.episode import OUT_OF_TIME
-from limslam_agent.runs.results import drive_scores, map_scores, team_scores
+from limslam_agent.runs.results import drive_scores, map_scores, over_robots, trajectory_scores
 from limslam_env.config import NoiseConfig
 from limslam_env.envs.adapter import SimulationEnv
 from limslam_env.envs.arguments import given
@@ -205,7 +205,7 @@ def _scored(driver: Driver, robots: _Robots, stage: SimulationEnv, seed: int) ->
     if driver.snapshot_source is not None:
         estimated, odometry, covariances = (np.array(column) for column in zip(*beliefs, strict=True))
         snapshot = driver.snapshot_source.snapshot()
-        scores |= team_scores(true, estimated, odometry, covariances)
+        scores |= over_robots(trajectory_scores, true, estimated, odometry, covariances)
         scores |= map_scores(stage.world, stage.robot, stage.coverage_grid, snapshot, true, estimated)
     return {"seed": seed, **scores, "stop_reason": stop_reason or OUT_OF_TIME}
 
