@@ -24,16 +24,9 @@ Value: TypeAlias = Callable[[Row], float | None]
 
 @dataclass(frozen=True)
 class Setting:
-    """The setting that the runs of a group have in common.
+    """The setting that the runs of a group have in common, by the fields of a job.
 
-    Attributes
-    ----------
-    world
-        Name of the world; all random floor plans form one world, ``random plans``. ``all`` in sums over worlds.
-    noise
-        As in a job; None in sums over noises.
-    robots, preset, policy, ablation, laps
-        As in a job.
+    All random floor plans form one world, ``random plans``. Sums have the world ``all``, and the noise None.
     """
 
     world: str
@@ -85,15 +78,7 @@ class Setting:
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """The runs of one setting.
-
-    Attributes
-    ----------
-    setting
-        The setting that the runs have in common.
-    rows
-        All rows, including failed runs.
-    """
+    """The runs of one setting, also those that failed."""
 
     setting: Setting
     rows: Sequence[Row]

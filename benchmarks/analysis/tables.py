@@ -35,18 +35,9 @@ TIMES = "\N{MULTIPLICATION SIGN}"
 
 @dataclass(frozen=True)
 class Sheet:
-    """A table.
+    """A table, with its content in a line above it, and a note below it that says how to read it.
 
-    Attributes
-    ----------
-    title, note
-        The text above and below the table: its content, and how to read it.
-    header
-        Names of the columns.
-    rows
-        Cells; each row has as many cells as there are columns.
-    words
-        Number of columns, from the left, that contain words; the other columns contain numbers.
+    The first ``words`` columns contain words, the others numbers.
     """
 
     title: str

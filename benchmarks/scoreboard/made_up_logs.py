@@ -160,14 +160,9 @@ def driven_path(world: World, length: float, generator: np.random.Generator, *, 
 
 @dataclass(frozen=True, eq=False)
 class MadeUpLog:
-    """A drive.
+    """A drive: the kind of its building with the seed, its kind of odometry, a key of ``ODOMETRY``, and its scans.
 
-    Attributes
-    ----------
-    name, errors
-        Kind of the building with the seed; and the kind of odometry, a key of ``ODOMETRY``.
-    time, truth, odometry, ranges
-        Of the scans: times (n,), s; true poses and odometry (n, 3); ranges (n, 180), m.
+    Of these: times (n,), s; true poses and odometry (n, 3); ranges (n, 180), m.
     """
 
     name: str

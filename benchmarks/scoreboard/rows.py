@@ -102,15 +102,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Rows:
-    """A file of rows.
-
-    Attributes
-    ----------
-    tuning_seed, unused_seed
-        First seed of development, and first seed of figures that are published.
-    row
-        The rows.
-    """
+    """A file of rows: the first seeds of development and of figures that are published, and the rows."""
 
     tuning_seed: int
     unused_seed: int

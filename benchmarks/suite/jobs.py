@@ -94,15 +94,10 @@ class Job:
 
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """The result of a successful job.
+    """The result of a successful job: metrics and cost as in a run's ``result.json``.
 
-    Attributes
-    ----------
-    metrics, cost
-        As in a run's ``result.json``. :mod:`benchmarks.suite.runner` adds ``job_s`` and ``job_cpu_s`` to ``cost``, of
-        the whole job with its scores.
-    config
-        Digest of the agent's settings, the robot, and the world.
+    :mod:`benchmarks.suite.runner` adds ``job_s`` and ``job_cpu_s`` to ``cost``, of the whole job with its scores.
+    ``config`` is a digest of the agent's settings, the robot, and the world.
     """
 
     metrics: dict[str, Metric]

@@ -28,16 +28,9 @@ ONE_THREAD = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_
 
 @dataclass(frozen=True)
 class Summary:
-    """The summary of an execution of a suite.
+    """The summary of an execution of a suite, which took so many seconds.
 
-    Attributes
-    ----------
-    jobs, done, before
-        Numbers of jobs: all jobs, jobs with rows now, and jobs with rows before this execution.
-    failures
-        Title and reason of all failed jobs, including earlier failures.
-    seconds
-        Wall-clock time of this execution, s.
+    Numbers of all jobs, of jobs with rows now, and before; and title and reason of all that ever failed.
     """
 
     jobs: int

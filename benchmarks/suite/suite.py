@@ -20,17 +20,7 @@ MAX_SEEDS = 100_000
 
 @dataclass(frozen=True)
 class Suite:
-    """A suite of jobs.
-
-    Attributes
-    ----------
-    name, description
-        Name and description from the file.
-    jobs
-        All jobs; no two jobs are equal.
-    digest
-        Digest of the jobs, and of the content of the worlds that they use.
-    """
+    """A suite of jobs, of which no two are equal. The digest is that of the jobs and of the content of their worlds."""
 
     name: str
     description: str

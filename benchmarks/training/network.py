@@ -19,12 +19,7 @@ _SMALL = 0.01
 class DirectionExtractor(nn.Module):
     """Circular convolutions that give a score for each direction, and features for the value.
 
-    Parameters
-    ----------
-    view
-        Shape of the view.
-    readings
-        Number of entries that follow the view in an observation.
+    In an observation, ``readings`` entries follow the view.
     """
 
     def __init__(self, view: ViewConfig, readings: int) -> None:
@@ -91,15 +86,7 @@ def _around(layer: nn.Conv1d, values: Tensor) -> Tensor:
 
 
 class DirectionPolicy(ActorCriticPolicy):
-    """Actor and critic with shared layers; the scores are the logits.
-
-    Parameters
-    ----------
-    *args, **kwargs
-        Arguments from Stable-Baselines3.
-    view
-        Shape of the view.
-    """
+    """Actor and critic with shared layers; the scores are the logits. The view is the only argument of its own."""
 
     def __init__(self, *args: Any, view: ViewConfig, **kwargs: Any) -> None:
         self._view = view

@@ -80,20 +80,7 @@ class TrainConfig:
 
 
 def train(config: TrainConfig, folder: Path) -> Path:
-    """Train a policy, and write weights, TensorBoard logs and evaluations to a new folder.
-
-    Parameters
-    ----------
-    config
-        Settings of the training.
-    folder
-        Folder for the output; created if it does not exist.
-
-    Returns
-    -------
-    weights
-        File of the weights.
-    """
+    """Train a policy; write weights, TensorBoard logs and evaluations to a new folder. Returns the file of weights."""
     if (folder / CONFIG).exists():
         raise ValueError(f"{folder}: holds a training: choose another folder")
     folder.mkdir(parents=True, exist_ok=True)

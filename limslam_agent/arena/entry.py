@@ -87,17 +87,7 @@ class Manifest:
 
 @dataclass(frozen=True)
 class Entry:
-    """An entry that can be run.
-
-    Attributes
-    ----------
-    folder
-        Its folder.
-    manifest
-        The content of its ``entry.toml``.
-    digest
-        Digest of the manifest and all other files of the folder.
-    """
+    """An entry that can be run. The digest is that of the manifest and of all other files of the folder."""
 
     folder: Path
     manifest: Manifest

@@ -44,16 +44,9 @@ _TERMINATED = 143  # exit code of a command of this project that was asked to en
 
 @dataclass(frozen=True)
 class Job:
-    """A plan that an entry has to run.
+    """A plan that an entry has to run, and the provenance of its row.
 
-    Attributes
-    ----------
-    entry, plan
-        Who runs what.
-    versions, commit
-        Provenance of the row.
-    keep
-        Writes the folder of the run and returns its metrics. None keeps nothing.
+    ``keep`` writes the folder of the run and returns its metrics. None keeps nothing.
     """
 
     entry: Entry
@@ -77,22 +70,13 @@ def run_entry(
 ) -> list[Row]:
     """Run the plans that have no row in a folder yet. Returns all rows of these plans.
 
-    Parameters
-    ----------
-    entry, plans
-        Who runs what.
-    folder
-        Folder for the results. It may contain earlier results of the same entry.
-    seed, is_secret
-        The seed of the plans, and whether it is secret.
-    jobs
-        Number of processes.
-    keep
-        Writes the folders of runs. None keeps none.
-    retry_failed
-        Run the plans again in which the entry failed.
-    report
-        Called with each new row.
+    The folder may contain earlier results of the same entry. ``seed`` is that of the plans, ``jobs`` is the number of
+    processes, and ``keep`` writes the folders of runs. ``report`` is called with each new row.
+
+    Raises
+    ------
+    ValueError
+        If the folder cannot be used, or a process of the arena has died.
     """
     place, inside = folder.absolute(), entry.folder.resolve()
     if folder.resolve() == inside or inside in folder.resolve().parents:

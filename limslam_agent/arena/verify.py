@@ -50,18 +50,14 @@ def opened(folder: Path, entry_folder: Path | None, seed: int | None) -> tuple[E
 def verify(
     folder: Path, entry: Entry, plans: Sequence[Plan], count: int | None, jobs: int
 ) -> Iterator[tuple[int, list[str]]]:
-    """Run rows again, spread evenly over a folder of results. Yields number and differences of each plan.
+    """Run ``count`` rows again, spread evenly over a folder of results; all if it is None.
 
-    Parameters
-    ----------
-    folder
-        The results.
-    entry, plans
-        The entry and all plans.
-    count
-        Number of rows. None runs all.
-    jobs
-        Number of processes.
+    Yields number and differences of each plan. ``plans`` are all plans, and ``jobs`` is the number of processes.
+
+    Raises
+    ------
+    ValueError
+        If there are no rows, or a row does not belong to its plan or to the entry.
     """
     _, rows = read_results(folder)
     for row in rows.values():

@@ -57,20 +57,9 @@ def _pair(name: str, paths: list[Path] | None, shown: str) -> dict[str, Path | N
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """A log with all that is known about it.
+    """A log with all that is known about it; None stands for what is not known or was not asked for.
 
-    Attributes
-    ----------
-    log
-        The log's events.
-    config
-        The agent's settings, with the estimated bias if there is one.
-    relations
-        Known relative poses to score with; None where there are none.
-    calibration
-        The estimated bias of the odometry; None where none was asked for.
-    source
-        Names of the files, for ``result.json``.
+    The agent's settings have the estimated bias of the odometry. ``source`` has names of files, for ``result.json``.
     """
 
     log: "RecordedLog"

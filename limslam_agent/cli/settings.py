@@ -34,17 +34,7 @@ _OF_PRESET = ("estimator", "smoothing", "smooths_runs", "renewal")
 
 @dataclass(frozen=True)
 class Given:
-    """What a user gave: the file of ``--config``, and options.
-
-    Attributes
-    ----------
-    path
-        The file; None without ``--config``.
-    table
-        The file's content.
-    options
-        The options on the command line, by their names.
-    """
+    """What a user gave: the file of ``--config`` with its content, and options of the command line by their names."""
 
     path: Path | None
     table: Table

@@ -71,15 +71,7 @@ class Format(Generic[S, R]):
 
 
 class Store(Generic[R]):
-    """A folder of results that only this process writes to; see :func:`open_store`.
-
-    Attributes
-    ----------
-    folder
-        Path of the folder.
-    rows
-        The existing rows, by the keys of their jobs.
-    """
+    """A folder of results that only this process writes to (:func:`open_store`), and its rows by their keys."""
 
     def __init__(self, form: Format[Any, R], folder: Path, rows: Iterable[R]) -> None:
         self.folder, self._key = folder, form.key

@@ -42,16 +42,10 @@ _LOOPS, _GRAPH = "loops.json", "graph.json"
 
 @dataclass(frozen=True, eq=False)
 class Inspection:
-    """A recording of a run.
+    """A recording of a run: what the page holds, and the number of frames.
 
-    Attributes
-    ----------
-    arrays, meta
-        What the page holds.
-    frames
-        Number of frames.
-    difference
-        Largest difference, m and rad, between the poses and those in the run's folder. None if there is no folder.
+    ``difference`` is the largest one, m and rad, between the poses and those in the run's folder. None if there is no
+    folder.
     """
 
     arrays: dict[str, NDArray[Any]]

@@ -28,16 +28,8 @@ if TYPE_CHECKING:
 class FinalMap:
     """The map of a finished run, from which its files, its picture and its scores are made.
 
-    Attributes
-    ----------
-    segments
-        Walls (k, 4), m, cut at doors and holes.
-    landmarks
-        The lines that the walls lie on, with covariances.
-    grid
-        Occupancy grid.
-    poses
-        The poses (t, n, 3) that the map was drawn from, m and rad.
+    Walls (k, 4), m, cut at doors and holes; the lines that they lie on; and the poses (t, n, 3), m and rad, that the
+    map was drawn from.
     """
 
     segments: FloatArray

@@ -20,16 +20,9 @@ _UPPER = (0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """True and estimated poses at the same times.
+    """True and estimated poses (n, 3) at the same times, m and rad, and covariances (n, 3, 3) of the estimated ones.
 
-    Attributes
-    ----------
-    true, estimated
-        Poses (n, 3), m and rad.
-    covariances
-        Covariances of the estimated poses (n, 3, 3), or None.
-    unmatched
-        Estimated poses without a true pose at their time.
+    ``unmatched`` counts the estimated poses without a true pose at their time.
     """
 
     true: FloatArray
