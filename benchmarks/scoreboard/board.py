@@ -57,16 +57,9 @@ def run_scoreboard(
 ) -> tuple[Board, Summary, list[str]]:  # fmt: skip
     """Measure the cells that have no result in a folder yet, and write ``scoreboard.json`` there.
 
-    Parameters
-    ----------
-    rows, patterns
-        The rows, and patterns of the names of those that are measured; all if there are none.
-    folder, processes, retry_failed
-        As in :func:`benchmarks.suite.runner.run_suite`.
-    unused
-        Take the seeds of figures that are published.
-    jitter
-        Standard deviation of further noise of recorded ranges, m.
+    Of the rows, those are measured whose names match one of the patterns, or all if there are none. ``unused`` takes
+    the seeds of figures that are published. ``jitter`` is the standard deviation of further noise of recorded ranges,
+    m.
 
     Returns
     -------

@@ -139,14 +139,7 @@ def drawn_slips(steps: int, generator: np.random.Generator, count: int = 3) -> d
 
 
 def fault_scores(episode: Episode, begin: float) -> dict[str, Metric]:
-    """What became of a robot with a fault, by the names in ``docs/metrics.md``.
-
-    Parameters
-    ----------
-    episode
-        The run of one robot.
-    begin
-        Time at which the fault began, s.
+    """What became of the robot of a run in which a fault began (s), by the names in ``docs/metrics.md``.
 
     Raises
     ------

@@ -49,20 +49,9 @@ class Summary:
 def run_suite(
     suite: Suite, folder: Path, processes: Processes, *, work: Work = run_job, retry_failed: bool = False
 ) -> Summary:
-    """Run the jobs of a suite that have no row in a folder yet.
+    """Run the jobs of a suite that have no row in a folder yet, which may contain earlier results.
 
-    Parameters
-    ----------
-    suite
-        The suite.
-    folder
-        Folder for the results; it may contain earlier results.
-    processes
-        Run the jobs.
-    work
-        The function that computes the outcome of a job.
-    retry_failed
-        Run failed jobs again.
+    ``work`` computes the outcome of a job. Jobs that have failed are run again on demand.
     """
     begin = time.monotonic()
     stamp = Stamp(versions(), commit(), suite.name, suite.digest, len(suite.jobs))

@@ -13,23 +13,11 @@ STAMP = "suite.json"
 
 @dataclass(frozen=True)
 class Row:
-    """A line of ``results.jsonl``: a job and its result.
+    """A line of ``results.jsonl``: the fields of a job, and its result.
 
-    Attributes
-    ----------
-    world, noise, robots, preset, policy, ablation, laps, seed
-        The fields of the job. ``policy`` is ``laps`` if laps were driven.
-    metrics
-        Metrics by their names in ``docs/metrics.md``; empty if the job failed.
-    cost
-        Time and memory, which are ignored in comparisons for identity; empty if the job failed.
-    versions, commit, config
-        Origin of the result: versions of packages, the commit of the checkout, and a digest of the agent's settings and
-        world.
-    key
-        Digest of the job.
-    error
-        The reason of the failure; None if the job succeeded.
+    The policy is ``laps`` if laps were driven. Metrics have the names of ``docs/metrics.md``. Cost is ignored in
+    comparisons for identity. ``config`` is a digest of the agent's settings and world, and ``key`` that of the job. A
+    job that failed has no metrics and no cost, and the reason as ``error``.
     """
 
     world: str

@@ -36,23 +36,10 @@ _ENDING = 2.0  # s, until a process that was told to end is killed
 
 
 class CommandActor:
-    """Drives one robot by a process of its own, which begins with each episode.
+    """Drives one robot by a process of its own, which begins with each episode in a folder.
 
-    Parameters
-    ----------
-    words
-        The command. ``{python}`` stands for this Python.
-    folder
-        Folder in which the process runs.
-    robot
-        Body and beams of the robot.
-
-    Attributes
-    ----------
-    done
-        Whether the process has stopped the robot (``X``), which says that everything is explored.
-    stop_reason
-        Why it is done, in words.
+    Of the words of the command, ``{python}`` stands for this Python. The actor is done when the process has stopped the
+    robot (``X``), which says that everything is explored.
     """
 
     def __init__(self, words: Sequence[str], folder: Path, robot: RobotSpec) -> None:

@@ -18,22 +18,11 @@ STAMP, RUNS = "arena.json", "runs"
 
 @dataclass(frozen=True)
 class Row:
-    """The result of a plan.
+    """The result of a plan, which is ``setting`` as a table.
 
-    Attributes
-    ----------
-    plan
-        Number of the plan.
-    setting
-        The plan itself.
-    metrics
-        Metrics by their names in ``docs/metrics.md`` and ``docs/arena.md``.
-    cost
-        Time and memory, which differ from run to run.
-    versions, commit, settings
-        Versions of packages, the commit of the checkout, and a digest of plan and entry.
-    error
-        Why the entry failed; None if it did not. A plan with an error is lost.
+    Metrics have the names of ``docs/metrics.md`` and ``docs/arena.md``. Time and memory, which are the cost, differ
+    from run to run. ``settings`` is a digest of plan and entry. ``error`` says why the entry failed, which has lost the
+    plan.
     """
 
     plan: int
@@ -48,22 +37,10 @@ class Row:
 
 @dataclass(frozen=True)
 class Stamp(store.BaseStamp):
-    """What all results of a folder have in common.
+    """What all results of a folder have in common: the version of the arena, the entry, and the plans.
 
-    Attributes
-    ----------
-    arena
-        Version of the plans and the scores.
-    entry
-        The manifest of the entry.
-    folder
-        The folder of the entry.
-    digest
-        Digest of the entry's files.
-    plans
-        Digest of the plans. It says whether two folders have the same plans, and nothing about a secret seed.
-    is_secret
-        Whether the plans come from a secret seed.
+    ``entry`` is its manifest, ``folder`` its folder, and ``digest`` that of its files. The digest ``plans`` says
+    whether two folders have the same plans, and nothing about a secret seed.
     """
 
     arena: int

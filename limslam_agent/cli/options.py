@@ -32,18 +32,10 @@ _POLICIES = (
 
 
 def told(panel: str, words: str, shown: str | bool = True, *names: str) -> Any:
-    """What the command line says about an option.
+    """What the command line says about an option: its panel in the help, and the help.
 
-    Parameters
-    ----------
-    panel
-        The group of options in the help.
-    words
-        The help.
-    shown
-        The default in words, where it is not that of the field; False shows none.
-    names
-        The option, where it does not have the name of the field.
+    ``shown`` is the default in words, where it is not that of the field; False shows none. ``names`` are those of an
+    option that does not have the name of the field.
     """
     return typer.Option(*names, help=words, rich_help_panel=panel, show_default=shown)
 

@@ -53,19 +53,9 @@ def run_command(
     """Run the command line of a program, and exit.
 
     An error that the user can correct gives exit code 2 and one line, which begins with the program's name, not a
-    traceback.
-
-    Parameters
-    ----------
-    app, name
-        The program and its name.
-    interrupted
-        What is said after Ctrl-C.
-    resource
-        What an error of the operating system without the name of a file is about.
-    numbers
-        Whether a number that cannot be computed with comes from the user. Otherwise it is a fault of the program, which
-        ends with a traceback.
+    traceback. ``interrupted`` is said after Ctrl-C, and ``resource`` is what an error of the operating system without
+    the name of a file is about. With ``numbers``, a number that cannot be computed with comes from the user. Otherwise
+    it is a fault of the program, which ends with a traceback.
     """
     try:
         code = app(standalone_mode=False)

@@ -14,14 +14,7 @@ from limslam_env.messages import one_line
 def check_actor(actor: Any, robot: RobotSpec, env: Any) -> None:
     """Refuse an actor that was made for another robot, or a model that was trained on other observations.
 
-    Parameters
-    ----------
-    actor
-        What `evaluate` takes: an actor, a policy or a model.
-    robot
-        The robot of the environment.
-    env
-        The environment as the actor sees it, with all wrappers.
+    ``env`` is the environment as the actor sees it, with all wrappers.
 
     Raises
     ------

@@ -87,18 +87,9 @@ def inspect_log(
     run: FinishedRun | None = None,
     prior_map: SavedMap | None = None,
 ) -> Inspection:
-    """Record the replay of a log.
+    """Record the replay of a log, in the map of an earlier run where there is one.
 
-    Parameters
-    ----------
-    log, config
-        The log, and the settings of the replay.
-    progress
-        Called after each event.
-    run
-        The folder of the replay, with what is known at its end. None for a log that was not replayed.
-    prior_map
-        The map of an earlier run, in which the log begins.
+    ``run`` is the folder of the replay, with what is known at its end. None for a log that was not replayed.
     """
     if run is not None and len(run.time) != len(log):
         raise FolderError(f"{run.folder}: has {len(run.time)} poses for the {len(log)} events of its log")

@@ -116,14 +116,8 @@ def drive_scores(
 ) -> dict[str, float | None]:
     """Metrics that need no estimate.
 
-    Parameters
-    ----------
-    time, coverage
-        Times (t,), s, and true coverage (t,), 0 to 1.
-    true, contact
-        True poses (t, n, 3), and whether each robot touches something (t, n).
-    has_explored
-        Whether the agent itself has ended an exploration.
+    They are made from times (t,), s, true coverage (t,), 0 to 1, true poses (t, n, 3), and whether each robot touches
+    something (t, n). ``has_explored`` says whether the agent itself has ended an exploration.
     """
     return {
         "path_m": float(np.mean([metrics.path_length(poses) for poses in true.swapaxes(0, 1)])),
