@@ -53,19 +53,9 @@ class Setting:
         return replace(self, world="all", noise=None)
 
     @property
-    def is_exploration(self) -> bool:
-        """Whether healthy robots explored, with any policy."""
-        return not (self.is_drive or self.is_faulty)
-
-    @property
-    def is_drive(self) -> bool:
-        """Whether robots drove a known path, without exploration."""
-        return self.policy in {LAPS_POLICY, TOUR}
-
-    @property
-    def is_faulty(self) -> bool:
-        """Whether a fault began in the middle of an exploration."""
-        return self.policy in FAULTS
+    def kind(self) -> str:
+        """``drive`` along a known path, ``faulty`` if a fault began in an exploration, or ``exploration``."""
+        return "drive" if self.policy in {LAPS_POLICY, TOUR} else "faulty" if self.policy in FAULTS else "exploration"
 
     @property
     def order(self) -> tuple[object, ...]:

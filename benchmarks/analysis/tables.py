@@ -74,7 +74,7 @@ def sheets(rows: Sequence[Row]) -> list[Sheet]:
     if not rows:
         raise ValueError("no results: there is not one row to make a table of")
     parts = groups(rows)
-    explored = [part for part in parts if part.setting.is_exploration]
+    explored = [part for part in parts if part.setting.kind == "exploration"]
     by_frontier = [part for part in explored if part.setting.policy == FRONTIER]
     others = {(part.setting.world, part.setting.noise) for part in explored if part.setting.policy != FRONTIER}
     smoothed = [part for part in by_frontier if len(part.values(metric("ate_smoothed_m")))]
@@ -82,13 +82,13 @@ def sheets(rows: Sequence[Row]) -> list[Sheet]:
         _sheet("Exploration", READING, with_sums(by_frontier), _GRID),
         _sheet("Outcomes of explorations", _ENDS, with_sums(smoothed), _OUTCOMES),
         _pairs_sheet("Several robots against one", "one robot", by_frontier, _alone),
-        _sheet("Driven paths", READING, [part for part in parts if part.setting.is_drive], _DRIVE),
+        _sheet("Driven paths", READING, [part for part in parts if part.setting.kind == "drive"], _DRIVE),
         _pairs_sheet("Other methods against the published one", "the published method", parts, _published),
         _sheet(
             "Policies", READING,
             [part for part in explored if (part.setting.world, part.setting.noise) in others], _POLICIES,
         ),
-        _sheet("Faults", _FAULTY, with_sums([part for part in parts if part.setting.is_faulty]), _FAULTS),
+        _sheet("Faults", _FAULTY, with_sums([part for part in parts if part.setting.kind == "faulty"]), _FAULTS),
         _failures(rows),
     ]  # fmt: skip
     return [sheet for sheet in found if sheet is not None]
