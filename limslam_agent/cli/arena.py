@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from limslam_agent.cli.terminal import print_table, progress_bar, warn
+from limslam_agent.cli.terminal import print_table, progress_bar, say, warn
 
 if TYPE_CHECKING:
     from limslam_agent.arena.leaderboard import Board
@@ -56,7 +56,6 @@ def run(
     from limslam_agent.arena.leaderboard import board
     from limslam_agent.arena.running import run_entry
     from limslam_agent.arena.tracks import PUBLIC_SEED, plans_of
-    from limslam_env.messages import printable
 
     found = read_entry(entry)
     seed = _read_seed() if secret_seed else PUBLIC_SEED
@@ -69,7 +68,7 @@ def run(
         )  # fmt: skip
     warn(f"plan {row.plan} failed: {row.error}" for row in rows if row.error is not None)
     _print_board(board([out]))
-    typer.echo(printable(f"results     {out}"))
+    say(f"results     {out}")
 
 
 @arena.command()
@@ -113,13 +112,12 @@ def page(
     from limslam_agent.arena.leaderboard import board
     from limslam_agent.arena.page import write_board
     from limslam_agent.output.atomic_write import check_target
-    from limslam_env.messages import printable
 
     check_target(out, "a page", (".html", ".htm"), force=force)
     found = board(folders)
     size = write_board(out, found)
     _print_board(found)
-    typer.echo(printable(f"page        {out} ({size / 1e6:.1f} MB)"))
+    say(f"page        {out} ({size / 1e6:.1f} MB)")
 
 
 def write_kept_run(folder: Path, episode: "Episode") -> dict[str, Any]:

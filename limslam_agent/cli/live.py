@@ -10,7 +10,7 @@ import typer
 from limslam_agent.cli import options as take
 from limslam_agent.cli.options import LiveOptions, takes
 from limslam_agent.cli.settings import Given, robot_named, write_live_settings
-from limslam_agent.cli.terminal import progress_bar, warn
+from limslam_agent.cli.terminal import progress_bar, say, warn
 
 if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig
@@ -57,7 +57,6 @@ def carry_out(options: LiveOptions, config: "AgentConfig", wired: "Wired") -> No
     from limslam_agent.output.run_folder import new_folder
     from limslam_agent.runs.policy_file import naming_lines_of
     from limslam_agent.runs.results import versions
-    from limslam_env.messages import printable
 
     target = options.out or Path("runs") / "live"
     with new_folder(target, force=options.force, numbered=options.out is None) as folder:
@@ -78,9 +77,7 @@ def carry_out(options: LiveOptions, config: "AgentConfig", wired: "Wired") -> No
             typer.echo("smoothing   and writing the map", err=True)
             result = write_session(folder.beside, session, f"live {hello.name}", reason, versions())
             write_live_settings(folder.beside, options, config)
-    for line in session_lines(result):
-        typer.echo(printable(line))
-    typer.echo(printable(f"results     {folder.target}"))
+    say(*session_lines(result), f"results     {folder.target}")
 
 
 def _agent_config(given: Given, options: LiveOptions) -> "AgentConfig":

@@ -6,12 +6,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
-
 from limslam_agent.cli import options as take
 from limslam_agent.cli.options import ReplayOptions, takes
 from limslam_agent.cli.settings import Given, replay_agent, write_replay_settings
-from limslam_agent.cli.terminal import progress_bar, warn
+from limslam_agent.cli.terminal import progress_bar, say, warn
 
 if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig
@@ -146,12 +144,10 @@ def _folder(
 def _tell(content: dict[str, Any], calibrated: list[str], target: Path, warnings: list[str]) -> None:
     """Print what ``result.json`` says, and where it is."""
     from limslam_agent.output.summary import record_summary, replay_summary
-    from limslam_env.messages import printable
 
-    for line in record_summary(content) + calibrated + replay_summary(content["metrics"]):
-        typer.echo(line)
+    say(*record_summary(content), *calibrated, *replay_summary(content["metrics"]))
     warn(warnings)
-    typer.echo(printable(f"results     {target}"))
+    say(f"results     {target}")
 
 
 def _stem(path: Path) -> str:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from limslam_agent.cli.options import takes, told
+from limslam_agent.cli.terminal import say
 
 if TYPE_CHECKING:
     from limslam_env.interface import RobotSpec
@@ -74,19 +75,17 @@ def score(
     from limslam_agent.cli.settings import robot_named
     from limslam_agent.output.atomic_write import atomic_write, check_target
     from limslam_agent.output.export import write_json
-    from limslam_env.messages import printable
 
     if out is not None:
         check_target(out, force=force)
     options = ScoreOptions(**{name: value for name, value in told.items() if value is not None})
     scores = _scores(options, robot_named(options.robot))
     width = max(map(len, scores))
-    for name, value in scores.items():
-        typer.echo(f"{name:{width}}  {_figure(value)}")
+    say(*(f"{name:{width}}  {_figure(value)}" for name, value in scores.items()))
     if out is not None:
         with atomic_write(out) as beside:
             write_json(beside, scores)
-        typer.echo(printable(f"written to {out}"))
+        say(f"written to {out}")
 
 
 def _scores(options: ScoreOptions, robot: "RobotSpec") -> dict[str, float | int | None]:

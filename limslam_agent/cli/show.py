@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from limslam_agent.cli.terminal import print_table, say
+
 if TYPE_CHECKING:
     from collections.abc import Callable
     from typing import TypeAlias
@@ -35,28 +37,24 @@ def show(
     from limslam_agent.output.finished_run import PICTURE, part_of, read_run
     from limslam_agent.output.run_picture import SIZE, draw_run
     from limslam_agent.output.summary import record_summary, replay_summary, run_summary
-    from limslam_env.messages import printable
 
     if out is not None:
         check_target(out, "a picture", SUFFIXES, force=force)
     run = read_run(folder)
     metrics, cost = (part_of(run.result, part) for part in ("metrics", "cost"))
     lines = record_summary(run.result) + (replay_summary(metrics) if run.is_replay else run_summary(metrics, cost))
-    for line in (f"run         {run.title}", *lines):
-        typer.echo(printable(line))
+    say(f"run         {run.title}", *lines)
     edges = true_edges(run)
     title, picture = f"LimSLAM: {run.folder.name}", folder / PICTURE
     if not _drawn(out, title, SIZE, lambda figure: draw_run(figure, run, lines, edges)) and picture.is_file():
-        typer.echo(printable(f"picture     {picture}"))
+        say(f"picture     {picture}")
 
 
 def _drawn(out: Path | None, title: str, size: tuple[float, float], draw: "Draw") -> bool:
     """Draw a figure into a file, or in a window; False if there is no window to draw in, which is said."""
-    from limslam_env.messages import printable
-
     if out is not None:
         write_picture(out, size, draw)
-        typer.echo(printable(f"picture     {out}"))
+        say(f"picture     {out}")
     elif not open_window(title, size, draw):
         typer.echo("there is no display: --out FILE.png draws the map and the errors over time")
         return False
@@ -120,7 +118,6 @@ def compare(
     force: _Force = False,
 ) -> None:
     """Compare finished runs or replays: their metrics, their maps, and their errors over time."""
-    from limslam_agent.cli.terminal import print_table
     from limslam_agent.output.atomic_write import check_target
     from limslam_agent.output.finished_run import read_run
     from limslam_agent.output.run_picture import MOST_RUNS, draw_comparison, sheet_size, table_of
@@ -147,11 +144,9 @@ def export(
 ) -> None:
     """Write a finished run in the formats of other programs."""
     from limslam_agent.output.formats.export import export_run
-    from limslam_env.messages import printable
 
     wanted = {"csv": csv, "dxf": dxf, "bag": bag}
     formats = [name for name, is_wanted in wanted.items() if is_wanted]
     if not formats:
         raise ValueError("a format is needed: --csv, --dxf or --bag")
-    for path in export_run(folder, out or folder / "export", formats, force=force):
-        typer.echo(printable(f"written     {path}"))
+    say(*(f"written     {path}" for path in export_run(folder, out or folder / "export", formats, force=force)))
