@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from limslam_agent.mapping.joining import Earlier, JoiningMapper
+from limslam_agent.mapping.joining import JoiningMapper
+from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.mapping.team import LimSlamTeam
-from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.places.saved_map import read_saved_map
 from limslam_agent.policies.policy import NOT_EXPLORED, Policy
 from limslam_agent.runs.actors import ActorPolicy
@@ -76,9 +76,6 @@ def run_episode(
     with naming_lines_of(config.policy):
         rows = _drive(config, env, team, watch, alter)
     columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    is_joined, earlier = (
-        (not team.mapper.is_apart, team.mapper.earlier) if isinstance(team.mapper, JoiningMapper) else (False, None)
-    )
     return Episode(
         config=config,
         world=world,
@@ -92,10 +89,10 @@ def run_episode(
         stop_reason=_stop_reason(config, world, team.stop_reason),
         is_finished=team.done,
         wall_clock=time.perf_counter() - clock,
-        is_joined=is_joined,
+        is_joined=not team.mapper.is_apart,
         sensor=team.slam.sensor,
         beam_turns=team.slam.beam_turns,
-        **_in_shared_frame(_in_one_frame(columns, team.mapper.prior_frame, team.mapper.places), earlier),
+        **_in_one_frame(columns, team.mapper),
     )
 
 
@@ -137,24 +134,18 @@ def _stop_reason(config: RunConfig, world: World, reason: str | None) -> str:
     )
 
 
-def _in_one_frame(columns: dict[str, Any], prior_frame: FloatArray | None, places: PlaceHistory) -> dict[str, Any]:
-    """The columns of a run, with all poses in the frame of an earlier map if the robot found its place there."""
-    if prior_frame is None:
-        return columns
-    own = slice(places.records[0]["step"])
-    for name in ("estimated", "odometry"):
-        columns[name][own] = compose(prior_frame, columns[name][own])
-    columns["covariances"][own] = turned(columns["covariances"][own], prior_frame[2])
-    return columns
-
-
-def _in_shared_frame(columns: dict[str, Any], earlier: Earlier | None) -> dict[str, Any]:
-    """The columns of a run, with the second robot in the frame of the first one if both are joined."""
-    if earlier is None:
-        return columns
-    known = slice(len(earlier.poses))
-    columns["estimated"][known, 1], columns["covariances"][known, 1] = earlier.poses[:, 1], earlier.covariances[:, 1]
-    columns["odometry"][known, 1] = earlier.odometry[:, 1]
+def _in_one_frame(columns: dict[str, Any], mapper: Mapper) -> dict[str, Any]:
+    """The columns of a run, with all poses in the frame of an earlier map, or of the first robot, if that was found."""
+    earlier = mapper.earlier if isinstance(mapper, JoiningMapper) else None
+    if mapper.prior_frame is not None:
+        own = slice(mapper.places.records[0]["step"])
+        for name in ("estimated", "odometry"):
+            columns[name][own] = compose(mapper.prior_frame, columns[name][own])
+        columns["covariances"][own] = turned(columns["covariances"][own], mapper.prior_frame[2])
+    if earlier is not None:
+        known = slice(len(earlier.poses)), 1
+        columns["estimated"][known], columns["odometry"][known] = earlier.poses[:, 1], earlier.odometry[:, 1]
+        columns["covariances"][known] = earlier.covariances[:, 1]
     return columns
 
 

@@ -86,7 +86,7 @@ class Episode:
     slam_ms, decide_ms, wall_clock
         Cost of a step: the SLAM alone (t,), ms, and the grid with the policies (t,), ms. Cost of the whole loop, s.
     is_joined
-        Whether two robots with unknown starts share a frame at the end.
+        Whether the robots share a frame at the end.
     """
 
     config: RunConfig
@@ -116,7 +116,7 @@ class Episode:
     slam_ms: FloatArray
     decide_ms: FloatArray
     wall_clock: float
-    is_joined: bool = False
+    is_joined: bool = True
     sensor: RangeSensor | None = None
     beam_turns: FloatArray | None = None
 
