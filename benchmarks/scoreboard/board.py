@@ -71,7 +71,7 @@ def run_scoreboard(
     ValueError
         If a pattern matches nothing, or the folder holds results of another estimator or of other rows.
     """
-    chosen, has_data = rows.chosen(patterns), _has_data()
+    chosen, has_data = rows.chosen(patterns), data_folder().is_dir()
     skipped = [row.name for row in chosen if row.needs_data and not has_data]
     by_name, first = {row.name: row for row in rows.row}, rows.unused_seed if unused else rows.tuning_seed
     jobs = [job for row in chosen if row.name not in skipped for job in row.cells(first)]
@@ -172,13 +172,6 @@ def _spread(cells: Sequence[Cell], name: str) -> str:
 def _total(cells: Sequence[Cell], name: str) -> str:
     values = _values(cells, name)
     return f"{sum(values):.0f}" if values else MISSING
-
-
-def _has_data() -> bool:
-    try:
-        return data_folder().is_dir()
-    except ValueError:
-        return False
 
 
 def estimator_files() -> list[Path]:

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.scoreboard.drives import LEAST_WAY, next_place
-from benchmarks.suite.work import data_folder
+from benchmarks.suite.work import data_file
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.logs.pose_log import MIN_RANGE, nearest_beams
 from limslam_agent.logs.relations import Relations, relation_errors, summary
@@ -116,7 +116,7 @@ def _rooms(generator: np.random.Generator) -> World:
 
 def _real(generator: np.random.Generator) -> World:
     """A floor plan of the recorded data, of a closed building of a usual size."""
-    files = sorted((data_folder() / "kth").glob("*.json"))
+    files = sorted(data_file("kth").glob("*.json"))
     for number in generator.permutation(len(files)):
         world = load_world(files[number])
         sides = np.ptp(world.edges.reshape(-1, 2), axis=0)

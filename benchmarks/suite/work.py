@@ -18,19 +18,13 @@ from limslam_env.worlds.formats.loading import WorldSource, load_world
 
 def data_folder() -> Path:
     """The folder of recorded data: ``LIMSLAM_DATA``, or ``shared/data`` beside the checkout."""
-    folder = Path(os.environ.get("LIMSLAM_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
-    if not folder.is_dir():
-        raise ValueError(
-            f"recorded data not found in {folder}: set LIMSLAM_DATA to the folder that holds fr079 and kth"
-        )
-    return folder
+    return Path(os.environ.get("LIMSLAM_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
 
 
 def data_file(name: str) -> Path:
-    """A file in the data folder."""
-    path = data_folder() / name
-    if not path.is_file():
-        raise ValueError(f"{path}: no such file in the folder of recorded data")
+    """A file or a folder of recorded data."""
+    if not (path := data_folder() / name).exists():
+        raise ValueError(f"recorded data not found in {path}: set LIMSLAM_DATA to the folder that holds fr079 and kth")
     return path
 
 

@@ -73,11 +73,12 @@ def differences(before: Row, now: Row, *, is_process: bool) -> list[str]:
     """What differs between two rows of a plan, in words. Cost, provenance and newer metrics are not compared."""
     if before.error != now.error:
         return [f"error: {before.error}, now {now.error}"]
-    names = BOUNDS if is_process else sorted(before.metrics)
+    bounds = BOUNDS if is_process else {}
+    values = {name: (before.metrics.get(name), now.metrics.get(name)) for name in bounds or sorted(before.metrics)}
     return [
         f"{name} {first}, now {second}"
-        for name in names
-        if not _equal(first := before.metrics.get(name), second := now.metrics.get(name), BOUNDS.get(name), is_process)
+        for name, (first, second) in values.items()
+        if not _equal(first, second, bounds.get(name))
     ]
 
 
@@ -86,8 +87,8 @@ def other_versions(stamp: Stamp) -> str:
     return stamp.changes(BaseStamp(versions(), commit()))
 
 
-def _equal(first: object, second: object, bound: float | None, is_process: bool) -> bool:
-    if is_process and isinstance(first, int | float) and isinstance(second, int | float) and bound is not None:
+def _equal(first: object, second: object, bound: float | None) -> bool:
+    if isinstance(first, int | float) and isinstance(second, int | float) and bound is not None:
         return abs(first - second) <= bound
     return type(first) is type(second) and first == second
 

@@ -9,7 +9,7 @@ import typer
 
 from limslam_agent.cli import options as take
 from limslam_agent.cli.options import LiveOptions, takes
-from limslam_agent.cli.settings import Given, robot_named, write_live_settings
+from limslam_agent.cli.settings import Given, exploring_agent, robot_named, write_live_settings
 from limslam_agent.cli.terminal import progress_bar, say, warn
 
 if TYPE_CHECKING:
@@ -41,7 +41,7 @@ def live(
         raise ValueError(f"{named} are different places: the robot is at one of them only")
     if ros_arguments and not options.ros2:
         raise ValueError(f"{ros_arguments[0]}: only --ros2 takes arguments for ROS 2")
-    agent = _agent_config(given, options)
+    agent = exploring_agent(given, options)
     check_belief_policy(options.policy)
     warn(given.warnings(options.preset))
     with _wired(options, given.replay_robot(), ros_arguments or []) as wired:
@@ -78,15 +78,6 @@ def carry_out(options: LiveOptions, config: "AgentConfig", wired: "Wired") -> No
             result = write_session(folder.beside, session, f"live {hello.name}", reason, versions())
             write_live_settings(folder.beside, options, config)
     say(*session_lines(result), f"results     {folder.target}")
-
-
-def _agent_config(given: Given, options: LiveOptions) -> "AgentConfig":
-    """The agent's settings, with the changes in the file of ``--config``."""
-    from limslam_agent.config.presets import preset, with_until
-    from limslam_env.interface import NominalNoise
-
-    base = with_until(preset(options.preset, NominalNoise(options.noise)), options.until)
-    return given.agent(base)
 
 
 @contextmanager

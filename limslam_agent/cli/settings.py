@@ -226,17 +226,23 @@ def run_options(given: Given) -> RunOptions:
     return replace(options, ablation=None) if options.ablation == "none" else options
 
 
+def exploring_agent(given: Given, options: RunOptions | LiveOptions) -> "AgentConfig":
+    """The settings of an agent that explores, with the changes in the file of ``--config``."""
+    from limslam_agent.config.presets import preset, with_until
+    from limslam_env.interface import NominalNoise
+
+    return given.agent(with_until(preset(options.preset, NominalNoise(options.noise)), options.until))
+
+
 def run_config(given: Given, options: RunOptions) -> "RunConfig":
     """What is run. Without a longest time, that of a large world grows with its ground."""
-    from limslam_agent.config.presets import preset, with_until
     from limslam_agent.runs.run_config import LONGEST_TIME, RunConfig
     from limslam_env.config import NoiseConfig
-    from limslam_env.interface import NominalNoise
     from limslam_env.worlds.formats.loading import load_world
 
     try:
         world, max_time = load_world(options.world), options.max_time
-        agent = given.agent(with_until(preset(options.preset, NominalNoise(options.noise)), options.until))
+        agent = exploring_agent(given, options)
         if "odometry_noise" in given.options:
             variance = _wheel_variance(given.options["odometry_noise"])
             agent = replace(agent, noise=replace(agent.noise, wheel_variance=variance))
