@@ -22,10 +22,7 @@ if TYPE_CHECKING:
 
 @takes(LiveOptions)
 def live(
-    robot: take.LiveRobot = None,
-    config: take.Config = None,
-    ros_arguments: take.RosArguments = None,
-    **told: Any,
+    robot: take.LiveRobot = None, config: take.Config = None, ros_arguments: take.RosArguments = None, **told: Any
 ) -> None:
     """Explore with a live robot, and draw its map. Ctrl-C stops the robot and draws the map of what it has seen."""
     from limslam_agent.runs.policies import check_belief_policy

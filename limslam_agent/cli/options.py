@@ -60,8 +60,7 @@ _Until = Annotated[
     ),
 ]
 _Map = Annotated[
-    Path | None,
-    told(_AGENT, "Folder of an earlier run or replay: begin in its map, at a place that is not known."),
+    Path | None, told(_AGENT, "Folder of an earlier run or replay: begin in its map, at a place that is not known.")
 ]
 _Watch = Annotated[
     bool,
@@ -86,8 +85,7 @@ TrueOdometryNoise = Annotated[
     ),
 ]
 WheelMismatch = Annotated[
-    float | None,
-    told(_FAULTS, "Share by which the left encoder reports too much, and the right one too little.", "0"),
+    float | None, told(_FAULTS, "Share by which the left encoder reports too much, and the right one too little.", "0")
 ]
 Sharp = Annotated[
     bool,
@@ -141,13 +139,9 @@ class RunOptions(Bounded):
             "Longest simulated time, s. Without it, a world has 10 s for each square metre, and at least the default.",
         ),
     ] = 1800.0
-    policy: Annotated[
-        str,
-        told(
-            _AGENT,
-            f"{_POLICIES} tour drives around the world's loop by the true pose.",
-        ),
-    ] = "frontier"
+    policy: Annotated[str, told(_AGENT, f"{_POLICIES} tour drives around the world's loop by the true pose.")] = (
+        "frontier"
+    )
     until: _Until = "walls"
     laps: Annotated[CountOrNone, told(_AGENT, "Drive this many laps of the world's loop instead of exploring.")] = 0
     robots: Annotated[int, Bounds(1, 8), told(_WORLD, "Number of robots that explore together, 1 to 8.")] = 1
@@ -165,8 +159,7 @@ class RunOptions(Bounded):
         told(_FAULTS, "Time at which the robot is carried to another place, s. The seed chooses the place."),
     ] = None
     unknown_starts: Annotated[
-        bool,
-        told(_AGENT, "Whether the second of two robots starts at a place that the agent does not know.", "no"),
+        bool, told(_AGENT, "Whether the second of two robots starts at a place that the agent does not know.", "no")
     ] = False
     map: _Map = None
     limit: Annotated[bool, told(_RESULTS, "Also compute the offline optimum.")] = False
@@ -193,8 +186,7 @@ class ReplayOptions(Bounded):
     range_unit: Annotated[str, told(_TABLE, "Unit of the ranges: m, cm or mm.")] = "m"
     time_unit: Annotated[str, told(_TABLE, "Unit of the times: s, ms or us.")] = "s"
     zone_axes: Annotated[
-        str | None,
-        told(_TABLE, "Axes of multi-zone sensors, deg: A,B,...; their ranges are perpendicular distances."),
+        str | None, told(_TABLE, "Axes of multi-zone sensors, deg: A,B,...; their ranges are perpendicular distances.")
     ] = None
     zero_is_nothing: Annotated[
         bool,
@@ -202,10 +194,7 @@ class ReplayOptions(Bounded):
     ] = False
     columns: Annotated[
         str | None,
-        told(
-            _TABLE,
-            "What the columns hold, in place of the header: t,left,right,r_90,..., and - for one not used.",
-        ),
+        told(_TABLE, "What the columns hold, in place of the header: t,left,right,r_90,..., and - for one not used."),
     ] = None
     noise: _AssumedStd = 0.02
     preset: _Preset = DEFAULT_PRESET
@@ -222,9 +211,7 @@ class ReplayOptions(Bounded):
     odometry_bias: Annotated[
         str | None,
         told(
-            _ODOMETRY,
-            "True minus reported heading after 1 m (deg), and true distance over reported distance.",
-            "0,1",
+            _ODOMETRY, "True minus reported heading after 1 m (deg), and true distance over reported distance.", "0,1"
         ),
     ] = None
     calibrate: Annotated[Path | None, told(_ODOMETRY, "File of known relative poses to estimate the bias from.")] = None

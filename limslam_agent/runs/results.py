@@ -31,12 +31,7 @@ from limslam_agent.status.status import LEVELS, final_status_scores, status_scor
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.metrics import metrics
-from limslam_env.metrics.association import (
-    AssociationEvent,
-    association_metrics,
-    closure_metrics,
-    dropped_beam_metrics,
-)
+from limslam_env.metrics.association import AssociationEvent, association_metrics, closure_metrics, dropped_beam_metrics
 from limslam_env.simulation.coverage import CELL, CoverageGrid
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.formats.toml import world_toml
