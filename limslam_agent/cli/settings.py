@@ -54,27 +54,22 @@ class Given:
 
     def merged(self, defaults: Options, tables: tuple[str, ...]) -> Options:
         """The options: those on the command line, else those of the file, else the defaults."""
-        in_file = self.of_file(defaults, tables)
-        known = {field.name for field in fields(defaults)}
-        try:
-            return replace(in_file, **{name: value for name, value in self.options.items() if name in known})
-        except ValueError as error:
-            name, words = str(error).split(" ", 1)
-            raise SettingsError(f"--{name.replace('_', '-')} {words}") from error
-
-    def of_file(self, defaults: Options, tables: tuple[str, ...]) -> Options:
-        """The options that the file has, and the defaults of the others; its paths are relative to the file."""
-        unknown = set(self.table) - {field.name for field in fields(defaults)} - set(tables)
+        known: list[str] = [field.name for field in fields(defaults)]
+        unknown = set(self.table).difference(known, tables)
         if unknown:
-            known = ", ".join([*(field.name for field in fields(defaults)), *(f"[{name}]" for name in tables)])
-            raise SettingsError(f"{self.path}: {min(unknown)}: there is no such setting; there are {known}")
-        options = updated(
+            there = ", ".join([*known, *(f"[{name}]" for name in tables)])
+            raise SettingsError(f"{self.path}: {min(unknown)}: there is no such setting; there are {there}")
+        in_file = updated(
             defaults, {name: self.table[name] for name in self.table if name not in tables}, str(self.path)
         )
         paths: dict[str, Any] = {
-            name: self.beside_file(value) for name, value in asdict(options).items() if isinstance(value, Path)
+            name: self.beside_file(value) for name, value in asdict(in_file).items() if isinstance(value, Path)
         }
-        return replace(options, **paths)
+        try:
+            return replace(in_file, **paths | {name: value for name, value in self.options.items() if name in known})
+        except ValueError as error:
+            name, words = str(error).split(" ", 1)
+            raise SettingsError(f"--{name.replace('_', '-')} {words}") from error
 
     def beside_file(self, path: Path) -> Path:
         """A path of the file, which is relative to the file's folder."""
@@ -93,10 +88,9 @@ class Given:
             table = {**table, "noise": {name: value for name, value in noise.items() if name != "range_std"}}
         if isinstance(policy := table.get("policy"), Mapping) and "until" in policy:
             raise SettingsError(f"{self.path}: agent.policy.until: is set as until, outside of all tables")
-        in_file = base if base.preset == preset_in_file else self._preset_in_file(preset_in_file, base)
         if base.preset != preset_in_file:
             # A mistake in the file is a mistake, even if the table is not used.
-            updated(in_file, table, f"{self.path}: agent", fixed={"preset"})
+            updated(self._preset_in_file(preset_in_file, base), table, f"{self.path}: agent", fixed={"preset"})
             table = {name: value for name, value in table.items() if name not in _OF_PRESET}
         return updated(base, table, f"{self.path}: agent", fixed={"preset"})
 
