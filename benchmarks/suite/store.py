@@ -51,12 +51,7 @@ class Stamp(store.BaseStamp):
         return {"another suite, or of this one before it was changed": (self.suite, self.digest)}
 
 
-def _job(row: Row) -> Hashable:
-    words = (row.world, row.noise, row.robots, row.preset, row.policy, row.ablation, row.laps, row.seed)
-    return row.key or words
-
-
-FORMAT = store.Format("benchmark's results", STAMP, Stamp, Row, _job)
+FORMAT = store.Format("benchmark's results", STAMP, Stamp, Row, lambda row: row.key)
 
 
 def row_of(stamp: Stamp, job: Job, result: Outcome | Failure) -> Row:
