@@ -16,12 +16,14 @@ from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.mapping.team import LimSlamTeam
 from limslam_agent.places.saved_map import read_saved_map
 from limslam_agent.policies.policy import NOT_EXPLORED, Policy
+from limslam_agent.policies.simple_policies import Laps
 from limslam_agent.runs.actors import ActorPolicy
-from limslam_agent.runs.policies import Tour, policies_for
+from limslam_agent.runs.policies import TOUR, Tour, policies_by_belief
 from limslam_agent.runs.policy_file import naming_lines_of
 from limslam_agent.runs.record import Episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.status.status import LEVELS
+from limslam_env.bounds.tours import loop_tour
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, turned
@@ -98,9 +100,12 @@ def run_episode(
 
 def policies_of(config: RunConfig, world: World) -> list[Policy] | None:
     """A policy for each robot of a run, by the name in its settings; None for those that a team has by default."""
-    return policies_for(
-        config.policy, config.robot, config.agent, world, robots=config.robots, laps=config.laps, seed=config.seed
-    )
+    robot = config.robot
+    if config.policy == "frontier":
+        return [Laps(robot, world.loop, config.laps)] if config.laps else None
+    if config.policy == TOUR:
+        return [Tour(robot, lambda pose: loop_tour(world, robot, pose, config.laps or 1))]
+    return policies_by_belief(config.policy, robot, config.agent, robots=config.robots, seed=config.seed)
 
 
 def team_of(config: RunConfig, policies: Sequence[Policy] | None) -> LimSlamTeam:

@@ -14,13 +14,12 @@ from limslam_agent.config.presets import AgentConfig
 from limslam_agent.policies.controller import TURN_RATE, bearing_of, wheel_speeds
 from limslam_agent.policies.learned.learned import LearnedPolicy
 from limslam_agent.policies.policy import NO_PLAN, Policy
-from limslam_agent.policies.simple_policies import LAP_SPEED, Laps, RandomPolicy, WallFollower
+from limslam_agent.policies.simple_policies import LAP_SPEED, RandomPolicy, WallFollower
 from limslam_agent.policies.wall_policy import explorer
 from limslam_agent.runs.policy_file import file_and_name, file_policies, is_file_policy
-from limslam_env.bounds.tours import Speeds, loop_tour
+from limslam_env.bounds.tours import Speeds
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
-from limslam_env.worlds.world import World
 
 TOUR = "tour"
 BELIEF_POLICIES = ("frontier", "frontier_fast", "wall_follower", "random", "learned")
@@ -100,22 +99,6 @@ def check_policy(policy: str, laps: int, robots: int) -> None:
     if robots > 1 and (laps or policy == TOUR):
         what = "laps are" if laps else f"the policy {policy!r} is"
         raise ValueError(f"{what} for one robot: several would meet on the loop")
-
-
-def explores(policy: str, laps: int) -> bool:
-    """Whether the end of such a run is the end of an exploration."""
-    return not laps and policy != TOUR
-
-
-def policies_for(
-    policy: str, robot: RobotSpec, config: AgentConfig, world: World, *, robots: int, laps: int, seed: int
-) -> list[Policy] | None:
-    """A policy for each robot. None for the frontier policies, which a team makes itself."""
-    if policy == "frontier":
-        return [Laps(robot, world.loop, laps)] if laps else None
-    if policy == TOUR:
-        return [Tour(robot, lambda pose: loop_tour(world, robot, pose, laps or 1))]
-    return policies_by_belief(policy, robot, config, robots=robots, seed=seed)
 
 
 def check_belief_policy(policy: str) -> None:

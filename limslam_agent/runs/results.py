@@ -21,7 +21,7 @@ from limslam_agent.output.summary import calibration_record, place_records, reco
 from limslam_agent.output.tum import write_paths
 from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.optimum import offline_optimum
-from limslam_agent.runs.policies import explores
+from limslam_agent.runs.policies import TOUR
 from limslam_agent.runs.policy_file import short_name
 from limslam_agent.runs.record import Episode, FinalMap
 from limslam_agent.runs.run_config import RunConfig
@@ -69,7 +69,7 @@ def score(episode: Episode) -> dict[str, Any]:
     limit = offline_optimum_scores(episode, trajectory["ate_m"]) if config.limit else {}
     smoothed = smoothed_scores(episode, limit.get("limit_ate_m"))
     is_over = episode.is_finished and not episode.stop_reason.endswith(NOT_EXPLORED)
-    has_explored = is_over and explores(config.policy, config.laps)
+    has_explored = is_over and not config.laps and config.policy != TOUR
     walls = map_scores(
         episode.world,
         config.robot,
