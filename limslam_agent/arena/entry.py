@@ -21,29 +21,7 @@ _LONGEST_NAME, _MOST_FILES, _MOST_BYTES = 60, 1000, 500_000_000
 
 @dataclass(frozen=True, kw_only=True)
 class Manifest:
-    """The content of ``entry.toml``.
-
-    Attributes
-    ----------
-    name
-        Name of the entry on the leaderboard.
-    authors
-        Who made it.
-    kind
-        What ``run`` is: a ``shipped`` policy, a ``python`` class or a ``command``.
-    run
-        The name of the policy, or ``FILE.py:CLASS``.
-    command
-        The words of the command. ``{python}`` stands for the Python that runs the arena.
-    uses
-        What the entry acts on: ``belief`` (map and pose by the arena's mapper) or ``readings``.
-    robots
-        Largest number of robots that the entry drives. It loses plans with more robots.
-    preset
-        The estimator that draws the map.
-    about
-        What the entry is, in a sentence.
-    """
+    """The content of ``entry.toml``, whose keys ``docs/arena.md`` explains."""
 
     name: str
     authors: tuple[str, ...]
