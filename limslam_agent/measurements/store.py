@@ -78,17 +78,7 @@ class Store(Generic[R]):
         self.rows: dict[Hashable, R] = {form.key(row): row for row in rows}
 
     def append(self, row: R) -> None:
-        """Store a row durably: once this method has returned, a kill cannot lose it.
-
-        Raises
-        ------
-        ValueError
-            If its job already has a row.
-        OSError
-            If writing fails.
-        """
-        if self._key(row) in self.rows:
-            raise ValueError(f"{self.folder}: has a row for this job already: {self._key(row)}")
+        """Store a row durably: once this method has returned, a kill cannot lose it."""
         append_line(self.folder / RESULTS, _line(row))
         self.rows[self._key(row)] = row
 
