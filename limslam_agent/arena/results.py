@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from limslam_agent.arena.entry import Entry, Manifest, manifest_table
-from limslam_agent.arena.tracks import VERSION, plans_of
+from limslam_agent.arena.tracks import PUBLIC_SEED, VERSION, plans_of
 from limslam_agent.config.tables import built
 from limslam_agent.measurements import store
 from limslam_env.messages import one_line
@@ -64,11 +64,11 @@ class Stamp(store.BaseStamp):
 FORMAT = store.Format("results of the arena", STAMP, Stamp, Row, lambda row: row.plan)
 
 
-def stamp_of(entry: Entry, seed: int, *, is_secret: bool, versions: dict[str, str], commit: str) -> Stamp:
+def stamp_of(entry: Entry, seed: int, *, versions: dict[str, str], commit: str) -> Stamp:
     """The stamp of an entry's results on the plans of a seed."""
     return Stamp(
         versions, commit, VERSION, manifest_table(entry.manifest), str(entry.folder), entry.digest,
-        plans_digest(seed), is_secret,
+        plans_digest(seed), seed != PUBLIC_SEED,
     )  # fmt: skip
 
 

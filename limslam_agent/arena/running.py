@@ -62,7 +62,6 @@ def run_entry(
     folder: Path,
     *,
     seed: int,
-    is_secret: bool,
     jobs: int,
     keep: Keep | None = None,
     retry_failed: bool = False,
@@ -81,7 +80,7 @@ def run_entry(
     place, inside = folder.absolute(), entry.folder.resolve()
     if folder.resolve() == inside or inside in folder.resolve().parents:
         raise ValueError(f"{folder}: lies in the folder of the entry, which must not change while it runs")
-    stamp = stamp_of(entry, seed, is_secret=is_secret, versions=versions(), commit=commit())
+    stamp = stamp_of(entry, seed, versions=versions(), commit=commit())
     again = {plan.number for plan in plans} if retry_failed else set()
     with open_store(FORMAT, folder, stamp, lambda row: row.error is None or row.plan not in again) as store:
         todo = [

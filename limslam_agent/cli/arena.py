@@ -62,7 +62,7 @@ def run(
     wanted = plans_of(seed)[:plans]
     with progress_bar("arena", len(wanted)) as advance:
         rows = run_entry(
-            found, wanted, out, seed=seed, is_secret=seed != PUBLIC_SEED, jobs=jobs,
+            found, wanted, out, seed=seed, jobs=jobs,
             keep=write_kept_run if keep else None, retry_failed=retry_failed,
             report=lambda row, done: advance(done, f"{done} of {len(wanted)} plans, latest {row.plan}"),
         )  # fmt: skip

@@ -43,7 +43,7 @@ class Mine:
 
 
 def run_all(entry, plans, folder, **options):
-    return run_entry(entry, plans, folder, **{"seed": 0, "is_secret": False, "jobs": 1, **options})
+    return run_entry(entry, plans, folder, **{"seed": 0, "jobs": 1, **options})
 
 
 def test_a_run_is_resumed_verified_and_kept(tmp_path, entry, short_plans):
@@ -123,7 +123,7 @@ def test_results_of_something_else_are_not_continued(tmp_path, entry, short_plan
     with pytest.raises(ValueError, match="holds results of another entry"):
         run_all(other, short_plans, folder)
     with pytest.raises(ValueError, match="holds results of other plans"):
-        run_all(entry, short_plans, folder, seed=5, is_secret=True)
+        run_all(entry, short_plans, folder, seed=5)
     with pytest.raises(ValueError, match="lies in the folder of the entry"):
         run_all(entry, short_plans, entry.folder / "out")
 
@@ -161,7 +161,7 @@ def test_a_process_is_verified_within_bounds(entry, short_plans):
 
 def test_secret_plans_are_verified_with_their_seed_only(tmp_path, entry):
     folder = tmp_path / "out"
-    run_all(entry, [], folder, seed=7, is_secret=True)
+    run_all(entry, [], folder, seed=7)
     with pytest.raises(ValueError, match="--secret-seed is needed"):
         opened(folder, None, None)
     with pytest.raises(ValueError, match="its plans are not those of this seed"):
