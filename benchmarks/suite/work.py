@@ -23,9 +23,10 @@ def data_folder() -> Path:
 
 def data_file(name: str) -> Path:
     """A file or a folder of recorded data."""
-    if not (path := data_folder() / name).exists():
-        raise ValueError(f"recorded data not found in {path}: set LIMSLAM_DATA to the folder that holds fr079 and kth")
-    return path
+    folder = data_folder()
+    if not (folder / name).exists():
+        raise ValueError(f"recorded data not found in {folder}: set LIMSLAM_DATA to the folder that holds {name}")
+    return folder / name
 
 
 # The plan and its free space are computed once for all seeds of the plan.
