@@ -14,9 +14,6 @@ if TYPE_CHECKING:
     from limslam_agent.output.finished_run import FinishedRun
     from limslam_agent.runs.inspection import Inspection
 
-NAME = "inspect.html"
-"""The page in the folder of a run."""
-
 
 def inspect(
     source: Annotated[
@@ -35,7 +32,7 @@ def inspect(
     from limslam_agent.output.finished_run import read_run
 
     run = read_run(source) if source.is_dir() or not source.exists() else None
-    target = out or (Path(f"{source.name.split('.')[0]}.html") if run is None else source / NAME)
+    target = out or (Path(f"{source.name.split('.')[0]}.html") if run is None else source / "inspect.html")
     check_target(target, "a page", (".html", ".htm"), force=force)
     title = source.name if run is None else run.title
     found = _of_log(source) if run is None else _of_folder(run)
