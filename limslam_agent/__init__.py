@@ -10,50 +10,29 @@ more of ``limslam_env`` than its geometry and its interface. The agent therefore
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from limslam_agent.belief import Belief
-    from limslam_agent.config.presets import AgentConfig, preset, with_until
-    from limslam_agent.logs.log_reader import read_log
-    from limslam_agent.mapping.agent import LimSlamAgent
-    from limslam_agent.mapping.map_snapshot import MapSnapshot
-    from limslam_agent.mapping.mapper import Mapper
-    from limslam_agent.mapping.team import LimSlamTeam
-    from limslam_agent.output.live_map import save_map
-    from limslam_agent.policies.frontier_policy import FrontierPolicy
-    from limslam_agent.policies.learned.learned import LearnedPolicy
-    from limslam_agent.policies.policy import Policy
-    from limslam_agent.policies.simple_policies import Laps, RandomPolicy, WallFollower
-    from limslam_agent.replay.replay import replay_log
-    from limslam_agent.runs.evaluate import evaluate, medians
-    from limslam_agent.slam.batch.batch_slam import BatchSlam
-    from limslam_agent.slam.slam import LineSlam
-    from limslam_agent.wrappers.single import SlamObservation
-    from limslam_agent.wrappers.vector import SlamVectorObservation
-
-__all__ = [
-    "AgentConfig",
-    "BatchSlam",
-    "Belief",
-    "FrontierPolicy",
-    "Laps",
-    "LearnedPolicy",
-    "LimSlamAgent",
-    "LimSlamTeam",
-    "LineSlam",
-    "MapSnapshot",
-    "Mapper",
-    "Policy",
-    "RandomPolicy",
-    "SlamObservation",
-    "SlamVectorObservation",
-    "WallFollower",
-    "evaluate",
-    "medians",
-    "preset",
-    "read_log",
-    "replay_log",
-    "save_map",
-    "with_until",
-]
+    from limslam_agent.belief import Belief as Belief
+    from limslam_agent.config.presets import AgentConfig as AgentConfig
+    from limslam_agent.config.presets import preset as preset
+    from limslam_agent.config.presets import with_until as with_until
+    from limslam_agent.logs.log_reader import read_log as read_log
+    from limslam_agent.mapping.agent import LimSlamAgent as LimSlamAgent
+    from limslam_agent.mapping.map_snapshot import MapSnapshot as MapSnapshot
+    from limslam_agent.mapping.mapper import Mapper as Mapper
+    from limslam_agent.mapping.team import LimSlamTeam as LimSlamTeam
+    from limslam_agent.output.live_map import save_map as save_map
+    from limslam_agent.policies.frontier_policy import FrontierPolicy as FrontierPolicy
+    from limslam_agent.policies.learned.learned import LearnedPolicy as LearnedPolicy
+    from limslam_agent.policies.policy import Policy as Policy
+    from limslam_agent.policies.simple_policies import Laps as Laps
+    from limslam_agent.policies.simple_policies import RandomPolicy as RandomPolicy
+    from limslam_agent.policies.simple_policies import WallFollower as WallFollower
+    from limslam_agent.replay.replay import replay_log as replay_log
+    from limslam_agent.runs.evaluate import evaluate as evaluate
+    from limslam_agent.runs.evaluate import medians as medians
+    from limslam_agent.slam.batch.batch_slam import BatchSlam as BatchSlam
+    from limslam_agent.slam.slam import LineSlam as LineSlam
+    from limslam_agent.wrappers.single import SlamObservation as SlamObservation
+    from limslam_agent.wrappers.vector import SlamVectorObservation as SlamVectorObservation
 
 _MODULES = {
     "AgentConfig": "config.presets",
@@ -80,6 +59,8 @@ _MODULES = {
     "save_map": "output.live_map",
     "with_until": "config.presets",
 }
+
+__all__ = list(_MODULES)
 
 
 def __getattr__(name: str) -> Any:

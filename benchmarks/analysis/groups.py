@@ -24,16 +24,9 @@ Value: TypeAlias = Callable[[Row], float | None]
 
 @dataclass(frozen=True)
 class Setting:
-    """The setting that the runs of a group have in common.
+    """The setting that the runs of a group have in common, by the fields of a job.
 
-    Attributes
-    ----------
-    world
-        Name of the world; all random floor plans form one world, ``random plans``. ``all`` in sums over worlds.
-    noise
-        As in a job; None in sums over noises.
-    robots, preset, policy, ablation, laps
-        As in a job.
+    All random floor plans form one world, ``random plans``. Sums have the world ``all``, and the noise None.
     """
 
     world: str
@@ -60,19 +53,9 @@ class Setting:
         return replace(self, world="all", noise=None)
 
     @property
-    def is_exploration(self) -> bool:
-        """Whether healthy robots explored, with any policy."""
-        return not (self.is_drive or self.is_faulty)
-
-    @property
-    def is_drive(self) -> bool:
-        """Whether robots drove a known path, without exploration."""
-        return self.policy in {LAPS_POLICY, TOUR}
-
-    @property
-    def is_faulty(self) -> bool:
-        """Whether a fault began in the middle of an exploration."""
-        return self.policy in FAULTS
+    def kind(self) -> str:
+        """``drive`` along a known path, ``faulty`` if a fault began in an exploration, or ``exploration``."""
+        return "drive" if self.policy in {LAPS_POLICY, TOUR} else "faulty" if self.policy in FAULTS else "exploration"
 
     @property
     def order(self) -> tuple[object, ...]:
@@ -85,15 +68,7 @@ class Setting:
 
 @dataclass(frozen=True, eq=False)
 class Group:
-    """The runs of one setting.
-
-    Attributes
-    ----------
-    setting
-        The setting that the runs have in common.
-    rows
-        All rows, including failed runs.
-    """
+    """The runs of one setting, also those that failed."""
 
     setting: Setting
     rows: Sequence[Row]

@@ -4,14 +4,14 @@ No table depends on the name of a world. Groups are formed from the worlds, nois
 ablations in the rows, and a table without a group is left out.
 """
 
+import re
 from collections.abc import Callable, Hashable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
 
 from benchmarks.analysis.groups import FRONTIER, PUBLISHED, Group, Setting, Value, groups, metric, setting_of, with_sums
-from benchmarks.analysis.sheets import Sheet
 from benchmarks.suite.jobs import KIDNAPPED
 from benchmarks.suite.store import Row
 from limslam_agent.measurements.statistics import MISSING, Estimate, Pairs, median, number, paired
@@ -33,29 +33,48 @@ Column: TypeAlias = tuple[str, Callable[[Group], str]]
 TIMES = "\N{MULTIPLICATION SIGN}"
 
 
-def table(rows: Sequence[Row]) -> str:
-    """All tables of the given rows, as Markdown.
+@dataclass(frozen=True)
+class Sheet:
+    """A table, with its content in a line above it, and a note below it that says how to read it.
 
-    Raises
-    ------
-    ValueError
-        If there are no rows.
+    The first ``words`` columns contain words, the others numbers.
     """
+
+    title: str
+    note: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    words: int = 1
+
+    def without_empty(self) -> "Sheet":
+        """The table without columns of numbers that contain no number."""
+        kept = [
+            number
+            for number in range(len(self.header))
+            if number < self.words or any(row[number] != MISSING for row in self.rows)
+        ]
+        rows = tuple(tuple(row[number] for number in kept) for row in self.rows)
+        return Sheet(self.title, self.note, tuple(self.header[number] for number in kept), rows, self.words)
+
+    def markdown(self) -> str:
+        """The table in Markdown."""
+        marks = ["---" if number < self.words else "---:" for number in range(len(self.header))]
+        lines = [f"### {_escaped(self.title)}", "", _line(map(_escaped, self.header)), f"|{'|'.join(marks)}|"]
+        lines += [_line(map(_escaped, row)) for row in self.rows]
+        return "\n".join([*lines, *(["", _escaped(self.note)] if self.note else [])])
+
+
+def table(rows: Sequence[Row]) -> str:
+    """All tables of the given rows, as Markdown."""
     return "\n\n".join(sheet.markdown() for sheet in sheets(rows)) + "\n"
 
 
 def sheets(rows: Sequence[Row]) -> list[Sheet]:
-    """All tables of the given rows.
-
-    Raises
-    ------
-    ValueError
-        If there are no rows.
-    """
+    """All tables of the given rows."""
     if not rows:
         raise ValueError("no results: there is not one row to make a table of")
     parts = groups(rows)
-    explored = [part for part in parts if part.setting.is_exploration]
+    explored = [part for part in parts if part.setting.kind == "exploration"]
     by_frontier = [part for part in explored if part.setting.policy == FRONTIER]
     others = {(part.setting.world, part.setting.noise) for part in explored if part.setting.policy != FRONTIER}
     smoothed = [part for part in by_frontier if len(part.values(metric("ate_smoothed_m")))]
@@ -63,13 +82,13 @@ def sheets(rows: Sequence[Row]) -> list[Sheet]:
         _sheet("Exploration", READING, with_sums(by_frontier), _GRID),
         _sheet("Outcomes of explorations", _ENDS, with_sums(smoothed), _OUTCOMES),
         _pairs_sheet("Several robots against one", "one robot", by_frontier, _alone),
-        _sheet("Driven paths", READING, [part for part in parts if part.setting.is_drive], _DRIVE),
+        _sheet("Driven paths", READING, [part for part in parts if part.setting.kind == "drive"], _DRIVE),
         _pairs_sheet("Other methods against the published one", "the published method", parts, _published),
         _sheet(
             "Policies", READING,
             [part for part in explored if (part.setting.world, part.setting.noise) in others], _POLICIES,
         ),
-        _sheet("Faults", _FAULTY, with_sums([part for part in parts if part.setting.is_faulty]), _FAULTS),
+        _sheet("Faults", _FAULTY, with_sums([part for part in parts if part.setting.kind == "faulty"]), _FAULTS),
         _failures(rows),
     ]  # fmt: skip
     return [sheet for sheet in found if sheet is not None]
@@ -258,3 +277,12 @@ def _failures(rows: Sequence[Row]) -> Sheet | None:
     header = ("world", "noise", "robots", "method", "policy", "seed", "reason")
     note = f"{len(failed)} of {len(rows)} runs failed. They are in every count, and in no median."
     return Sheet("Failures", note, header, tuple(failed), len(header)) if failed else None
+
+
+def _line(cells: "map[str]") -> str:
+    return f"| {' | '.join(cells)} |"
+
+
+def _escaped(text: str) -> str:
+    """Text without marks of Markdown; line breaks become spaces."""
+    return re.sub(r"([\\|<*`])", r"\\\1", " ".join(text.split()))

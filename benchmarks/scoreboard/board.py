@@ -1,25 +1,25 @@
 """The scoreboard: what is missing is measured, and the figures are kept in one file."""
 
+import ast
 import json
 import os
 import platform
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+import limslam_agent
 from benchmarks.scoreboard.compare import Cell
 from benchmarks.scoreboard.measure import measure
 from benchmarks.scoreboard.rows import Row, Rows
-from benchmarks.scoreboard.sources import digest_of, estimator_files, size_of
-from benchmarks.suite.jobs import digest
-from benchmarks.suite.runner import Summary, run_suite
+from benchmarks.suite.jobs import Suite, digest
+from benchmarks.suite.runner import Summary, data_folder, run_suite
 from benchmarks.suite.store import read_rows
-from benchmarks.suite.suite import Suite
-from benchmarks.suite.work import data_folder
 from limslam_agent.measurements.processes import Processes
 from limslam_agent.measurements.statistics import MISSING, number
 from limslam_agent.output.atomic_write import replace_content
@@ -35,6 +35,16 @@ _HEADER = (
     "wrong and ok s (at the end)", "false alarms s", "status", "CPU s drive / smoothing",
 )  # fmt: skip
 
+ESTIMATOR = (
+    "slam", "places", "status", "kernels",
+    "mapping/mapper.py", "mapping/frames.py", "mapping/frame_mapper.py", "mapping/renewal.py", "mapping/joining.py",
+    "dropouts.py",
+    "replay/calibration.py", "replay/filter_estimate.py", "replay/hand_over.py", "replay/plausibility.py",
+    "replay/smoothing.py", "replay/trust.py", "two_logs/by_graph.py", "two_logs/by_lines.py", "two_logs/joining.py",
+    "two_logs/joint.py", "two_logs/place.py",
+)  # fmt: skip
+"""The folders and files of the estimation side, in ``limslam_agent``. What does not exist is left out."""
+
 Board = dict[str, Any]
 """``provenance``, ``size`` and ``cells``, as in the file."""
 
@@ -45,16 +55,9 @@ def run_scoreboard(
 ) -> tuple[Board, Summary, list[str]]:  # fmt: skip
     """Measure the cells that have no result in a folder yet, and write ``scoreboard.json`` there.
 
-    Parameters
-    ----------
-    rows, patterns
-        The rows, and patterns of the names of those that are measured; all if there are none.
-    folder, processes, retry_failed
-        As in :func:`benchmarks.suite.runner.run_suite`.
-    unused
-        Take the seeds of figures that are published.
-    jitter
-        Standard deviation of further noise of recorded ranges, m.
+    Of the rows, those are measured whose names match one of the patterns, or all if there are none. ``unused`` takes
+    the seeds of figures that are published. ``jitter`` is the standard deviation of further noise of recorded ranges,
+    m.
 
     Returns
     -------
@@ -66,7 +69,7 @@ def run_scoreboard(
     ValueError
         If a pattern matches nothing, or the folder holds results of another estimator or of other rows.
     """
-    chosen, has_data = rows.chosen(patterns), _has_data()
+    chosen, has_data = rows.chosen(patterns), data_folder().is_dir()
     skipped = [row.name for row in chosen if row.needs_data and not has_data]
     by_name, first = {row.name: row for row in rows.row}, rows.unused_seed if unused else rows.tuning_seed
     jobs = [job for row in chosen if row.name not in skipped for job in row.cells(first)]
@@ -105,13 +108,7 @@ def written(board: Board) -> bytes:
 
 
 def read_board(path: Path) -> Board:
-    """Read a scoreboard, by its file or by the folder of its results.
-
-    Raises
-    ------
-    ValueError
-        If it cannot be read.
-    """
+    """Read a scoreboard, by its file or by the folder of its results."""
     path = path / FILE if path.is_dir() else path
     try:
         board: Board = json.loads(read_limited(path, _MAX_BYTES))
@@ -175,8 +172,26 @@ def _total(cells: Sequence[Cell], name: str) -> str:
     return f"{sum(values):.0f}" if values else MISSING
 
 
-def _has_data() -> bool:
-    try:
-        return data_folder().is_dir()
-    except ValueError:
-        return False
+def estimator_files() -> list[Path]:
+    """The files of the estimator of the package that is imported."""
+    found = (Path(limslam_agent.__file__).parent / name for name in ESTIMATOR)
+    return sorted(file for path in found for file in ([path] if path.suffix else path.rglob("*.py")) if file.is_file())
+
+
+def size_of(files: list[Path]) -> dict[str, int]:
+    """Lines, files, and assignments at module level whose value has a number in it."""
+    texts = [file.read_text(encoding="utf-8") for file in files]
+    nodes = [node for text in texts for node in ast.parse(text).body]
+    constants = sum(_has_number(node.value) for node in nodes if isinstance(node, ast.Assign | ast.AnnAssign))
+    return {"lines": sum(len(text.splitlines()) for text in texts), "files": len(files), "constants": constants}
+
+
+def digest_of(files: list[Path]) -> str:
+    """Digest of the content of files: 16 hexadecimal digits."""
+    return sha256(b"".join(file.read_bytes() for file in files)).hexdigest()[:16]
+
+
+def _has_number(value: ast.expr | None) -> bool:
+    return value is not None and any(
+        isinstance(node, ast.Constant) and type(node.value) in {int, float} for node in ast.walk(value)
+    )

@@ -31,16 +31,9 @@ _TINY = 1e-4  # m; errors below are taken to be equal to it
 
 @dataclass(frozen=True)
 class Difference:
-    """A row under the old and the new estimator.
+    """A row under the old and the new estimator: ratios of its figures in ``NOISE`` and ``CPU`` over pairs of cells.
 
-    Attributes
-    ----------
-    row, pairs
-        Name of the row, and number of cells under both.
-    ratios
-        Ratios of the figures in ``NOISE`` and ``CPU`` that the row has.
-    reasons
-        Why the row is worse beyond its noise; empty if it is not.
+    The reasons say why the row is worse beyond its noise. There are none if it is not.
     """
 
     row: str

@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.scoreboard.rows import Row
 from benchmarks.suite.faults import DRIVE_FAULTS, Fault, drawn_slips, with_fault
-from benchmarks.suite.work import world_source
+from benchmarks.suite.runner import world_source
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.policies.controller import TURN_RATE, wheel_speeds
 from limslam_agent.policies.simple_policies import LAP_SPEED
@@ -48,14 +48,8 @@ def world_of(name: str) -> World:
 def recorded_drive(row: Row, world: World, seed: int, jitter: float) -> RecordedLog:
     """The drive of a row, with the readings that its robot reports. It is the same for the same arguments.
 
-    Parameters
-    ----------
-    row
-        The conditions.
-    world, seed
-        Where the robot drives, and the seed of all random numbers.
-    jitter
-        Standard deviation of further noise of the ranges, m, by which the noise of the scoreboard itself is measured.
+    ``jitter`` is the standard deviation of further noise of the ranges, m, by which the noise of the scoreboard itself
+    is measured.
     """
     robot, generator = RobotSpec(), np.random.default_rng([seed, 1])
     turns = np.zeros(len(robot.beams))

@@ -1,34 +1,30 @@
-"""CARMEN logs of drives that were made up, and how well they are smoothed when few of their readings are used.
+"""Logs of drives that were made up, and how well they are smoothed when few of their readings are used.
 
 A robot with a laser scanner of 180 degrees drives through a building that was not used for development. Its odometry
 has errors of several kinds, its ranges are older than its odometry, and people walk past.
 """
 
-import gzip
 import math
-import tempfile
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from benchmarks.scoreboard.drives import LEAST_WAY, next_place
-from benchmarks.suite.work import data_folder
+from benchmarks.suite.runner import data_file
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.logs.log_reader import read_log
-from limslam_agent.logs.relations import read_relations, relation_errors, summary
-from limslam_agent.replay.smoothing import log_data, trusted_path
-from limslam_agent.slam.graph.key_poses import integrate
-from limslam_agent.slam.graph.local_views import moves_of
+from limslam_agent.logs.pose_log import MIN_RANGE, nearest_beams
+from limslam_agent.logs.relations import Relations, relation_errors, summary
+from limslam_agent.replay.smoothing import trusted_path
+from limslam_agent.slam.graph.key_poses import LogData, integrate
 from limslam_agent.slam.graph.reversing import with_reversing
 from limslam_env.bounds.roadmap import Roadmap
 from limslam_env.bounds.tours import Speeds, poses_along
-from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
+from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.interface import RobotSpec
 from limslam_env.metrics.metrics import trajectory_metrics
 from limslam_env.simulation.sensors import build_wall_index
@@ -46,7 +42,6 @@ _LEAST_SIDE, _LARGEST_SIDE = 10.0, 60.0  # m; of real plans
 _LOOP_AFTER, _LOOP_WITHIN = 60.0, 1.5  # s and m between the ends of a relation that is a loop
 _RELATIONS = 300  # of each kind
 _LEAST_DRIVEN, _SEEN_WITHIN = 40.0, 4.0  # m: a drive with few revisits ends after this way, when all places were near
-_BEGIN = 1000.0  # s
 _RANGE, _STD = 5.0, 0.02  # m; longest range that is used, and the standard deviation that the smoother is told
 
 # Constant errors of distances and turns (shares), and of the heading (deg/m), whose signs are drawn; standard
@@ -121,7 +116,7 @@ def _rooms(generator: np.random.Generator) -> World:
 
 def _real(generator: np.random.Generator) -> World:
     """A floor plan of the recorded data, of a closed building of a usual size."""
-    files = sorted((data_folder() / "kth").glob("*.json"))
+    files = sorted(data_file("kth").glob("*.json"))
     for number in generator.permutation(len(files)):
         world = load_world(files[number])
         sides = np.ptp(world.edges.reshape(-1, 2), axis=0)
@@ -165,14 +160,9 @@ def driven_path(world: World, length: float, generator: np.random.Generator, *, 
 
 @dataclass(frozen=True, eq=False)
 class MadeUpLog:
-    """A drive.
+    """A drive: the kind of its building with the seed, its kind of odometry, a key of ``ODOMETRY``, and its scans.
 
-    Attributes
-    ----------
-    name, errors
-        Kind of the building with the seed; and the kind of odometry, a key of ``ODOMETRY``.
-    time, truth, odometry, ranges
-        Of the scans: times (n,), s; true poses and odometry (n, 3); ranges (n, 180), m.
+    Of these: times (n,), s; true poses and odometry (n, 3); ranges (n, 180), m.
     """
 
     name: str
@@ -235,37 +225,19 @@ def _ranges(world: World, time: FloatArray, truth: FloatArray, generator: np.ran
         ranges[rows] = np.where(covered, np.minimum(ranges[rows], away), ranges[rows])
     seen = (ranges < _REACH) & (generator.random(ranges.shape) >= generator.choice((0.0, 0.01, 0.08)))
     noisy = ranges + generator.choice((0.01, 0.03)) * generator.standard_normal(ranges.shape)
-    return np.where(seen, np.maximum(noisy, 0.02), _REACH)
+    return np.where(seen, np.maximum(noisy, MIN_RANGE), _REACH)
 
 
-def write_log(log: MadeUpLog, folder: Path) -> tuple[Path, Path]:
-    """Write a log and its relations; returns the two files. Times begin at 1000 s."""
-    files = folder / f"{log.name}.clf.gz", folder / f"{log.name}.relations.gz"
-    folder.mkdir(parents=True, exist_ok=True)
-    with gzip.open(files[0], "wt", compresslevel=1) as text:
-        for number, (time, pose, ranges) in enumerate(zip(log.time, log.odometry, log.ranges, strict=True)):
-            where = " ".join(f"{each:.6f}" for each in pose)
-            when = f"{_BEGIN + time:.6f} nohost {_BEGIN + time:.6f}"
-            if number % 10 == 0:
-                text.write(f"ODOM {where} 0 0 0 {when}\n")
-            text.write(f"FLASER {len(ranges)} {' '.join(f'{each:.2f}' for each in ranges)} {where} {where} {when}\n")
-    pairs = _pairs(log)
-    known = se2.between(*log.truth[pairs.T])
-    with gzip.open(files[1], "wt") as text:
-        for (begin, end), (x, y, turn) in zip(_BEGIN + log.time[pairs], known, strict=True):
-            text.write(f"{begin:.6f} {end:.6f} {x:.6f} {y:.6f} 0 0 0 {turn:.6f}\n")
-    return files
-
-
-def _pairs(log: MadeUpLog) -> IntArray:
-    """Scans (k, 2) of the relations: pairs about a second apart, and as many loops where there are any."""
+def known_relations(log: MadeUpLog) -> Relations:
+    """True motions of the robot: over about a second, and as many loops where there are any."""
     generator, count = np.random.default_rng(len(log.time)), len(log.time)
     firsts = generator.choice(count - 1, min(_RELATIONS, count - 1), replace=False)
     near = np.column_stack((firsts, np.minimum(np.searchsorted(log.time, log.time[firsts] + 1.0), count - 1)))
     some = generator.integers(count, size=(200 * _RELATIONS, 2))
     apart = np.hypot(*(log.truth[some[:, 0], :2] - log.truth[some[:, 1], :2]).T)
     loops = some[(apart < _LOOP_WITHIN) & (log.time[some[:, 1]] - log.time[some[:, 0]] > _LOOP_AFTER)]
-    return np.concatenate((near, loops[:_RELATIONS]))
+    begin, end = np.concatenate((near, loops[:_RELATIONS])).T
+    return Relations(log.time[begin], log.time[end], se2.between(log.truth[begin], log.truth[end]))
 
 
 def sparse_sensor(seed: int) -> tuple[tuple[float, ...], float]:
@@ -289,22 +261,25 @@ def smoothing_scores(log: MadeUpLog, seed: int, jitter: float) -> dict[str, Any]
     deviation of further noise of the ranges, m.
     """
     beams, points = sparse_sensor(seed)
-    with tempfile.TemporaryDirectory() as folder:
-        path, relations = write_log(log, Path(folder))
-        read, known = read_log(path, beams, _RANGE), read_relations(relations)
-    assert read.odometry is not None  # noqa: S101 (it was written)
-    data = log_data(read, read.odometry, _STD)
-    moves, noise = moves_of(data), jitter * np.random.default_rng(1).standard_normal(data.ranges.shape)
-    data = replace(
-        data, odometry=integrate(np.zeros(3), moves), ranges=np.where(data.hit, data.ranges + noise, data.ranges),
-        hit=thinned(data.hit, moves, points),
+    used, rows = nearest_beams(np.degrees(_BEAMS), beams), np.arange(len(log.time))
+    # As in logs of robots, some odometry comes by itself.
+    rows = np.repeat(rows, 1 + (rows % 10 == 0))
+    has_scan = np.append(rows[:-1] < rows[1:], True)
+    time_s, odometry = log.time[rows], np.round(log.odometry[rows], 6)
+    ranges = np.minimum(np.round(log.ranges[rows][:, used], 2), _RANGE)
+    ranges = np.where(has_scan[:, None], ranges, _RANGE)
+    hit, moves = (ranges > MIN_RANGE) & (ranges < _RANGE), se2.between(odometry[:-1], odometry[1:])
+    noise = jitter * np.random.default_rng(1).standard_normal(ranges.shape)
+    data = LogData(
+        time_s, odometry, np.where(hit, ranges + noise, ranges), thinned(hit, moves, points),
+        np.zeros((len(beams), 2)), _BEAMS[used], _RANGE, _STD,
     )  # fmt: skip
     config, begin = GraphConfig(), time.process_time()
     found, signals = trusted_path(with_reversing(data, config), np.zeros(3), config)
     seconds = time.process_time() - begin
-    true = np.column_stack([np.interp(data.time, _BEGIN + log.time, each) for each in log.truth.T])
+    errors = relation_errors(known_relations(log), time_s, found.poses, data.odometry)
     return {
-        "ate_smoothed_m": summary(relation_errors(known, data.time, found.poses, data.odometry))["relation_error_m"],
-        "ate_smoothed_aligned_m": trajectory_metrics(true, found.poses)["ate_aligned_m"],
+        "ate_smoothed_m": summary(errors)["relation_error_m"],
+        "ate_smoothed_aligned_m": trajectory_metrics(log.truth[rows], found.poses)["ate_aligned_m"],
         "status": signals.status.level, "smoothing_cpu_s": seconds,
     }  # fmt: skip

@@ -13,14 +13,14 @@ from benchmarks.scoreboard.drives import recorded_drive, shaken, world_of
 from benchmarks.scoreboard.rows import Row
 from benchmarks.suite.faults import fault_scores
 from benchmarks.suite.jobs import Job, Outcome
-from benchmarks.suite.work import data_file
+from benchmarks.suite.runner import data_file
 from limslam_agent.config.presets import preset
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.output.export import plain
 from limslam_agent.replay.record import Replay
 from limslam_agent.replay.replay import relation_scores, replay_log
 from limslam_agent.runs.episode import run_episode
-from limslam_agent.runs.results import score
+from limslam_agent.runs.results import over_robots, score
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.status.status import LEVELS
 from limslam_env.geometry import FloatArray, IntArray
@@ -110,19 +110,14 @@ def _faces(world: World, robot: RobotSpec, segments: FloatArray, alignment: Floa
 
 def path_scores(true: FloatArray, poses: FloatArray, covariances: FloatArray | None, suffix: str) -> Scores:
     """Errors of paths (t, n, 3) of n robots with covariances (t, n, 3, 3), as means over the robots."""
-    robots = range(true.shape[1])
-    errors = [metrics.trajectory_metrics(true[:, one], poses[:, one]) for one in robots]
-    found = {f"ate{suffix}_m": _mean([each["ate_m"] for each in errors])}
-    found[f"ate{suffix}_aligned_m"] = _mean([each["ate_aligned_m"] for each in errors])
-    if covariances is not None:
-        each = [metrics.consistency_metrics(true[:, one], poses[:, one], covariances[:, one]) for one in robots]
-        found[f"nees{suffix}"] = _mean([one["anees"] for one in each])
-    return found
 
+    def of_one(*columns: FloatArray) -> dict[str, float | None]:
+        errors = metrics.trajectory_metrics(*columns[:2])
+        found = {f"ate{suffix}_m": errors["ate_m"], f"ate{suffix}_aligned_m": errors["ate_aligned_m"]}
+        nees = {f"nees{suffix}": metrics.consistency_metrics(*columns)["anees"]} if len(columns) == 3 else {}
+        return plain({**found, **nees})
 
-def _mean(values: list[float | None]) -> float | None:
-    known = [value for value in values if value is not None and np.isfinite(value)]
-    return float(np.mean(known)) if len(known) == len(values) else None
+    return over_robots(of_one, true, poses, *(() if covariances is None else (covariances,)))
 
 
 def while_driving(time_s: FloatArray, true: FloatArray, estimated: FloatArray, levels: IntArray) -> Scores:

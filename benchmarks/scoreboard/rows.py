@@ -102,15 +102,7 @@ class Row:
 
 @dataclass(frozen=True)
 class Rows:
-    """A file of rows.
-
-    Attributes
-    ----------
-    tuning_seed, unused_seed
-        First seed of development, and first seed of figures that are published.
-    row
-        The rows.
-    """
+    """A file of rows: the first seeds of development and of figures that are published, and the rows."""
 
     tuning_seed: int
     unused_seed: int
@@ -122,13 +114,7 @@ class Rows:
             raise ValueError(f"each row has a name of its own, unlike {', '.join(repeated) or 'no row'}")
 
     def chosen(self, patterns: Sequence[str]) -> list[Row]:
-        """The rows whose names match one of the patterns (``*`` stands for any text); all without patterns.
-
-        Raises
-        ------
-        ValueError
-            If a pattern matches no row.
-        """
+        """The rows whose names match one of the patterns (``*`` stands for any text); all without patterns."""
         for pattern in patterns:
             if not any(fnmatchcase(row.name, pattern) for row in self.row):
                 raise ValueError(
@@ -138,11 +124,5 @@ class Rows:
 
 
 def read_rows(path: Path = SHIPPED) -> Rows:
-    """Read a file of rows.
-
-    Raises
-    ------
-    ValueError
-        If the file cannot be used; the message is one line that names file and key.
-    """
+    """Read a file of rows."""
     return built(Rows, read_toml(path), path.name)

@@ -1,4 +1,4 @@
-"""A job of a suite, and its result."""
+"""A suite, its jobs, and the result of one."""
 
 import hashlib
 import json
@@ -92,17 +92,22 @@ class Job:
         return ", ".join(parts)
 
 
+@dataclass(frozen=True)
+class Suite:
+    """A suite of jobs, of which no two are equal. The digest is that of the jobs and of the content of their worlds."""
+
+    name: str
+    description: str
+    jobs: tuple[Job, ...]
+    digest: str
+
+
 @dataclass(frozen=True, eq=False)
 class Outcome:
-    """The result of a successful job.
+    """The result of a successful job: metrics and cost as in a run's ``result.json``.
 
-    Attributes
-    ----------
-    metrics, cost
-        As in a run's ``result.json``. :mod:`benchmarks.suite.runner` adds ``job_s`` and ``job_cpu_s`` to ``cost``, of
-        the whole job with its scores.
-    config
-        Digest of the agent's settings, the robot, and the world.
+    :mod:`benchmarks.suite.runner` adds ``job_s`` and ``job_cpu_s`` to ``cost``, of the whole job with its scores.
+    ``config`` is a digest of the agent's settings, the robot, and the world.
     """
 
     metrics: dict[str, Metric]

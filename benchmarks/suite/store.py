@@ -13,23 +13,11 @@ STAMP = "suite.json"
 
 @dataclass(frozen=True)
 class Row:
-    """A line of ``results.jsonl``: a job and its result.
+    """A line of ``results.jsonl``: the fields of a job, and its result.
 
-    Attributes
-    ----------
-    world, noise, robots, preset, policy, ablation, laps, seed
-        The fields of the job. ``policy`` is ``laps`` if laps were driven.
-    metrics
-        Metrics by their names in ``docs/metrics.md``; empty if the job failed.
-    cost
-        Time and memory, which are ignored in comparisons for identity; empty if the job failed.
-    versions, commit, config
-        Origin of the result: versions of packages, the commit of the checkout, and a digest of the agent's settings and
-        world.
-    key
-        Digest of the job.
-    error
-        The reason of the failure; None if the job succeeded.
+    The policy is ``laps`` if laps were driven. Metrics have the names of ``docs/metrics.md``. Cost is ignored in
+    comparisons for identity. ``config`` is a digest of the agent's settings and world, and ``key`` that of the job. A
+    job that failed has no metrics and no cost, and the reason as ``error``.
     """
 
     world: str
@@ -63,12 +51,7 @@ class Stamp(store.BaseStamp):
         return {"another suite, or of this one before it was changed": (self.suite, self.digest)}
 
 
-def _job(row: Row) -> Hashable:
-    words = (row.world, row.noise, row.robots, row.preset, row.policy, row.ablation, row.laps, row.seed)
-    return row.key or words
-
-
-FORMAT = store.Format("benchmark's results", STAMP, Stamp, Row, _job)
+FORMAT = store.Format("benchmark's results", STAMP, Stamp, Row, lambda row: row.key)
 
 
 def row_of(stamp: Stamp, job: Job, result: Outcome | Failure) -> Row:
@@ -80,11 +63,5 @@ def row_of(stamp: Stamp, job: Job, result: Outcome | Failure) -> Row:
 
 
 def read_rows(*paths: Path) -> list[Row]:
-    """The rows of folders of results, or of files ``results.jsonl``, each job once.
-
-    Raises
-    ------
-    ValueError
-        If a file is missing, a line is not a valid row, or two different rows have the same job.
-    """
+    """The rows of folders of results, or of files ``results.jsonl``, each job once."""
     return store.rows_once(FORMAT, [row for path in paths for row in store.read_rows(FORMAT, path)])

@@ -6,22 +6,26 @@ simulator.
 
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.policies import ActorCriticPolicy
+from torch import Tensor, nn
+from torch.nn import functional
 
 import limslam_env  # noqa: F401 (registers the environments)
 from benchmarks.training.explore_env import VIEW, ExploreVectorEnv
-from benchmarks.training.network import DirectionPolicy
 from limslam_agent.output.provenance import commit
 from limslam_agent.policies.learned.learned import HOLD, TEMPERATURE
-from limslam_agent.policies.learned.network import DirectionNetwork, save_network
+from limslam_agent.policies.learned.network import COMPASS, LAYERS, SPREAD, DirectionNetwork, save_network
+from limslam_agent.policies.learned.polar_view import ViewConfig
 from limslam_agent.runs.results import versions
 from limslam_env.config import RewardConfig
 from limslam_env.envs.sb3 import Sb3VecEnv
@@ -31,6 +35,99 @@ LOG, CONFIG, WEIGHTS = "trials.jsonl", "train.json", "explorer.npz"
 LEAST_SHARE = 0.05
 GOAL = 0.8
 _TRIAL = 240.0  # s: duration of each episode of a trial
+WIDTH = 48
+_SMALL = 0.01
+
+
+class DirectionExtractor(nn.Module):
+    """Circular convolutions that give a score for each direction, and features for the value.
+
+    In an observation, ``readings`` entries follow the view.
+    """
+
+    def __init__(self, view: ViewConfig, readings: int) -> None:
+        super().__init__()
+        self.view, self.latent_dim_pi, self.latent_dim_vf = view, view.directions, 64
+        inputs = view.rows
+        self._size = inputs * view.directions
+        self.first = nn.Conv1d(inputs + COMPASS, WIDTH, 5)
+        self.state = nn.Linear(readings, WIDTH)
+        self.second = nn.Conv1d(WIDTH, WIDTH, 3, dilation=SPREAD["second"])
+        self.third = nn.Conv1d(WIDTH, WIDTH, 3, dilation=SPREAD["third"])
+        self.score = nn.Conv1d(WIDTH + inputs + COMPASS, 1, 1)
+        self.value = nn.Sequential(nn.Linear(2 * WIDTH + readings, 64), nn.ReLU())
+        angles = 2.0 * np.pi * np.arange(view.directions) / view.directions
+        compass = torch.as_tensor(np.stack((np.cos(angles), np.sin(angles))), dtype=torch.float32)
+        self.register_buffer("compass", compass)
+
+    def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+        """Scores (n, directions), and features for the value (n, 64)."""
+        features, told, state = self._trunk(observation)
+        return self._scores(features, told), self._summary(features, state)
+
+    def forward_actor(self, observation: Tensor) -> Tensor:
+        """Scores (n, directions)."""
+        features, told, _ = self._trunk(observation)
+        return self._scores(features, told)
+
+    def forward_critic(self, observation: Tensor) -> Tensor:
+        """Features for the value (n, 64)."""
+        features, _, state = self._trunk(observation)
+        return self._summary(features, state)
+
+    def _scores(self, features: Tensor, told: Tensor) -> Tensor:
+        return torch.as_tensor(self.score(torch.cat((features, told), dim=1))[:, 0])
+
+    def _trunk(self, observation: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        count = len(observation)
+        state = observation[:, self._size :]
+        view = observation[:, : self._size].reshape(count, -1, self.view.directions)
+        compass = torch.as_tensor(self.compass).expand(count, -1, -1)
+        told = torch.cat((view, compass), dim=1)
+        values = _around(self.first, told) + self.state(state)[:, :, None]
+        values = functional.relu(_around(self.second, functional.relu(values)))
+        return functional.relu(_around(self.third, values)), told, state
+
+    def _summary(self, features: Tensor, state: Tensor) -> Tensor:
+        return torch.as_tensor(self.value(torch.cat((features.mean(dim=2), features.amax(dim=2), state), dim=1)))
+
+    def to_numpy(self) -> DirectionNetwork:
+        """The policy in the form that a robot runs."""
+        weights = {
+            f"{layer}.{part}": getattr(getattr(self, layer), part).detach().cpu().numpy().copy()
+            for layer in LAYERS
+            for part in ("weight", "bias")
+        }
+        return DirectionNetwork(weights, self.view)
+
+
+def _around(layer: nn.Conv1d, values: Tensor) -> Tensor:
+    half = layer.dilation[0] * (layer.kernel_size[0] // 2)
+    if half == 0:
+        return torch.as_tensor(layer(values))
+    return torch.as_tensor(layer(torch.cat((values[:, :, -half:], values, values[:, :, :half]), dim=2)))
+
+
+class DirectionPolicy(ActorCriticPolicy):
+    """Actor and critic with shared layers; the scores are the logits. The view is the only argument of its own."""
+
+    def __init__(self, *args: Any, view: ViewConfig, **kwargs: Any) -> None:
+        self._view = view
+        super().__init__(*args, ortho_init=False, **kwargs)
+
+    def _build_mlp_extractor(self) -> None:
+        view = self._view
+        readings = self.features_dim - view.rows * view.directions
+        self.mlp_extractor = DirectionExtractor(view, readings)
+
+    def _build(self, lr_schedule: Callable[[float], float]) -> None:
+        super()._build(lr_schedule)
+        # No parameters are needed between scores and logits. Small initial weights of the last layer give nearly equal
+        # probabilities.
+        self.action_net = nn.Identity()
+        with torch.no_grad():
+            self.mlp_extractor.score.weight.mul_(_SMALL)
+        self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)
 
 
 @dataclass(frozen=True)
@@ -80,25 +177,7 @@ class TrainConfig:
 
 
 def train(config: TrainConfig, folder: Path) -> Path:
-    """Train a policy, and write weights, TensorBoard logs and evaluations to a new folder.
-
-    Parameters
-    ----------
-    config
-        Settings of the training.
-    folder
-        Folder for the output; created if it does not exist.
-
-    Returns
-    -------
-    weights
-        File of the weights.
-
-    Raises
-    ------
-    ValueError
-        If the folder contains a training.
-    """
+    """Train a policy; write weights, TensorBoard logs and evaluations to a new folder. Returns the file of weights."""
     if (folder / CONFIG).exists():
         raise ValueError(f"{folder}: holds a training: choose another folder")
     folder.mkdir(parents=True, exist_ok=True)
@@ -127,41 +206,32 @@ def _network(model: PPO) -> DirectionNetwork:
     return network
 
 
-class Trial:
-    """Repeated evaluation on the same plans, by their seeds, with a standard deviation of the ranges, m."""
-
-    def __init__(self, seeds: Sequence[int], noise: float) -> None:
-        batch = gym.make_vec(
-            "LimSlam-World-v0", len(seeds), world=[f"random:{seed}" for seed in seeds], autoreset_mode="SameStep",
-            sensor_noise=noise, coverage_goal=None, max_episode_steps=None, num_threads=1,
-        )  # fmt: skip
-        self._env = ExploreVectorEnv(batch)
-        self.period = HOLD * self._env.robot.control_period
-
-    def explore(self, network: DirectionNetwork, seed: int = 0) -> tuple[FloatArray, FloatArray]:
-        """The coverage (plans, decisions + 1) after each decision, and the number of touches (plans,).
-
-        Directions are drawn as `LearnedPolicy` draws them.
-        """
-        generator = np.random.default_rng(seed)
-        told, info = self._env.reset(seed=seed)
-        rows = [info["coverage"].copy()]
-        for _ in range(round(_TRIAL / self.period)):
-            scores = np.stack([network.scores(row) for row in told]).astype(float)
-            # The argmax of scores with added Gumbel noise is a sample from their softmax.
-            chosen = (scores + TEMPERATURE * generator.gumbel(size=scores.shape)).argmax(axis=1)
-            told, _, _, _, info = self._env.step(chosen)
-            rows.append(info["coverage"].copy())
-        return np.array(rows).T, self._env.touches.astype(float)
-
-
 class _Keeper(BaseCallback):
     """Evaluates the policy on the held-out plans."""
 
     def __init__(self, config: TrainConfig, folder: Path) -> None:
         super().__init__()
         self._config, self._folder, self._begin, self._tried = config, folder, time.process_time(), 0
-        self._trial = Trial(config.held_out, config.noise)
+        batch = gym.make_vec(
+            "LimSlam-World-v0", len(config.held_out), world=[f"random:{seed}" for seed in config.held_out],
+            autoreset_mode="SameStep", sensor_noise=config.noise, coverage_goal=None, max_episode_steps=None,
+            num_threads=1,
+        )  # fmt: skip
+        self._env = ExploreVectorEnv(batch)
+        self._period = HOLD * self._env.robot.control_period
+
+    def _explored(self, network: DirectionNetwork) -> FloatArray:
+        """The coverage (plans, decisions + 1) after each decision, which is drawn as `LearnedPolicy` draws it."""
+        generator = np.random.default_rng(0)
+        told, info = self._env.reset(seed=0)
+        rows = [info["coverage"].copy()]
+        for _ in range(round(_TRIAL / self._period)):
+            scores = np.stack([network.scores(row) for row in told]).astype(float)
+            # The argmax of scores with added Gumbel noise is a sample from their softmax.
+            chosen = (scores + TEMPERATURE * generator.gumbel(size=scores.shape)).argmax(axis=1)
+            told, _, _, _, info = self._env.step(chosen)
+            rows.append(info["coverage"].copy())
+        return np.array(rows).T
 
     def _on_step(self) -> bool:
         return True
@@ -177,16 +247,16 @@ class _Keeper(BaseCallback):
 
     def _try(self) -> None:
         self._tried = self.num_timesteps
-        coverage, touches = self._trial.explore(_network(self.model))
+        coverage = self._explored(_network(self.model))
         reached = coverage >= GOAL
-        times = np.where(reached.any(axis=1), reached.argmax(axis=1) * self._trial.period, np.inf)
+        times = np.where(reached.any(axis=1), reached.argmax(axis=1) * self._period, np.inf)
         # There is no median of a time that half of the plans did not reach.
         middle = float(np.median(times))
         row = {
             "decisions": self.num_timesteps, "minutes": (time.process_time() - self._begin) / 60.0,
             "time_to_80_s": middle if np.isfinite(middle) else None, "reached_80": float(np.isfinite(times).mean()),
-            "coverage_at_120_s": float(np.median(coverage[:, round(120.0 / self._trial.period)])),
-            "touches": float(touches.mean()),
+            "coverage_at_120_s": float(np.median(coverage[:, round(120.0 / self._period)])),
+            "touches": float(self._env.touches.mean()),
         }  # fmt: skip
         with (self._folder / LOG).open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")

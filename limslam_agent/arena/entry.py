@@ -7,7 +7,7 @@ from pathlib import Path
 
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import PRESETS
-from limslam_agent.config.tables import SettingsError, read_toml, updated
+from limslam_agent.config.tables import built, read_toml
 from limslam_agent.runs.policies import BELIEF_POLICIES
 from limslam_agent.runs.policy_file import file_and_name
 
@@ -19,38 +19,16 @@ _NOT_IN_DIGEST = "hidden files, __pycache__ and files outside of the folder are 
 _LONGEST_NAME, _MOST_FILES, _MOST_BYTES = 60, 1000, 500_000_000
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Manifest:
-    """The content of ``entry.toml``.
+    """The content of ``entry.toml``, whose keys ``docs/arena.md`` explains."""
 
-    Attributes
-    ----------
-    name
-        Name of the entry on the leaderboard.
-    authors
-        Who made it.
-    kind
-        What ``run`` is: a ``shipped`` policy, a ``python`` class or a ``command``.
-    run
-        The name of the policy, or ``FILE.py:CLASS``.
-    command
-        The words of the command. ``{python}`` stands for the Python that runs the arena.
-    uses
-        What the entry acts on: ``belief`` (map and pose by the arena's mapper) or ``readings``.
-    robots
-        Largest number of robots that the entry drives. It loses plans with more robots.
-    preset
-        The estimator that draws the map.
-    about
-        What the entry is, in a sentence.
-    """
-
-    name: str = ""
-    authors: tuple[str, ...] = ()
-    kind: str = ""
+    name: str
+    authors: tuple[str, ...]
+    kind: str
     run: str = ""
     command: tuple[str, ...] = ()
-    uses: str = ""
+    uses: str
     robots: int = 1
     preset: str = DEFAULT_PRESET
     about: str = ""
@@ -87,17 +65,7 @@ class Manifest:
 
 @dataclass(frozen=True)
 class Entry:
-    """An entry that can be run.
-
-    Attributes
-    ----------
-    folder
-        Its folder.
-    manifest
-        The content of its ``entry.toml``.
-    digest
-        Digest of the manifest and all other files of the folder.
-    """
+    """An entry that can be run. The digest is that of the manifest and of all other files of the folder."""
 
     folder: Path
     manifest: Manifest
@@ -123,8 +91,7 @@ def read_entry(folder: Path) -> Entry:
     path = folder / MANIFEST
     if not path.is_file():
         raise ValueError(f"{folder}: has no {MANIFEST}, which says what the entry is")
-    table = read_toml(path)
-    manifest = manifest_of(table, str(path))
+    manifest = built(Manifest, read_toml(path), str(path))
     for word in manifest.command:
         is_file = not Path(word).is_absolute() and os.path.exists(folder / word)  # noqa: PTH110 (a word can be long)
         if is_file and not _counts(Path(word)):
@@ -133,22 +100,6 @@ def read_entry(folder: Path) -> Entry:
     if manifest.kind == "python":
         file_and_name(entry.run)
     return entry
-
-
-def manifest_of(table: dict[str, object], where: str) -> Manifest:
-    """The manifest that a table holds, from the file and key ``where``.
-
-    Raises
-    ------
-    SettingsError
-        If it cannot be used.
-    """
-    # A manifest has no defaults. The values of this one are only there to be replaced by those of the table.
-    possible = Manifest(name="-", authors=("-",), kind="shipped", run="frontier", uses="belief")
-    missing = [name for name in ("name", "authors", "kind", "uses") if name not in table]
-    if missing:
-        raise SettingsError(f"{where}: {missing[0]} is missing")
-    return updated(possible, {"run": "", **table}, where)
 
 
 def _check_choice(name: str, value: str, choices: tuple[str, ...]) -> None:

@@ -26,20 +26,10 @@ _FIGURES: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class Standing:
-    """The place of an entry.
+    """The place of an entry, from 1, which entries with equal scores share.
 
-    Attributes
-    ----------
-    folder, stamp, rows
-        The folder of its results, whose they are, and the rows of the plans.
-    place
-        Its place from 1, which entries with equal scores share.
-    values
-        Its score in each plan (n,). A row without a score has the worst one.
-    score
-        The mean of the values.
-    figures
-        Further means and medians by their names.
+    The score is the mean of the ``values`` (n,) in the plans, of which a row without a score has the worst one.
+    ``figures`` are further means and medians by their names.
     """
 
     folder: Path
@@ -81,18 +71,9 @@ class Comparison:
 
 @dataclass(frozen=True)
 class Board:
-    """A leaderboard.
+    """A leaderboard: the entries, best first, and all pairs of them.
 
-    Attributes
-    ----------
-    is_secret
-        Whether the plans come from a secret seed.
-    plans
-        Numbers of the plans that all entries have run, on which they are compared.
-    standings
-        The entries, best first.
-    comparisons
-        All pairs of entries.
+    ``plans`` are the numbers of the plans that all entries have run, on which they are compared.
     """
 
     is_secret: bool

@@ -47,13 +47,7 @@ def _cell(standing: Standing, name: str, decimals: int) -> str:
 
 
 def write_board(path: Path, found: Board) -> int:
-    """Write the page, which appears only when it is complete. Returns its size in bytes.
-
-    Raises
-    ------
-    OSError
-        If it cannot be written there.
-    """
+    """Write the page, which appears only when it is complete. Returns its size in bytes."""
     told = json.dumps(_content(found, path.absolute().parent), allow_nan=False).replace("<", "\\u003c")
     own = {"TITLE": "LimSLAM arena", "SCRIPT": _part("board.js"), "DATA": told}
     parts = parts_of_pages(_part("board.css")) | own

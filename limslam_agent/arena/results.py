@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from limslam_agent.arena.entry import Entry, manifest_of, manifest_table
-from limslam_agent.arena.tracks import VERSION, plans_of
+from limslam_agent.arena.entry import Entry, Manifest, manifest_table
+from limslam_agent.arena.tracks import PUBLIC_SEED, VERSION, plans_of
+from limslam_agent.config.tables import built
 from limslam_agent.measurements import store
 from limslam_env.messages import one_line
 
@@ -17,22 +18,11 @@ STAMP, RUNS = "arena.json", "runs"
 
 @dataclass(frozen=True)
 class Row:
-    """The result of a plan.
+    """The result of a plan, which is ``setting`` as a table.
 
-    Attributes
-    ----------
-    plan
-        Number of the plan.
-    setting
-        The plan itself.
-    metrics
-        Metrics by their names in ``docs/metrics.md`` and ``docs/arena.md``.
-    cost
-        Time and memory, which differ from run to run.
-    versions, commit, settings
-        Versions of packages, the commit of the checkout, and a digest of plan and entry.
-    error
-        Why the entry failed; None if it did not. A plan with an error is lost.
+    Metrics have the names of ``docs/metrics.md`` and ``docs/arena.md``. Time and memory, which are the cost, differ
+    from run to run. ``settings`` is a digest of plan and entry. ``error`` says why the entry failed, which has lost the
+    plan.
     """
 
     plan: int
@@ -47,22 +37,10 @@ class Row:
 
 @dataclass(frozen=True)
 class Stamp(store.BaseStamp):
-    """What all results of a folder have in common.
+    """What all results of a folder have in common: the version of the arena, the entry, and the plans.
 
-    Attributes
-    ----------
-    arena
-        Version of the plans and the scores.
-    entry
-        The manifest of the entry.
-    folder
-        The folder of the entry.
-    digest
-        Digest of the entry's files.
-    plans
-        Digest of the plans. It says whether two folders have the same plans, and nothing about a secret seed.
-    is_secret
-        Whether the plans come from a secret seed.
+    ``entry`` is its manifest, ``folder`` its folder, and ``digest`` that of its files. The digest ``plans`` says
+    whether two folders have the same plans, and nothing about a secret seed.
     """
 
     arena: int
@@ -75,7 +53,7 @@ class Stamp(store.BaseStamp):
     def __post_init__(self) -> None:
         if self.arena != VERSION:
             raise ValueError(f"results of version {self.arena} of the arena, not of {VERSION}")
-        manifest_of(self.entry, "entry")
+        built(Manifest, self.entry, "entry")
 
     @property
     def identity(self) -> Mapping[str, Hashable]:
@@ -86,11 +64,11 @@ class Stamp(store.BaseStamp):
 FORMAT = store.Format("results of the arena", STAMP, Stamp, Row, lambda row: row.plan)
 
 
-def stamp_of(entry: Entry, seed: int, *, is_secret: bool, versions: dict[str, str], commit: str) -> Stamp:
+def stamp_of(entry: Entry, seed: int, *, versions: dict[str, str], commit: str) -> Stamp:
     """The stamp of an entry's results on the plans of a seed."""
     return Stamp(
         versions, commit, VERSION, manifest_table(entry.manifest), str(entry.folder), entry.digest,
-        plans_digest(seed), is_secret,
+        plans_digest(seed), seed != PUBLIC_SEED,
     )  # fmt: skip
 
 
@@ -105,13 +83,7 @@ def digest_of(content: Any) -> str:
 
 
 def read_results(folder: Path) -> tuple[Stamp, dict[int, Row]]:
-    """The stamp of a folder of results, and its rows by the numbers of their plans, in their order.
-
-    Raises
-    ------
-    ValueError
-        If the folder holds no results of the arena.
-    """
+    """The stamp of a folder of results, and its rows by the numbers of their plans, in their order."""
     stamp = store.read_stamp(FORMAT, folder)
     rows = store.rows_once(FORMAT, store.read_rows(FORMAT, folder))
     if not rows:

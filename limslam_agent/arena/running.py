@@ -1,25 +1,40 @@
-"""Runs an entry on plans, in several processes, and stores each result as soon as its plan has ended."""
+"""Runs an entry on plans, in several processes, and stores each result as soon as its plan has ended.
+
+The entry drives, the arena's mapper draws the map, and both are scored.
+"""
 
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
-from limslam_agent.arena.command import without_folders
+from limslam_agent.arena.command import CommandActor, without_folders
 from limslam_agent.arena.entry import Entry
-from limslam_agent.arena.exploration import Keep, explore
 from limslam_agent.arena.results import FORMAT, RUNS, Row, digest_of, stamp_of
-from limslam_agent.arena.scoring import lost_scores
+from limslam_agent.arena.scoring import correct_coverage, exploration_scores, lost_scores
 from limslam_agent.arena.tracks import Plan
 from limslam_agent.measurements.processes import Failure, Processes
 from limslam_agent.measurements.store import open_store
 from limslam_agent.output.export import plain
 from limslam_agent.output.provenance import commit
-from limslam_agent.runs.results import versions
+from limslam_agent.policies.policy import Policy
+from limslam_agent.runs.actor_checks import is_policy
+from limslam_agent.runs.actors import ActorPolicy
+from limslam_agent.runs.episode import run_episode
+from limslam_agent.runs.policy_file import made_by_file, naming_lines_of
+from limslam_agent.runs.record import Episode
+from limslam_agent.runs.results import cost as cost_of
+from limslam_agent.runs.results import score, versions
+from limslam_agent.runs.run_config import RunConfig
+from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.messages import one_line
+
+Keep = Callable[[Path, Episode], dict[str, Any]]
+"""Writes the folder of a run and returns its metrics."""
 
 Report = Callable[[Row, int], None]
 """Called with each new row and the number of rows that exist."""
@@ -29,26 +44,16 @@ _TERMINATED = 143  # exit code of a command of this project that was asked to en
 
 @dataclass(frozen=True)
 class Job:
-    """A plan that an entry has to run.
+    """A plan that an entry has to run, and the provenance of its row.
 
-    Attributes
-    ----------
-    entry, plan
-        Who runs what.
-    folder
-        Where the folder of the run is kept. None keeps nothing.
-    versions, commit
-        Provenance of the row.
-    keep
-        Writes the folder of the run.
+    ``keep`` writes the folder of the run and returns its metrics. None keeps nothing.
     """
 
     entry: Entry
     plan: Plan
-    folder: Path | None
     versions: dict[str, str]
     commit: str
-    keep: Keep | None = None
+    keep: Callable[[Episode], dict[str, Any]] | None = None
 
 
 def run_entry(
@@ -57,7 +62,6 @@ def run_entry(
     folder: Path,
     *,
     seed: int,
-    is_secret: bool,
     jobs: int,
     keep: Keep | None = None,
     retry_failed: bool = False,
@@ -65,22 +69,8 @@ def run_entry(
 ) -> list[Row]:
     """Run the plans that have no row in a folder yet. Returns all rows of these plans.
 
-    Parameters
-    ----------
-    entry, plans
-        Who runs what.
-    folder
-        Folder for the results. It may contain earlier results of the same entry.
-    seed, is_secret
-        The seed of the plans, and whether it is secret.
-    jobs
-        Number of processes.
-    keep
-        Writes the folders of runs. None keeps none.
-    retry_failed
-        Run the plans again in which the entry failed.
-    report
-        Called with each new row.
+    The folder may contain earlier results of the same entry. ``seed`` is that of the plans, ``jobs`` is the number of
+    processes, and ``keep`` writes the folders of runs. ``report`` is called with each new row.
 
     Raises
     ------
@@ -90,11 +80,11 @@ def run_entry(
     place, inside = folder.absolute(), entry.folder.resolve()
     if folder.resolve() == inside or inside in folder.resolve().parents:
         raise ValueError(f"{folder}: lies in the folder of the entry, which must not change while it runs")
-    stamp = stamp_of(entry, seed, is_secret=is_secret, versions=versions(), commit=commit())
+    stamp = stamp_of(entry, seed, versions=versions(), commit=commit())
     again = {plan.number for plan in plans} if retry_failed else set()
     with open_store(FORMAT, folder, stamp, lambda row: row.error is None or row.plan not in again) as store:
         todo = [
-            Job(entry, plan, place / RUNS / f"{plan.number:03d}" if keep else None, stamp.versions, stamp.commit, keep)
+            Job(entry, plan, stamp.versions, stamp.commit, keep and partial(keep, place / RUNS / f"{plan.number:03d}"))
             for plan in plans
             if plan.number not in store.rows
         ]
@@ -105,13 +95,7 @@ def run_entry(
 
 
 def results_of(todo: Sequence[Job], jobs: int) -> Iterator[Row]:
-    """The rows of jobs as they end, in any order.
-
-    Raises
-    ------
-    ValueError
-        If a process has died, or could not write.
-    """
+    """The rows of jobs as they end, in any order."""
     if jobs == 1:
         yield from map(run_job, todo)
         return
@@ -136,7 +120,7 @@ def run_job(job: Job) -> Row:
     try:
         if plan.robots > manifest.robots:
             raise ValueError(f"the entry drives one robot, and the plan has {plan.robots}")  # noqa: TRY301
-        metrics, cost = explore(job.entry, plan, job.folder, job.keep)
+        metrics, cost = explore(job)
     except OSError:  # no space, or no permission: not the entry's failure
         raise
     except (Exception, SystemExit) as failure:
@@ -157,3 +141,52 @@ def _cpu_s() -> float:
 
     children = resource.getrusage(resource.RUSAGE_CHILDREN)
     return time.process_time() + children.ru_utime + children.ru_stime
+
+
+def explore(job: Job) -> tuple[dict[str, Any], dict[str, float]]:
+    """Let an entry explore a plan. Returns metrics and cost.
+
+    The command ``limslam run`` with the same settings drives the same run for a shipped policy.
+    """
+    entry, plan, last = job.entry, job.plan, dict[str, LimSlamParallelEnv]()
+    is_named = not entry.manifest.is_process
+    config = RunConfig(
+        plan.world, plan.noise, entry.manifest.preset, plan.seed, plan.max_time, robots=plan.robots,
+        policy=entry.run if is_named else "frontier", true_noise=plan.true_noise,
+        driver="" if is_named else f"command {entry.manifest.name}",
+    )  # fmt: skip
+    policies = _policies(entry, config)
+    try:
+        episode = run_episode(config, lambda _team, env, _time, _share: last.update(env=env), policies=policies)
+    finally:
+        for policy in policies or ():
+            if isinstance(policy, ActorPolicy):
+                policy.close()
+    metrics = (job.keep or score)(episode)
+    correct = correct_coverage(episode.coverage_grid, last["env"].seen, episode.final_map.grid)
+    mine = exploration_scores(plan, episode.time, episode.coverage, correct, is_finished=episode.is_finished)
+    best = metrics.get("ate_smoothed_m", metrics["ate_m"])
+    nees = metrics.get("anees_smoothed", metrics["anees"])
+    final = {"ate_final_m": best, "anees_final": nees, "touches": metrics["collisions"]}
+    return {**metrics, **mine, **final}, cost_of(episode)
+
+
+def _policies(entry: Entry, config: RunConfig) -> list[Policy] | None:
+    """A policy for each robot. None for shipped policies, which the run makes by their names."""
+    manifest = entry.manifest
+    if manifest.kind == "shipped":
+        return None
+    if manifest.is_process:
+        return [ActorPolicy(CommandActor(manifest.command, entry.folder, config.robot)) for _ in range(config.robots)]
+    made = made_by_file(entry.run, config.robot, config.agent.policy, robots=config.robots, seed=config.seed)
+    with naming_lines_of(entry.run):
+        return [_policy(each, manifest.uses) for each in made]
+
+
+def _policy(made: Any, uses: str) -> Policy:
+    """What a Python class makes as a policy, if it uses what the manifest says."""
+    found = "belief" if is_policy(made) else "readings"
+    if found != uses:
+        raise ValueError(f"{type(made).__name__} acts on {found}, and the manifest says that it uses {uses}")
+    policy: Policy = made if found == "belief" else ActorPolicy(made)
+    return policy

@@ -47,16 +47,8 @@ def exploration_scores(
 ) -> dict[str, Any]:
     """Scores of an exploration that only the arena has.
 
-    Parameters
-    ----------
-    plan
-        What was explored.
-    time, coverage
-        Times (t,), s, and true coverage (t,), 0 to 1.
-    correct
-        The correct coverage at the end.
-    is_finished
-        Whether the entry itself has said that it is done.
+    They are made from times (t,), s, true coverage (t,), 0 to 1, and the correct coverage at the end. ``is_finished``
+    says whether the entry itself has said that it is done.
     """
     times = {f"time_to_{share}_s": _first(time, coverage >= share / 100.0) for share in _TIMES}
     return {

@@ -29,27 +29,12 @@ _WHEELS, _DROPOUT, _LEAST_SHARP_NOISE = 0.02, 0.1, 0.02
 
 @dataclass(frozen=True)
 class Plan:
-    """One task.
+    """One task: its place in the list, from 0, a floor plan by its seed and size, and the conditions.
 
-    Attributes
-    ----------
-    number
-        Place in the list, from 0.
-    world
-        Floor plan, by its seed and size.
-    noise
-        Standard deviation of the ranges, m. The entry is told this value.
-    robots
-        Number of robots.
-    fault
-        What is wrong with the robots, which the entry is not told: ``none``, ``wheels`` (one wheel is larger than the
-        other), ``sharp`` (triangulating infrared sensors) or ``dropout`` (beams that see nothing now and then).
-    wheel_mismatch
-        Share by which the left encoder reports too much and the right one too little.
-    seed
-        Seed of starts and noise.
-    max_time
-        Longest simulated time, s.
+    The entry is told the standard deviation of the ranges, ``noise``, m. It is not told the fault: ``none``, ``wheels``
+    (the left encoder reports too much by the share ``wheel_mismatch``, and the right one too little), ``sharp``
+    (triangulating infrared sensors) or ``dropout`` (beams that see nothing now and then). ``seed`` is that of starts
+    and noise, and ``max_time`` the longest simulated time, s.
     """
 
     number: int

@@ -50,18 +50,9 @@ def opened(folder: Path, entry_folder: Path | None, seed: int | None) -> tuple[E
 def verify(
     folder: Path, entry: Entry, plans: Sequence[Plan], count: int | None, jobs: int
 ) -> Iterator[tuple[int, list[str]]]:
-    """Run rows again, spread evenly over a folder of results. Yields number and differences of each plan.
+    """Run ``count`` rows again, spread evenly over a folder of results; all if it is None.
 
-    Parameters
-    ----------
-    folder
-        The results.
-    entry, plans
-        The entry and all plans.
-    count
-        Number of rows. None runs all.
-    jobs
-        Number of processes.
+    Yields number and differences of each plan. ``plans`` are all plans, and ``jobs`` is the number of processes.
 
     Raises
     ------
@@ -73,7 +64,7 @@ def verify(
         _check_origin(folder, row, entry, plans)
     spread = np.linspace(0, len(rows) - 1, min(count or len(rows), len(rows))).round().astype(int)
     wanted = [list(rows)[place] for place in spread]
-    jobs_again = [Job(entry, plans[number], None, versions(), commit()) for number in wanted]
+    jobs_again = [Job(entry, plans[number], versions(), commit()) for number in wanted]
     for row in results_of(jobs_again, jobs):
         yield row.plan, differences(rows[row.plan], row, is_process=entry.manifest.is_process)
 
@@ -82,11 +73,12 @@ def differences(before: Row, now: Row, *, is_process: bool) -> list[str]:
     """What differs between two rows of a plan, in words. Cost, provenance and newer metrics are not compared."""
     if before.error != now.error:
         return [f"error: {before.error}, now {now.error}"]
-    names = BOUNDS if is_process else sorted(before.metrics)
+    bounds = BOUNDS if is_process else {}
+    values = {name: (before.metrics.get(name), now.metrics.get(name)) for name in bounds or sorted(before.metrics)}
     return [
         f"{name} {first}, now {second}"
-        for name in names
-        if not _equal(first := before.metrics.get(name), second := now.metrics.get(name), BOUNDS.get(name), is_process)
+        for name, (first, second) in values.items()
+        if not _equal(first, second, bounds.get(name))
     ]
 
 
@@ -95,8 +87,8 @@ def other_versions(stamp: Stamp) -> str:
     return stamp.changes(BaseStamp(versions(), commit()))
 
 
-def _equal(first: object, second: object, bound: float | None, is_process: bool) -> bool:
-    if is_process and isinstance(first, int | float) and isinstance(second, int | float) and bound is not None:
+def _equal(first: object, second: object, bound: float | None) -> bool:
+    if isinstance(first, int | float) and isinstance(second, int | float) and bound is not None:
         return abs(first - second) <= bound
     return type(first) is type(second) and first == second
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from limslam_agent.cli.terminal import print_table, progress_bar, warn
+from limslam_agent.cli.terminal import print_table, progress_bar, say, warn
 
 if TYPE_CHECKING:
     from limslam_agent.arena.leaderboard import Board
@@ -31,11 +31,6 @@ def _read_seed() -> int:
     """The secret seed from standard input, which is closed then.
 
     An entry runs as the same user, and can read the command lines and environments of the processes above it.
-
-    Raises
-    ------
-    ValueError
-        If the input is no whole number of 0 or more.
     """
     text = getpass("secret seed: ") if sys.stdin.isatty() else sys.stdin.readline(_LONGEST_SEED)
     with open(os.devnull, "rb") as nothing, suppress(OSError):  # noqa: PTH123 (a device)
@@ -61,20 +56,19 @@ def run(
     from limslam_agent.arena.leaderboard import board
     from limslam_agent.arena.running import run_entry
     from limslam_agent.arena.tracks import PUBLIC_SEED, plans_of
-    from limslam_env.messages import printable
 
     found = read_entry(entry)
     seed = _read_seed() if secret_seed else PUBLIC_SEED
     wanted = plans_of(seed)[:plans]
     with progress_bar("arena", len(wanted)) as advance:
         rows = run_entry(
-            found, wanted, out, seed=seed, is_secret=seed != PUBLIC_SEED, jobs=jobs,
+            found, wanted, out, seed=seed, jobs=jobs,
             keep=write_kept_run if keep else None, retry_failed=retry_failed,
             report=lambda row, done: advance(done, f"{done} of {len(wanted)} plans, latest {row.plan}"),
         )  # fmt: skip
     warn(f"plan {row.plan} failed: {row.error}" for row in rows if row.error is not None)
     _print_board(board([out]))
-    typer.echo(printable(f"results     {out}"))
+    say(f"results     {out}")
 
 
 @arena.command()
@@ -118,13 +112,12 @@ def page(
     from limslam_agent.arena.leaderboard import board
     from limslam_agent.arena.page import write_board
     from limslam_agent.output.atomic_write import check_target
-    from limslam_env.messages import printable
 
     check_target(out, "a page", (".html", ".htm"), force=force)
     found = board(folders)
     size = write_board(out, found)
     _print_board(found)
-    typer.echo(printable(f"page        {out} ({size / 1e6:.1f} MB)"))
+    say(f"page        {out} ({size / 1e6:.1f} MB)")
 
 
 def write_kept_run(folder: Path, episode: "Episode") -> dict[str, Any]:

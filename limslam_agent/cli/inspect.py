@@ -8,14 +8,11 @@ import typer
 from limslam_agent.cli.options import ReplayOptions
 from limslam_agent.cli.replay import job_of
 from limslam_agent.cli.settings import FILE, Given, replay_agent, run_config, run_options
-from limslam_agent.cli.terminal import progress_bar
+from limslam_agent.cli.terminal import progress_bar, say
 
 if TYPE_CHECKING:
     from limslam_agent.output.finished_run import FinishedRun
     from limslam_agent.runs.inspection import Inspection
-
-NAME = "inspect.html"
-"""The page in the folder of a run."""
 
 
 def inspect(
@@ -33,10 +30,9 @@ def inspect(
     from limslam_agent.inspect.page import write_page
     from limslam_agent.output.atomic_write import check_target
     from limslam_agent.output.finished_run import read_run
-    from limslam_env.messages import printable
 
     run = read_run(source) if source.is_dir() or not source.exists() else None
-    target = out or (Path(f"{source.name.split('.')[0]}.html") if run is None else source / NAME)
+    target = out or (Path(f"{source.name.split('.')[0]}.html") if run is None else source / "inspect.html")
     check_target(target, "a page", (".html", ".htm"), force=force)
     title = source.name if run is None else run.title
     found = _of_log(source) if run is None else _of_folder(run)
@@ -44,7 +40,7 @@ def inspect(
     typer.echo(f"recorded    {found.frames} frames and {len(found.meta['events'])} events")
     if found.difference is not None:
         typer.echo(f"check       {found.meta['check']}")
-    typer.echo(printable(f"page        {target} ({size / 1e6:.1f} MB)"))
+    say(f"page        {target} ({size / 1e6:.1f} MB)")
 
 
 def _of_folder(run: "FinishedRun") -> "Inspection":

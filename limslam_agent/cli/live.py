@@ -9,8 +9,8 @@ import typer
 
 from limslam_agent.cli import options as take
 from limslam_agent.cli.options import LiveOptions, takes
-from limslam_agent.cli.settings import Given, robot_named, write_live_settings
-from limslam_agent.cli.terminal import progress_bar, warn
+from limslam_agent.cli.settings import Given, exploring_agent, robot_named, write_live_settings
+from limslam_agent.cli.terminal import progress_bar, say, warn
 
 if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig
@@ -22,10 +22,7 @@ if TYPE_CHECKING:
 
 @takes(LiveOptions)
 def live(
-    robot: take.LiveRobot = None,
-    config: take.Config = None,
-    ros_arguments: take.RosArguments = None,
-    **told: Any,
+    robot: take.LiveRobot = None, config: take.Config = None, ros_arguments: take.RosArguments = None, **told: Any
 ) -> None:
     """Explore with a live robot, and draw its map. Ctrl-C stops the robot and draws the map of what it has seen."""
     from limslam_agent.runs.policies import check_belief_policy
@@ -41,7 +38,7 @@ def live(
         raise ValueError(f"{named} are different places: the robot is at one of them only")
     if ros_arguments and not options.ros2:
         raise ValueError(f"{ros_arguments[0]}: only --ros2 takes arguments for ROS 2")
-    agent = _agent_config(given, options)
+    agent = exploring_agent(given, options)
     check_belief_policy(options.policy)
     warn(given.warnings(options.preset))
     with _wired(options, given.replay_robot(), ros_arguments or []) as wired:
@@ -49,21 +46,16 @@ def live(
 
 
 def carry_out(options: LiveOptions, config: "AgentConfig", wired: "Wired") -> None:
-    """Drive a robot, write the folder of the session, and print its summary.
-
-    Raises
-    ------
-    ValueError
-        If no robot answers, the robot cannot be driven, or the folder cannot be written.
-    """
+    """Drive a robot, write the folder of the session, and print its summary."""
     from limslam_agent.live.folder import session_lines, write_session
     from limslam_agent.live.link import NoRobotError
     from limslam_agent.live.recording import Recording, kept
     from limslam_agent.live.session import Session
+    from limslam_agent.mapping.agent import LimSlamAgent
     from limslam_agent.output.run_folder import new_folder
+    from limslam_agent.runs.policies import policies_by_belief
     from limslam_agent.runs.policy_file import naming_lines_of
     from limslam_agent.runs.results import versions
-    from limslam_env.messages import printable
 
     target = options.out or Path("runs") / "live"
     with new_folder(target, force=options.force, numbered=options.out is None) as folder:
@@ -74,7 +66,9 @@ def carry_out(options: LiveOptions, config: "AgentConfig", wired: "Wired") -> No
         copy = folder.target.with_name(f"{folder.target.name}-log.npz")
         left = [f"what the robot has sent is in {copy}: limslam replay draws the map"]
         with kept(recording, copy, lambda: warn(left)) as save_if_due:
-            agent = _agent(options, config, recording.robot, wired)
+            policies = policies_by_belief(options.policy, recording.robot, config, robots=1, seed=0)
+            policy = wired.policy(policies[0] if policies else None, config, recording.robot)
+            agent = LimSlamAgent(recording.robot, config, policy)
             with _display(options, agent, wired, save_if_due) as watch:
                 session = Session(wired.link, hello, agent, recording, watch, wired.obey)
                 with naming_lines_of(options.policy):
@@ -84,18 +78,7 @@ def carry_out(options: LiveOptions, config: "AgentConfig", wired: "Wired") -> No
             typer.echo("smoothing   and writing the map", err=True)
             result = write_session(folder.beside, session, f"live {hello.name}", reason, versions())
             write_live_settings(folder.beside, options, config)
-    for line in session_lines(result):
-        typer.echo(printable(line))
-    typer.echo(printable(f"results     {folder.target}"))
-
-
-def _agent_config(given: Given, options: LiveOptions) -> "AgentConfig":
-    """The agent's settings, with the changes in the file of ``--config``."""
-    from limslam_agent.config.presets import preset, with_until
-    from limslam_env.interface import NominalNoise
-
-    base = with_until(preset(options.preset, NominalNoise(options.noise)), options.until)
-    return given.agent(base)
+    say(*session_lines(result), f"results     {folder.target}")
 
 
 @contextmanager
@@ -118,13 +101,7 @@ def _wired(options: LiveOptions, described: "RobotSpec | None", ros_arguments: S
 
 
 def _robot_of(hello: "Hello", described: "RobotSpec | None") -> "RobotSpec":
-    """The robot of ``--robot``, else the shipped robot that it says it is.
-
-    Raises
-    ------
-    ValueError
-        If there is no such robot, or it has another number of beams.
-    """
+    """The robot of ``--robot``, else the shipped robot that it says it is."""
     from limslam_env.robots import ROBOTS
 
     if described is None and hello.name not in ROBOTS:
@@ -133,14 +110,6 @@ def _robot_of(hello: "Hello", described: "RobotSpec | None") -> "RobotSpec":
     if len(robot.beams) != hello.beams:
         raise ValueError(f"the robot {hello.name} has {hello.beams} beams, but its description has {len(robot.beams)}")
     return robot
-
-
-def _agent(options: LiveOptions, config: "AgentConfig", robot: "RobotSpec", wired: "Wired") -> "LimSlamAgent":
-    from limslam_agent.mapping.agent import LimSlamAgent
-    from limslam_agent.runs.policies import policies_by_belief
-
-    policies = policies_by_belief(options.policy, robot, config, robots=1, seed=0)
-    return LimSlamAgent(robot, config, wired.policy(policies[0] if policies else None, config, robot))
 
 
 @contextmanager

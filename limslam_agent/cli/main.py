@@ -12,13 +12,12 @@ from typing import Annotated
 import typer
 
 from limslam_agent.cli.arena import arena
-from limslam_agent.cli.export import export
 from limslam_agent.cli.inspect import inspect
 from limslam_agent.cli.live import live
 from limslam_agent.cli.replay import replay
 from limslam_agent.cli.run import run
 from limslam_agent.cli.score import score
-from limslam_agent.cli.show import compare, show
+from limslam_agent.cli.show import compare, export, show
 from limslam_agent.cli.terminal import run_command
 from limslam_agent.cli.warmup import warmup
 from limslam_agent.cli.worlds import worlds

@@ -32,18 +32,10 @@ _POLICIES = (
 
 
 def told(panel: str, words: str, shown: str | bool = True, *names: str) -> Any:
-    """What the command line says about an option.
+    """What the command line says about an option: its panel in the help, and the help.
 
-    Parameters
-    ----------
-    panel
-        The group of options in the help.
-    words
-        The help.
-    shown
-        The default in words, where it is not that of the field; False shows none.
-    names
-        The option, where it does not have the name of the field.
+    ``shown`` is the default in words, where it is not that of the field; False shows none. ``names`` are those of an
+    option that does not have the name of the field.
     """
     return typer.Option(*names, help=words, rich_help_panel=panel, show_default=shown)
 
@@ -68,8 +60,7 @@ _Until = Annotated[
     ),
 ]
 _Map = Annotated[
-    Path | None,
-    told(_AGENT, "Folder of an earlier run or replay: begin in its map, at a place that is not known."),
+    Path | None, told(_AGENT, "Folder of an earlier run or replay: begin in its map, at a place that is not known.")
 ]
 _Watch = Annotated[
     bool,
@@ -94,8 +85,7 @@ TrueOdometryNoise = Annotated[
     ),
 ]
 WheelMismatch = Annotated[
-    float | None,
-    told(_FAULTS, "Share by which the left encoder reports too much, and the right one too little.", "0"),
+    float | None, told(_FAULTS, "Share by which the left encoder reports too much, and the right one too little.", "0")
 ]
 Sharp = Annotated[
     bool,
@@ -149,13 +139,9 @@ class RunOptions(Bounded):
             "Longest simulated time, s. Without it, a world has 10 s for each square metre, and at least the default.",
         ),
     ] = 1800.0
-    policy: Annotated[
-        str,
-        told(
-            _AGENT,
-            f"{_POLICIES} tour drives around the world's loop by the true pose.",
-        ),
-    ] = "frontier"
+    policy: Annotated[str, told(_AGENT, f"{_POLICIES} tour drives around the world's loop by the true pose.")] = (
+        "frontier"
+    )
     until: _Until = "walls"
     laps: Annotated[CountOrNone, told(_AGENT, "Drive this many laps of the world's loop instead of exploring.")] = 0
     robots: Annotated[int, Bounds(1, 8), told(_WORLD, "Number of robots that explore together, 1 to 8.")] = 1
@@ -173,8 +159,7 @@ class RunOptions(Bounded):
         told(_FAULTS, "Time at which the robot is carried to another place, s. The seed chooses the place."),
     ] = None
     unknown_starts: Annotated[
-        bool,
-        told(_AGENT, "Whether the second of two robots starts at a place that the agent does not know.", "no"),
+        bool, told(_AGENT, "Whether the second of two robots starts at a place that the agent does not know.", "no")
     ] = False
     map: _Map = None
     limit: Annotated[bool, told(_RESULTS, "Also compute the offline optimum.")] = False
@@ -201,8 +186,7 @@ class ReplayOptions(Bounded):
     range_unit: Annotated[str, told(_TABLE, "Unit of the ranges: m, cm or mm.")] = "m"
     time_unit: Annotated[str, told(_TABLE, "Unit of the times: s, ms or us.")] = "s"
     zone_axes: Annotated[
-        str | None,
-        told(_TABLE, "Axes of multi-zone sensors, deg: A,B,...; their ranges are perpendicular distances."),
+        str | None, told(_TABLE, "Axes of multi-zone sensors, deg: A,B,...; their ranges are perpendicular distances.")
     ] = None
     zero_is_nothing: Annotated[
         bool,
@@ -210,10 +194,7 @@ class ReplayOptions(Bounded):
     ] = False
     columns: Annotated[
         str | None,
-        told(
-            _TABLE,
-            "What the columns hold, in place of the header: t,left,right,r_90,..., and - for one not used.",
-        ),
+        told(_TABLE, "What the columns hold, in place of the header: t,left,right,r_90,..., and - for one not used."),
     ] = None
     noise: _AssumedStd = 0.02
     preset: _Preset = DEFAULT_PRESET
@@ -230,9 +211,7 @@ class ReplayOptions(Bounded):
     odometry_bias: Annotated[
         str | None,
         told(
-            _ODOMETRY,
-            "True minus reported heading after 1 m (deg), and true distance over reported distance.",
-            "0,1",
+            _ODOMETRY, "True minus reported heading after 1 m (deg), and true distance over reported distance.", "0,1"
         ),
     ] = None
     calibrate: Annotated[Path | None, told(_ODOMETRY, "File of known relative poses to estimate the bias from.")] = None
@@ -305,7 +284,9 @@ def _declared(kind: type[Any]) -> list[inspect.Parameter]:
             is_shown = field.default is not None and field.default is not False
             option.show_default = f"{field.default:g}" if isinstance(field.default, float) else str(field.default)
             option.show_default = option.show_default if is_shown else False
-        if plain is bool:  # nothing is said to switch it off
+        if isinstance(option.default, str):  # where typer keeps the first name of an option
+            option.param_decls = (option.default,)
+        elif plain is bool:  # nothing is said to switch it off
             option.param_decls = (f"--{field.name.replace('_', '-')}",)
         option.default = None
         kind_of_argument = inspect.Parameter.POSITIONAL_OR_KEYWORD

@@ -6,12 +6,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
-
 from limslam_agent.cli import options as take
 from limslam_agent.cli.options import ReplayOptions, takes
 from limslam_agent.cli.settings import Given, replay_agent, write_replay_settings
-from limslam_agent.cli.terminal import progress_bar, warn
+from limslam_agent.cli.terminal import progress_bar, say, warn
 
 if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig
@@ -48,13 +46,7 @@ def replay(
 
 
 def _pair(name: str, paths: list[Path] | None, shown: str) -> dict[str, Path | None]:
-    """One or two paths by the names of their options.
-
-    Raises
-    ------
-    ValueError
-        If there are more of them.
-    """
+    """One or two paths by the names of their options."""
     if paths and len(paths) > 2:
         raise ValueError(f"{shown}: {len(paths)} were given; one log is replayed, or two logs are joined")
     first, second = [*(paths or []), None, None][:2]
@@ -63,20 +55,9 @@ def _pair(name: str, paths: list[Path] | None, shown: str) -> dict[str, Path | N
 
 @dataclass(frozen=True, eq=False)
 class Job:
-    """A log with all that is known about it.
+    """A log with all that is known about it; None stands for what is not known or was not asked for.
 
-    Attributes
-    ----------
-    log
-        The log's events.
-    config
-        The agent's settings, with the estimated bias if there is one.
-    relations
-        Known relative poses to score with; None where there are none.
-    calibration
-        The estimated bias of the odometry; None where none was asked for.
-    source
-        Names of the files, for ``result.json``.
+    The agent's settings have the estimated bias of the odometry. ``source`` has names of files, for ``result.json``.
     """
 
     log: "RecordedLog"
@@ -87,13 +68,7 @@ class Job:
 
 
 def _carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None") -> None:
-    """Replay a log, write its folder, and print its summary. ``robot`` is the robot that recorded a table.
-
-    Raises
-    ------
-    ValueError
-        If it cannot be replayed or written.
-    """
+    """Replay a log, write its folder, and print its summary. ``robot`` is the robot that recorded a table."""
     from limslam_agent.places.saved_map import read_saved_map
     from limslam_agent.replay.plausibility import log_warnings, map_warnings
     from limslam_agent.replay.replay import replay_log, write_replay
@@ -115,13 +90,7 @@ def _carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec |
 
 
 def _carry_out_both(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None") -> None:
-    """Replay two logs, join them if they fit, write their folder, and print its summary.
-
-    Raises
-    ------
-    ValueError
-        If they cannot be replayed or written, or an option is for one log only.
-    """
+    """Replay two logs, join them if they fit, write their folder, and print its summary."""
     from limslam_agent.replay.plausibility import log_warnings
     from limslam_agent.runs.results import versions
     from limslam_agent.two_logs.joining import check_logs, replay_logs
@@ -175,12 +144,10 @@ def _folder(
 def _tell(content: dict[str, Any], calibrated: list[str], target: Path, warnings: list[str]) -> None:
     """Print what ``result.json`` says, and where it is."""
     from limslam_agent.output.summary import record_summary, replay_summary
-    from limslam_env.messages import printable
 
-    for line in record_summary(content) + calibrated + replay_summary(content["metrics"]):
-        typer.echo(line)
+    say(*record_summary(content), *calibrated, *replay_summary(content["metrics"]))
     warn(warnings)
-    typer.echo(printable(f"results     {target}"))
+    say(f"results     {target}")
 
 
 def _stem(path: Path) -> str:
@@ -188,13 +155,7 @@ def _stem(path: Path) -> str:
 
 
 def job_of(log: Path, options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None") -> Job:
-    """Read a log and all that is known about it.
-
-    Raises
-    ------
-    ValueError
-        If the log or another file cannot be used.
-    """
+    """Read a log and all that is known about it."""
     from limslam_agent.logs.log_reader import read_log
     from limslam_agent.logs.relations import read_relations
     from limslam_agent.replay.calibration import calibrated
@@ -237,13 +198,7 @@ def _table_options(options: ReplayOptions, robot: "RobotSpec | None") -> "TableO
 
 
 def _check_options(log: Path, options: ReplayOptions, recorded: "RecordedLog") -> None:
-    """Refuse options that do not fit the log.
-
-    Raises
-    ------
-    ValueError
-        If one does not; the message names it.
-    """
+    """Refuse options that do not fit the log."""
     if options.noise > (reach := float(recorded.robot.max_ranges.max())):
         raise ValueError(f"--noise {options.noise:g} m is more than the longest range of {reach:g} m: is it in metres?")
     if options.map is not None and recorded.wheels is None:
@@ -253,16 +208,9 @@ def _check_options(log: Path, options: ReplayOptions, recorded: "RecordedLog") -
 
 
 def _scores_of(job: Job, result: "Replay", relations: Path | None) -> dict[str, Any]:
-    """Metrics of a replay against the truth and against known relative poses.
-
-    Raises
-    ------
-    ValueError
-        If none of the relations is in the log's time.
-    """
+    """Metrics of a replay against the truth and against known relative poses."""
     from limslam_agent.replay.replay import relation_scores
-    from limslam_agent.runs.results import trajectory_scores
-    from limslam_agent.runs.smoothing import path_scores
+    from limslam_agent.runs.results import path_scores, trajectory_scores
 
     scores: dict[str, Any] = {}
     if job.log.true_pose is not None:
@@ -278,7 +226,7 @@ def _scores_of(job: Job, result: "Replay", relations: Path | None) -> dict[str, 
 
 def _scores_of_both(joint: "JointReplay", relations: "tuple[Relations | None, Relations | None]") -> dict[str, Any]:
     """Metrics of both logs together. Relations that both logs share may lie between the logs."""
-    from limslam_agent.runs.smoothing import mean_scores
+    from limslam_agent.runs.results import mean_scores
     from limslam_agent.two_logs.output import relation_scores
     from limslam_env.metrics.metrics import trajectory_metrics
 
@@ -288,6 +236,6 @@ def _scores_of_both(joint: "JointReplay", relations: "tuple[Relations | None, Re
         return scores
     names = {"est": "ate_m", "odometry": "odometry_ate_m", "smoothed": "ate_smoothed_m"}
     for kind, paths in joint.paths().items():
-        found = mean_scores([dict(trajectory_metrics(*each)) for each in zip(true, paths, strict=True)])
+        found = mean_scores([trajectory_metrics(*each) for each in zip(true, paths, strict=True)])
         scores[names[kind]] = found["ate_m"]
     return scores

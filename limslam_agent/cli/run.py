@@ -11,7 +11,7 @@ import typer
 from limslam_agent.cli import options as take
 from limslam_agent.cli.options import RunOptions, takes
 from limslam_agent.cli.settings import Given, run_config, run_options, write_run_settings
-from limslam_agent.cli.terminal import Advance, progress_bar, warn
+from limslam_agent.cli.terminal import Advance, progress_bar, say, warn
 
 if TYPE_CHECKING:
     from limslam_agent.mapping.team import LimSlamTeam
@@ -38,17 +38,10 @@ def run(
 
 
 def carry_out(given: Given, options: RunOptions) -> None:
-    """Run what was asked for, write its folder, and print its summary.
-
-    Raises
-    ------
-    ValueError
-        If it cannot be run or written.
-    """
+    """Run what was asked for, write its folder, and print its summary."""
     from limslam_agent.output.run_folder import new_folder
     from limslam_agent.output.summary import record_summary, run_summary
     from limslam_agent.runs.results import write_episode
-    from limslam_env.messages import printable
 
     config = run_config(given, options)
     options = replace(options, max_time=config.max_time)
@@ -64,11 +57,10 @@ def carry_out(given: Given, options: RunOptions) -> None:
             advance(options.max_time if options.laps else 1.0, "smoothing, and writing the map")
         result = write_episode(folder.beside, episode)
         write_run_settings(folder.beside, options, config)
-    for line in record_summary(result) + run_summary(result["metrics"], result["cost"]):
-        typer.echo(line)
+    say(*record_summary(result), *run_summary(result["metrics"], result["cost"]))
     if options.video is not None:
-        typer.echo(printable(f"video       {options.video}"))
-    typer.echo(printable(f"results     {folder.target}"))
+        say(f"video       {options.video}")
+    say(f"results     {folder.target}")
 
 
 def _folder_name(config: "RunConfig") -> str:

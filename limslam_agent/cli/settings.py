@@ -34,17 +34,7 @@ _OF_PRESET = ("estimator", "smoothing", "smooths_runs", "renewal")
 
 @dataclass(frozen=True)
 class Given:
-    """What a user gave: the file of ``--config``, and options.
-
-    Attributes
-    ----------
-    path
-        The file; None without ``--config``.
-    table
-        The file's content.
-    options
-        The options on the command line, by their names.
-    """
+    """What a user gave: the file of ``--config`` with its content, and options of the command line by their names."""
 
     path: Path | None
     table: Table
@@ -52,45 +42,28 @@ class Given:
 
     @classmethod
     def read(cls, path: Path | None, arguments: Table) -> "Given":
-        """Read the file; arguments that are None were not given.
-
-        Raises
-        ------
-        SettingsError
-            If the file cannot be read.
-        """
+        """Read the file; arguments that are None were not given."""
         options = {name: value for name, value in arguments.items() if value is not None}
         return cls(path, read_toml(path) if path else {}, options)
 
     def merged(self, defaults: Options, tables: tuple[str, ...]) -> Options:
-        """The options: those on the command line, else those of the file, else the defaults.
-
-        Raises
-        ------
-        SettingsError
-            If an option has an impossible value, or the file has an unknown key beside options and ``tables``.
-        """
-        in_file = self.of_file(defaults, tables)
-        known = {field.name for field in fields(defaults)}
-        try:
-            return replace(in_file, **{name: value for name, value in self.options.items() if name in known})
-        except ValueError as error:
-            name, words = str(error).split(" ", 1)
-            raise SettingsError(f"--{name.replace('_', '-')} {words}") from error
-
-    def of_file(self, defaults: Options, tables: tuple[str, ...]) -> Options:
-        """The options that the file has, and the defaults of the others; its paths are relative to the file."""
-        unknown = set(self.table) - {field.name for field in fields(defaults)} - set(tables)
+        """The options: those on the command line, else those of the file, else the defaults."""
+        known: list[str] = [field.name for field in fields(defaults)]
+        unknown = set(self.table).difference(known, tables)
         if unknown:
-            known = ", ".join([*(field.name for field in fields(defaults)), *(f"[{name}]" for name in tables)])
-            raise SettingsError(f"{self.path}: {min(unknown)}: there is no such setting; there are {known}")
-        options = updated(
+            there = ", ".join([*known, *(f"[{name}]" for name in tables)])
+            raise SettingsError(f"{self.path}: {min(unknown)}: there is no such setting; there are {there}")
+        in_file = updated(
             defaults, {name: self.table[name] for name in self.table if name not in tables}, str(self.path)
         )
         paths: dict[str, Any] = {
-            name: self.beside_file(value) for name, value in asdict(options).items() if isinstance(value, Path)
+            name: self.beside_file(value) for name, value in asdict(in_file).items() if isinstance(value, Path)
         }
-        return replace(options, **paths)
+        try:
+            return replace(in_file, **paths | {name: value for name, value in self.options.items() if name in known})
+        except ValueError as error:
+            name, words = str(error).split(" ", 1)
+            raise SettingsError(f"--{name.replace('_', '-')} {words}") from error
 
     def beside_file(self, path: Path) -> Path:
         """A path of the file, which is relative to the file's folder."""
@@ -109,10 +82,9 @@ class Given:
             table = {**table, "noise": {name: value for name, value in noise.items() if name != "range_std"}}
         if isinstance(policy := table.get("policy"), Mapping) and "until" in policy:
             raise SettingsError(f"{self.path}: agent.policy.until: is set as until, outside of all tables")
-        in_file = base if base.preset == preset_in_file else self._preset_in_file(preset_in_file, base)
         if base.preset != preset_in_file:
             # A mistake in the file is a mistake, even if the table is not used.
-            updated(in_file, table, f"{self.path}: agent", fixed={"preset"})
+            updated(self._preset_in_file(preset_in_file, base), table, f"{self.path}: agent", fixed={"preset"})
             table = {name: value for name, value in table.items() if name not in _OF_PRESET}
         return updated(base, table, f"{self.path}: agent", fixed={"preset"})
 
@@ -179,11 +151,6 @@ def robot_named(named: str) -> "RobotSpec":
 
     The file has the settings of `RobotSpec`. Its beams are tables of `SensorSpec`, or ``beams_deg``, ``min_range`` and
     ``max_range`` for beams that start on the rim of the body.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such robot, or its settings cannot be used.
     """
     from limslam_env.robots import ROBOTS
 
@@ -229,26 +196,14 @@ def _robot_in(table: dict[str, Any], where: str) -> "RobotSpec":
 
 
 def _wheel_variance(std: float) -> float:
-    """The variance of a wheel's travel after 1 m, m^2, that ``--odometry-noise`` says.
-
-    Raises
-    ------
-    SettingsError
-        If the standard deviation is impossible.
-    """
+    """The variance of a wheel's travel after 1 m, m^2, that ``--odometry-noise`` says."""
     if not 0.0 <= std <= _MAX_WHEEL_STD:
         raise SettingsError(f"--odometry-noise must be a number from 0 to {_MAX_WHEEL_STD:g}, not {std:g}")
     return std**2
 
 
 def run_options(given: Given) -> RunOptions:
-    """The options of a run; paths of a world and a policy in the file are relative to the file.
-
-    Raises
-    ------
-    SettingsError
-        If one of them is impossible, or the file has an unknown key.
-    """
+    """The options of a run; paths of a world and a policy in the file are relative to the file."""
     options = given.merged(RunOptions(), ("agent", "robot", "true_noise"))
     for name, ends in (("world", r"\.\w+"), ("policy", r"\.py:\w+")):
         value = getattr(options, name)
@@ -259,23 +214,23 @@ def run_options(given: Given) -> RunOptions:
     return replace(options, ablation=None) if options.ablation == "none" else options
 
 
-def run_config(given: Given, options: RunOptions) -> "RunConfig":
-    """What is run. Without a longest time, that of a large world grows with its ground.
-
-    Raises
-    ------
-    ValueError
-        If it cannot be run.
-    """
+def exploring_agent(given: Given, options: RunOptions | LiveOptions) -> "AgentConfig":
+    """The settings of an agent that explores, with the changes in the file of ``--config``."""
     from limslam_agent.config.presets import preset, with_until
+    from limslam_env.interface import NominalNoise
+
+    return given.agent(with_until(preset(options.preset, NominalNoise(options.noise)), options.until))
+
+
+def run_config(given: Given, options: RunOptions) -> "RunConfig":
+    """What is run. Without a longest time, that of a large world grows with its ground."""
     from limslam_agent.runs.run_config import LONGEST_TIME, RunConfig
     from limslam_env.config import NoiseConfig
-    from limslam_env.interface import NominalNoise
     from limslam_env.worlds.formats.loading import load_world
 
     try:
         world, max_time = load_world(options.world), options.max_time
-        agent = given.agent(with_until(preset(options.preset, NominalNoise(options.noise)), options.until))
+        agent = exploring_agent(given, options)
         if "odometry_noise" in given.options:
             variance = _wheel_variance(given.options["odometry_noise"])
             agent = replace(agent, noise=replace(agent.noise, wheel_variance=variance))
@@ -319,13 +274,7 @@ def _kept_policy(folder: Path, policy: str) -> str:
 
 
 def replay_agent(given: Given, options: ReplayOptions) -> "AgentConfig":
-    """The settings of a replay's agent, before the calibration.
-
-    Raises
-    ------
-    ValueError
-        If they cannot be used.
-    """
+    """The settings of a replay's agent, before the calibration."""
     from limslam_agent.config.presets import preset
     from limslam_agent.replay.options import odometry_config
     from limslam_env.interface import NominalNoise

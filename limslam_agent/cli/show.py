@@ -1,9 +1,11 @@
-"""``limslam show`` and ``limslam compare``: look at a finished run, or at several side by side."""
+"""``limslam show``, ``compare`` and ``export``: what is done with finished runs."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+from limslam_agent.cli.terminal import print_table, say
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -35,28 +37,24 @@ def show(
     from limslam_agent.output.finished_run import PICTURE, part_of, read_run
     from limslam_agent.output.run_picture import SIZE, draw_run
     from limslam_agent.output.summary import record_summary, replay_summary, run_summary
-    from limslam_env.messages import printable
 
     if out is not None:
         check_target(out, "a picture", SUFFIXES, force=force)
     run = read_run(folder)
     metrics, cost = (part_of(run.result, part) for part in ("metrics", "cost"))
     lines = record_summary(run.result) + (replay_summary(metrics) if run.is_replay else run_summary(metrics, cost))
-    for line in (f"run         {run.title}", *lines):
-        typer.echo(printable(line))
+    say(f"run         {run.title}", *lines)
     edges = true_edges(run)
     title, picture = f"LimSLAM: {run.folder.name}", folder / PICTURE
     if not _drawn(out, title, SIZE, lambda figure: draw_run(figure, run, lines, edges)) and picture.is_file():
-        typer.echo(printable(f"picture     {picture}"))
+        say(f"picture     {picture}")
 
 
 def _drawn(out: Path | None, title: str, size: tuple[float, float], draw: "Draw") -> bool:
     """Draw a figure into a file, or in a window; False if there is no window to draw in, which is said."""
-    from limslam_env.messages import printable
-
     if out is not None:
         write_picture(out, size, draw)
-        typer.echo(printable(f"picture     {out}"))
+        say(f"picture     {out}")
     elif not open_window(title, size, draw):
         typer.echo("there is no display: --out FILE.png draws the map and the errors over time")
         return False
@@ -64,13 +62,7 @@ def _drawn(out: Path | None, title: str, size: tuple[float, float], draw: "Draw"
 
 
 def true_edges(run: "FinishedRun") -> "FloatArray | None":
-    """The walls (k, 4), m, of the world that was run in: of the run's folder, or of a world that ships unchanged.
-
-    Raises
-    ------
-    ValueError
-        If the file of the world in the folder cannot be read.
-    """
+    """The walls (k, 4), m, of the world that was run in: of the run's folder, or of a world that ships unchanged."""
     from limslam_agent.output.finished_run import WORLD
     from limslam_env.worlds.formats.loading import load_world, shipped_worlds
 
@@ -126,7 +118,6 @@ def compare(
     force: _Force = False,
 ) -> None:
     """Compare finished runs or replays: their metrics, their maps, and their errors over time."""
-    from limslam_agent.cli.terminal import print_table
     from limslam_agent.output.atomic_write import check_target
     from limslam_agent.output.finished_run import read_run
     from limslam_agent.output.run_picture import MOST_RUNS, draw_comparison, sheet_size, table_of
@@ -140,3 +131,22 @@ def compare(
     edges = [true_edges(run) for run in runs]
     size = sheet_size(len(runs))
     _drawn(out, "LimSLAM: comparison", size, lambda figure: draw_comparison(figure, runs, edges))
+
+
+def export(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="The folder of a finished run or replay.")],
+    *,
+    csv: Annotated[bool, typer.Option("--csv", help="Tables: trajectories, walls, and the log of readings.")] = False,
+    dxf: Annotated[bool, typer.Option("--dxf", help="Walls and paths for a CAD program: map.dxf.")] = False,
+    bag: Annotated[bool, typer.Option("--bag", help="A ROS 2 bag, which Foxglove opens, too: the folder bag.")] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for the files.", show_default="DIR/export")] = None,
+    force: Annotated[bool, typer.Option("--force", help="Replace existing files.")] = False,
+) -> None:
+    """Write a finished run in the formats of other programs."""
+    from limslam_agent.output.formats.export import export_run
+
+    wanted = {"csv": csv, "dxf": dxf, "bag": bag}
+    formats = [name for name, is_wanted in wanted.items() if is_wanted]
+    if not formats:
+        raise ValueError("a format is needed: --csv, --dxf or --bag")
+    say(*(f"written     {path}" for path in export_run(folder, out or folder / "export", formats, force=force)))

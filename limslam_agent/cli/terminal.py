@@ -28,23 +28,26 @@ def progress_bar(task: str, total: float) -> Iterator[Advance]:
         yield lambda done, state: progress.update(bar, completed=done, state=state)
 
 
-def warn(warnings: Iterable[str]) -> None:
-    """Print warnings on standard error, one line each."""
+def say(*lines: str, err: bool = False) -> None:
+    """Print lines, which may hold texts of files and users."""
     # The package of the messages loads numpy, and `limslam --help` must not wait for that.
     from limslam_env.messages import printable
 
-    for warning in warnings:
-        typer.echo(printable(f"limslam: warning: {warning}"), err=True)
+    for line in lines:
+        typer.echo(printable(line), err=err)
+
+
+def warn(warnings: Iterable[str]) -> None:
+    """Print warnings on standard error, one line each."""
+    say(*(f"limslam: warning: {warning}" for warning in warnings), err=True)
 
 
 def print_table(rows: list[tuple[str, ...]]) -> None:
     """Print rows as aligned columns; plain, so that other programs can read them too."""
-    from limslam_env.messages import printable
-
     widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
     for row in rows:
         line = "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))
-        typer.echo(printable(line.rstrip()))
+        say(line.rstrip())
 
 
 def run_command(
@@ -53,19 +56,9 @@ def run_command(
     """Run the command line of a program, and exit.
 
     An error that the user can correct gives exit code 2 and one line, which begins with the program's name, not a
-    traceback.
-
-    Parameters
-    ----------
-    app, name
-        The program and its name.
-    interrupted
-        What is said after Ctrl-C.
-    resource
-        What an error of the operating system without the name of a file is about.
-    numbers
-        Whether a number that cannot be computed with comes from the user. Otherwise it is a fault of the program, which
-        ends with a traceback.
+    traceback. ``interrupted`` is said after Ctrl-C, and ``resource`` is what an error of the operating system without
+    the name of a file is about. With ``numbers``, a number that cannot be computed with comes from the user. Otherwise
+    it is a fault of the program, which ends with a traceback.
     """
     try:
         code = app(standalone_mode=False)

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from limslam_agent.cli.terminal import print_table, warn
+from limslam_agent.cli.terminal import print_table, say, warn
 
 if TYPE_CHECKING:
     from limslam_env.worlds.world import World
@@ -66,7 +66,6 @@ def convert(
 ) -> None:
     """Write a world in another format."""
     from limslam_agent.output.atomic_write import check_target
-    from limslam_env.messages import printable
     from limslam_env.worlds.formats.loading import load_world
     from limslam_env.worlds.formats.writing import write_world
 
@@ -74,7 +73,7 @@ def convert(
     for file in files:
         check_target(file, force=force)
     write_world(load_world(source), target)
-    typer.echo(printable(f"world       {target}"))
+    say(f"world       {target}")
 
 
 def _gym_ids() -> dict[str, str]:

@@ -12,7 +12,6 @@ from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection, wait
-from multiprocessing.context import SpawnProcess
 from typing import Any, Generic, TypeVar
 
 J = TypeVar("J")
@@ -33,13 +32,8 @@ class Processes:
     A ``ProcessPoolExecutor`` would not do: it fails as a whole when one of its processes dies, it does not say which
     job that process had, and it has no time-out. Here each worker has its own pipe and at most one job.
 
-    Attributes
-    ----------
-    workers
-        Number of processes.
-    timeout
-        Wall-clock time, s, after which a job has failed and its worker is killed. The clock of a job starts when a
-        worker starts the job: the time that a new process takes to import its modules does not count.
+    A job that takes longer than ``timeout``, s, has failed, and its worker is killed. The clock of a job starts when a
+    worker starts the job: the time that a new process takes to import its modules does not count.
     """
 
     workers: int
@@ -50,18 +44,24 @@ class Processes:
 
         When the caller closes the generator, the workers are killed.
         """
-        waiting, busy = deque(jobs), list[_Worker[J, R]]()
-        idle = [_Worker[J, R](work, self.timeout) for _ in range(min(self.workers, len(jobs)))]
+        waiting, busy, idle = deque(jobs), list[_Worker[J, R]](), list[_Worker[J, R]]()
         try:
             while waiting or busy:
-                while waiting and idle:
-                    busy.append(idle.pop())
-                    busy[-1].give(waiting.popleft())
+                while waiting and len(busy) < self.workers:
+                    worker = idle.pop() if idle else _Worker(work, self.timeout)
+                    if worker.process.is_alive():
+                        worker.give(waiting.popleft())
+                        busy.append(worker)
+                    else:  # it has died between two jobs, so no job is to blame
+                        worker.kill()
                 for worker in _ready(busy):
                     result = worker.take()
                     if result is not None:
                         busy.remove(worker)
-                        idle.append(worker)
+                        if worker.process.is_alive():
+                            idle.append(worker)
+                        else:
+                            worker.kill()
                         yield worker.job, result
         finally:
             for worker in (*idle, *busy):
@@ -69,71 +69,55 @@ class Processes:
 
 
 class _Worker(Generic[J, R]):
-    """A process that runs one job after another. A new process replaces one that has died.
+    """A process that runs one job after another: ``job``, which fails at the time ``deadline``.
 
-    ``job`` is what it runs, and ``deadline`` the time at which the job fails.
+    Its pipe can be read when the job has started, when it has ended, and when the process has died.
     """
 
     job: J
     deadline: float
 
     def __init__(self, work: Callable[[J], R], timeout: float) -> None:
-        self._work, self._timeout = work, timeout
-        self._running: tuple[SpawnProcess, Connection] | None = None
-
-    @property
-    def connection(self) -> Connection:
-        """The pipe. It can be read when the job has started, when it has ended, and when the process has died."""
-        return self._process()[1]
+        self._timeout = timeout
+        context = multiprocessing.get_context("spawn")
+        self.connection, theirs = context.Pipe()
+        self.process = context.Process(target=_serve, args=(theirs, work), daemon=True)
+        with _ctrl_c_ignored():
+            self.process.start()
+        # While this process holds a copy of the worker's end, the death of the worker does not close the pipe.
+        theirs.close()
 
     def give(self, job: J) -> None:
         """Hand a job to the process."""
         self.job, self.deadline = job, math.inf
-        try:
-            self.connection.send(job)
-        except OSError:  # the process has died between two jobs, so no job is to blame
-            self.kill()
+        with suppress(OSError):  # it has just died, as its end of the pipe will say
             self.connection.send(job)
 
     def take(self) -> R | Failure | None:
         """The result of the job; None if the job has only started. A worker whose time is over is killed."""
-        process, connection = self._process()
         try:
-            if connection.poll():
-                result: R | Failure | None = connection.recv()
+            if self.connection.poll():
+                result: R | Failure | None = self.connection.recv()
                 if result is None:
                     self.deadline = time.monotonic() + self._timeout
                 return result
             failure = Failure(f"time-out: not done after {self._timeout:g} s")
         except (EOFError, OSError):
-            process.join()
-            failure = Failure(_death(process.exitcode or 0))
+            self.process.join()
+            failure = Failure(_death(self.process.exitcode or 0))
         self.kill()
         return failure
 
     def kill(self) -> None:
-        """End the process, if there is one, and what it has started."""
-        if self._running is not None:
-            process, connection = self._running
-            self._running = None
-            if process.pid is not None:
-                with suppress(OSError):  # it has ended, or has no group yet
-                    _kill_group(process.pid)
-            process.kill()
-            process.join()
-            connection.close()
-
-    def _process(self) -> tuple[SpawnProcess, Connection]:
-        if self._running is None:
-            context = multiprocessing.get_context("spawn")
-            ours, theirs = context.Pipe()
-            process = context.Process(target=_serve, args=(theirs, self._work), daemon=True)
-            with _ctrl_c_ignored():
-                process.start()
-            # While this process holds a copy of the worker's end, the death of the worker does not close the pipe.
-            theirs.close()
-            self._running = process, ours
-        return self._running
+        """End the process and what it has started. A second call does nothing."""
+        if self.connection.closed:
+            return
+        if self.process.pid is not None:
+            with suppress(OSError):  # it has ended, or has no group yet
+                _kill_group(self.process.pid)
+        self.process.kill()
+        self.process.join()
+        self.connection.close()
 
 
 def _ready(busy: Sequence[_Worker[J, R]]) -> list[_Worker[J, R]]:

@@ -37,17 +37,7 @@ Statistic: TypeAlias = Callable[..., FloatArray]
 
 @dataclass(frozen=True)
 class Estimate:
-    """A statistic of some values.
-
-    Attributes
-    ----------
-    value
-        The statistic of all values.
-    low, high
-        Its interval; None where there are too few values.
-    count
-        Number of values.
-    """
+    """A statistic of ``count`` values, and its interval, which is None where there are too few values."""
 
     value: float
     low: float | None
@@ -102,16 +92,10 @@ def mean(values: ArrayLike) -> Estimate | None:
 
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """The same jobs under two settings.
+    """The values (n,) of the jobs that have one under both settings.
 
-    Attributes
-    ----------
-    first, second
-        Values (n,) of the jobs that have a value under both settings.
-    left_out
-        Number of jobs under both settings that failed, or have no value, under one of them.
-    unpaired
-        Number of jobs that exist under one setting only.
+    Of the jobs that are left out, one of both runs failed or has no value. Those that are unpaired exist under one
+    setting only.
     """
 
     first: FloatArray

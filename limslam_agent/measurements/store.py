@@ -50,17 +50,10 @@ S = TypeVar("S", bound=BaseStamp)
 
 @dataclass(frozen=True)
 class Format(Generic[S, R]):
-    """A kind of results.
+    """A kind of results: what a folder holds, for messages, its stamp with the name of its file, and its rows.
 
-    Attributes
-    ----------
-    name
-        What a folder holds, for messages.
-    stamp_file, stamp
-        Name of the file of the stamp, and its dataclass.
-    row, key
-        The dataclass of a row, whose fields with ``compare=False`` may differ when a job is repeated; and what tells
-        its job from others.
+    Fields of a row with ``compare=False`` may differ when a job is repeated. ``key`` tells the job of a row from
+    others.
     """
 
     name: str
@@ -71,32 +64,14 @@ class Format(Generic[S, R]):
 
 
 class Store(Generic[R]):
-    """A folder of results that only this process writes to; see :func:`open_store`.
-
-    Attributes
-    ----------
-    folder
-        Path of the folder.
-    rows
-        The existing rows, by the keys of their jobs.
-    """
+    """A folder of results that only this process writes to (:func:`open_store`), and its rows by their keys."""
 
     def __init__(self, form: Format[Any, R], folder: Path, rows: Iterable[R]) -> None:
         self.folder, self._key = folder, form.key
         self.rows: dict[Hashable, R] = {form.key(row): row for row in rows}
 
     def append(self, row: R) -> None:
-        """Store a row durably: once this method has returned, a kill cannot lose it.
-
-        Raises
-        ------
-        ValueError
-            If its job already has a row.
-        OSError
-            If writing fails.
-        """
-        if self._key(row) in self.rows:
-            raise ValueError(f"{self.folder}: has a row for this job already: {self._key(row)}")
+        """Store a row durably: once this method has returned, a kill cannot lose it."""
         append_line(self.folder / RESULTS, _line(row))
         self.rows[self._key(row)] = row
 
@@ -107,12 +82,7 @@ def open_store(
 ) -> Iterator[Store[R]]:
     """Open a folder of results: create it if needed, repair it after a kill, and lock it.
 
-    Parameters
-    ----------
-    form, folder, stamp
-        The kind of results, their folder, and the stamp of the new ones.
-    keep
-        Whether an earlier row stays. The jobs of others are missing again.
+    ``keep`` says whether an earlier row stays. The jobs of others are missing again.
 
     Raises
     ------
@@ -127,7 +97,12 @@ def open_store(
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder / _LOCK, f"{folder}: another run is writing there"):
         if (folder / form.stamp_file).is_file():
-            _check_same(folder, read_stamp(form, folder), stamp)
+            before = read_stamp(form, folder)
+            for what, value in stamp.identity.items():
+                if before.identity[what] != value:
+                    raise ValueError(f"{folder}: holds results of {what}: choose another folder")
+            if changed := before.changes(stamp):
+                raise ValueError(f"{folder}: holds results of other versions ({changed}): choose another folder")
         else:
             replace_content(folder / form.stamp_file, json.dumps(asdict(stamp), indent=2).encode() + b"\n")
         mend_lines(folder / RESULTS)
@@ -137,14 +112,6 @@ def open_store(
         if len(kept) < len(rows):
             replace_content(folder / RESULTS, b"".join(map(_line, kept)))
         yield Store(form, folder, kept)
-
-
-def _check_same(folder: Path, before: BaseStamp, stamp: BaseStamp) -> None:
-    for what, value in stamp.identity.items():
-        if before.identity[what] != value:
-            raise ValueError(f"{folder}: holds results of {what}: choose another folder")
-    if changed := before.changes(stamp):
-        raise ValueError(f"{folder}: holds results of other versions ({changed}): choose another folder")
 
 
 def read_stamp(form: Format[S, R], folder: Path) -> S:

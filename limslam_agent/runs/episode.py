@@ -11,31 +11,34 @@ from typing import Any
 
 import numpy as np
 
-from limslam_agent.mapping.joining import Earlier, JoiningMapper
+from limslam_agent.mapping.joining import JoiningMapper
+from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.mapping.team import LimSlamTeam
-from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.places.saved_map import read_saved_map
 from limslam_agent.policies.policy import NOT_EXPLORED, Policy
-from limslam_agent.runs.actor_policy import ActorPolicy
-from limslam_agent.runs.kidnapping import another_place
-from limslam_agent.runs.policies import Tour, policies_for
+from limslam_agent.policies.simple_policies import Laps
+from limslam_agent.runs.actors import ActorPolicy
+from limslam_agent.runs.policies import TOUR, Tour, policies_by_belief
 from limslam_agent.runs.policy_file import naming_lines_of
 from limslam_agent.runs.record import Episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.status.status import LEVELS
+from limslam_env.bounds.tours import loop_tour
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, turned
-from limslam_env.interface import Observation
+from limslam_env.interface import Observation, RobotSpec
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.regions import start_region
-from limslam_env.worlds.world import World
+from limslam_env.worlds.world import World, WorldError
 
 OUT_OF_TIME = "time: the run's longest time is over"
 
+LEAST_MOVE = 2.0
+"""Least distance to which a robot is carried, m."""
+
 Watcher = Callable[[LimSlamTeam, LimSlamParallelEnv, float, float], None]
 """Called at each step, after the team has decided, with team, env, simulated time (s) and true coverage (0 to 1)."""
-
 
 _Row = dict[str, Any]
 """One step of a run with all robots, by the names of the columns in :class:`Episode`."""
@@ -75,9 +78,6 @@ def run_episode(
     with naming_lines_of(config.policy):
         rows = _drive(config, env, team, watch, alter)
     columns = {name: np.array([row[name] for row in rows]) for name in rows[0]}
-    is_joined, earlier = (
-        (not team.mapper.is_apart, team.mapper.earlier) if isinstance(team.mapper, JoiningMapper) else (False, None)
-    )
     return Episode(
         config=config,
         world=world,
@@ -91,18 +91,21 @@ def run_episode(
         stop_reason=_stop_reason(config, world, team.stop_reason),
         is_finished=team.done,
         wall_clock=time.perf_counter() - clock,
-        is_joined=is_joined,
+        is_joined=not team.mapper.is_apart,
         sensor=team.slam.sensor,
         beam_turns=team.slam.beam_turns,
-        **_in_shared_frame(_in_one_frame(columns, team.mapper.prior_frame, team.mapper.places), earlier),
+        **_in_one_frame(columns, team.mapper),
     )
 
 
 def policies_of(config: RunConfig, world: World) -> list[Policy] | None:
     """A policy for each robot of a run, by the name in its settings; None for those that a team has by default."""
-    return policies_for(
-        config.policy, config.robot, config.agent, world, robots=config.robots, laps=config.laps, seed=config.seed
-    )
+    robot = config.robot
+    if config.policy == "frontier":
+        return [Laps(robot, world.loop, config.laps)] if config.laps else None
+    if config.policy == TOUR:
+        return [Tour(robot, lambda pose: loop_tour(world, robot, pose, config.laps or 1))]
+    return policies_by_belief(config.policy, robot, config.agent, robots=config.robots, seed=config.seed)
 
 
 def team_of(config: RunConfig, policies: Sequence[Policy] | None) -> LimSlamTeam:
@@ -136,24 +139,18 @@ def _stop_reason(config: RunConfig, world: World, reason: str | None) -> str:
     )
 
 
-def _in_one_frame(columns: dict[str, Any], prior_frame: FloatArray | None, places: PlaceHistory) -> dict[str, Any]:
-    """The columns of a run, with all poses in the frame of an earlier map if the robot found its place there."""
-    if prior_frame is None:
-        return columns
-    own = slice(places.records[0]["step"])
-    for name in ("estimated", "odometry"):
-        columns[name][own] = compose(prior_frame, columns[name][own])
-    columns["covariances"][own] = turned(columns["covariances"][own], prior_frame[2])
-    return columns
-
-
-def _in_shared_frame(columns: dict[str, Any], earlier: Earlier | None) -> dict[str, Any]:
-    """The columns of a run, with the second robot in the frame of the first one if both are joined."""
-    if earlier is None:
-        return columns
-    known = slice(len(earlier.poses))
-    columns["estimated"][known, 1], columns["covariances"][known, 1] = earlier.poses[:, 1], earlier.covariances[:, 1]
-    columns["odometry"][known, 1] = earlier.odometry[:, 1]
+def _in_one_frame(columns: dict[str, Any], mapper: Mapper) -> dict[str, Any]:
+    """The columns of a run, with all poses in the frame of an earlier map, or of the first robot, if that was found."""
+    earlier = mapper.earlier if isinstance(mapper, JoiningMapper) else None
+    if mapper.prior_frame is not None:
+        own = slice(mapper.places.records[0]["step"])
+        for name in ("estimated", "odometry"):
+            columns[name][own] = compose(mapper.prior_frame, columns[name][own])
+        columns["covariances"][own] = turned(columns["covariances"][own], mapper.prior_frame[2])
+    if earlier is not None:
+        known = slice(len(earlier.poses)), 1
+        columns["estimated"][known], columns["odometry"][known] = earlier.poses[:, 1], earlier.odometry[:, 1]
+        columns["covariances"][known] = earlier.covariances[:, 1]
     return columns
 
 
@@ -194,7 +191,12 @@ def _drive(
 def _decide(team: LimSlamTeam, observations: list[Observation], infos: list[dict[str, Any]]) -> _Row:
     """Let the robots observe and choose their actions; the record of the step."""
     truth, mapper = infos[0], team.mapper
-    _inform(team.policies, observations, truth)
+    for policy, observation in zip(team.policies, observations, strict=True):
+        # What no belief holds: the true pose for a tour, and the readings for actors.
+        if isinstance(policy, Tour):
+            policy.observe_truth(truth["pose"])
+        if isinstance(policy, ActorPolicy):
+            policy.observe(observation)
     begin = time.perf_counter()
     team.observe(observations)
     actions = team.decide()
@@ -218,10 +220,17 @@ def _decide(team: LimSlamTeam, observations: list[Observation], infos: list[dict
     }
 
 
-def _inform(policies: Sequence[Policy], observations: Sequence[Observation], truth: dict[str, Any]) -> None:
-    """Tell what no belief holds: the true pose to a tour, and the readings to actors."""
-    for policy, observation in zip(policies, observations, strict=True):
-        if isinstance(policy, Tour):
-            policy.observe_truth(truth["pose"])
-        if isinstance(policy, ActorPolicy):
-            policy.observe(observation)
+def another_place(world: World, robot: RobotSpec, pose: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """A random free pose (3,) that the robot could drive to, at least 2 m away from its pose (3,).
+
+    Raises
+    ------
+    WorldError
+        If there is no such place.
+    """
+    grid = world.free_space(robot.radius)
+    places = grid.centres(grid.region_of(pose[:2]))
+    far = places[np.hypot(*(places - pose[:2]).T) > LEAST_MOVE]
+    if not len(far):
+        raise WorldError(f"world {world.name!r} has no free place that is {LEAST_MOVE:g} m away from the robot")
+    return np.array([*far[rng.integers(len(far))], rng.uniform(-np.pi, np.pi)])

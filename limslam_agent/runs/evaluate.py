@@ -1,7 +1,7 @@
 """Scores anything that can act by the metrics of ``limslam run``."""
 
 import re
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -12,9 +12,9 @@ from pettingzoo.env_registry.exceptions import PettingZooRegistryError
 import limslam_env  # noqa: F401 (registers the environments)
 from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.actor_checks import check_actor, is_policy
-from limslam_agent.runs.actors import Actions, Driver, driver_of
+from limslam_agent.runs.actors import ALONE, Driver, driver_of
 from limslam_agent.runs.episode import OUT_OF_TIME
-from limslam_agent.runs.results import drive_scores, map_scores, team_scores
+from limslam_agent.runs.results import drive_scores, map_scores, over_robots, trajectory_scores
 from limslam_env.config import NoiseConfig
 from limslam_env.envs.adapter import SimulationEnv
 from limslam_env.envs.arguments import given
@@ -27,7 +27,6 @@ Result = dict[str, Any]
 
 _TIMES = ("time_to_", "exploration_time")
 _TEAMS = "limslam/"
-_ALONE = "robot_0"
 
 
 def evaluate(
@@ -148,15 +147,15 @@ class _Robots:
     def reset(self, seed: int) -> tuple[dict[str, Any], _Infos]:
         """Observations and true infos of the robots."""
         observation, info = self._env.reset(seed=seed)
-        return (observation, info) if self._is_team else ({_ALONE: observation}, {_ALONE: info})
+        return (observation, info) if self._is_team else ({ALONE: observation}, {ALONE: info})
 
-    def step(self, actions: Actions) -> tuple[dict[str, Any], _Infos, bool, bool]:
+    def step(self, actions: Mapping[str, Any]) -> tuple[dict[str, Any], _Infos, bool, bool]:
         """Observations and infos, whether the episode has terminated, and whether it was truncated."""
         if self._is_team:
             observations, _, over, late, infos = self._env.step(dict(actions))
             return observations, infos, all(over.values()), all(late.values())
-        observation, _, is_over, is_late, info = self._env.step(actions[_ALONE])
-        return {_ALONE: observation}, {_ALONE: info}, bool(is_over), bool(is_late)
+        observation, _, is_over, is_late, info = self._env.step(actions[ALONE])
+        return {ALONE: observation}, {ALONE: info}, bool(is_over), bool(is_late)
 
 
 def _check(actor: Any, env_id: Any, max_time: float, preset: str | None) -> None:
@@ -206,7 +205,7 @@ def _scored(driver: Driver, robots: _Robots, stage: SimulationEnv, seed: int) ->
     if driver.snapshot_source is not None:
         estimated, odometry, covariances = (np.array(column) for column in zip(*beliefs, strict=True))
         snapshot = driver.snapshot_source.snapshot()
-        scores |= team_scores(true, estimated, odometry, covariances)
+        scores |= over_robots(trajectory_scores, true, estimated, odometry, covariances)
         scores |= map_scores(stage.world, stage.robot, stage.coverage_grid, snapshot, true, estimated)
     return {"seed": seed, **scores, "stop_reason": stop_reason or OUT_OF_TIME}
 
@@ -235,7 +234,7 @@ def _drive(
     if callable(finish):
         finish()
     if driver.done:
-        return truth, beliefs, driver.stop_reason or "the actor says that it is done"
+        return truth, beliefs, driver.stop_reason
     return truth, beliefs, "the coverage goal is reached" if is_over else None
 
 

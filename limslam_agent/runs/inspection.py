@@ -42,16 +42,10 @@ _LOOPS, _GRAPH = "loops.json", "graph.json"
 
 @dataclass(frozen=True, eq=False)
 class Inspection:
-    """A recording of a run.
+    """A recording of a run: what the page holds, and the number of frames.
 
-    Attributes
-    ----------
-    arrays, meta
-        What the page holds.
-    frames
-        Number of frames.
-    difference
-        Largest difference, m and rad, between the poses and those in the run's folder. None if there is no folder.
+    ``difference`` is the largest one, m and rad, between the poses and those in the run's folder. None if there is no
+    folder.
     """
 
     arrays: dict[str, NDArray[Any]]
@@ -61,13 +55,7 @@ class Inspection:
 
 
 def inspect_run(config: RunConfig, run: FinishedRun, progress: Progress) -> Inspection:
-    """Record a run in a simulated world from its folder.
-
-    Raises
-    ------
-    FolderError
-        If the folder has no usable log.
-    """
+    """Record a run in a simulated world from its folder."""
     readings = read_readings(run)
     if readings is None or not run.true:
         missing = LOG if readings is None else "trajectory_true.tum"
@@ -99,18 +87,9 @@ def inspect_log(
     run: FinishedRun | None = None,
     prior_map: SavedMap | None = None,
 ) -> Inspection:
-    """Record the replay of a log.
+    """Record the replay of a log, in the map of an earlier run where there is one.
 
-    Parameters
-    ----------
-    log, config
-        The log, and the settings of the replay.
-    progress
-        Called after each event.
-    run
-        The folder of the replay, with what is known at its end. None for a log that was not replayed.
-    prior_map
-        The map of an earlier run, in which the log begins.
+    ``run`` is the folder of the replay, with what is known at its end. None for a log that was not replayed.
     """
     if run is not None and len(run.time) != len(log):
         raise FolderError(f"{run.folder}: has {len(run.time)} poses for the {len(log)} events of its log")
@@ -182,13 +161,7 @@ def _words(difference: float) -> str:
 
 
 def _read(path: Path, found: Callable[[Any], Any], otherwise: Any) -> Any:
-    """What a function finds in a JSON file of the smoother, or something else if there is no such file.
-
-    Raises
-    ------
-    FolderError
-        If the file is damaged.
-    """
+    """What a function finds in a JSON file of the smoother, or something else if there is no such file."""
     if not path.is_file():
         return otherwise
     try:

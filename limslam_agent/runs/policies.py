@@ -14,13 +14,12 @@ from limslam_agent.config.presets import AgentConfig
 from limslam_agent.policies.controller import TURN_RATE, bearing_of, wheel_speeds
 from limslam_agent.policies.learned.learned import LearnedPolicy
 from limslam_agent.policies.policy import NO_PLAN, Policy
-from limslam_agent.policies.simple_policies import LAP_SPEED, Laps, RandomPolicy, WallFollower
+from limslam_agent.policies.simple_policies import LAP_SPEED, RandomPolicy, WallFollower
 from limslam_agent.policies.wall_policy import explorer
 from limslam_agent.runs.policy_file import file_and_name, file_policies, is_file_policy
-from limslam_env.bounds.tours import Speeds, loop_tour
+from limslam_env.bounds.tours import Speeds
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
-from limslam_env.worlds.world import World
 
 TOUR = "tour"
 BELIEF_POLICIES = ("frontier", "frontier_fast", "wall_follower", "random", "learned")
@@ -35,16 +34,8 @@ _ARRIVED = 0.003  # m, smaller than the distance between a tour and the walls
 class Tour:
     """Drives past waypoints by the true pose. What is measured or believed plays no role.
 
-    The robot turns on the spot towards each waypoint and then drives straight.
-
-    Parameters
-    ----------
-    robot
-        Body of the robot.
-    planner
-        Plans waypoints (k, 2), m, from the true pose (3,): at the start, and whenever all have been passed.
-    tours
-        Largest number of calls of the planner.
+    The robot turns on the spot towards each waypoint and then drives straight. ``planner`` plans waypoints (k, 2), m,
+    from the true pose (3,): at the start, and whenever all have been passed, ``tours`` times at most.
     """
 
     def __init__(self, robot: RobotSpec, planner: Callable[[FloatArray], FloatArray], tours: int = 1) -> None:
@@ -102,30 +93,8 @@ def check_policy(policy: str, laps: int, robots: int) -> None:
         raise ValueError(f"{what} for one robot: several would meet on the loop")
 
 
-def explores(policy: str, laps: int) -> bool:
-    """Whether the end of such a run is the end of an exploration."""
-    return not laps and policy != TOUR
-
-
-def policies_for(
-    policy: str, robot: RobotSpec, config: AgentConfig, world: World, *, robots: int, laps: int, seed: int
-) -> list[Policy] | None:
-    """A policy for each robot. None for the frontier policies, which a team makes itself."""
-    if policy == "frontier":
-        return [Laps(robot, world.loop, laps)] if laps else None
-    if policy == TOUR:
-        return [Tour(robot, lambda pose: loop_tour(world, robot, pose, laps or 1))]
-    return policies_by_belief(policy, robot, config, robots=robots, seed=seed)
-
-
 def check_belief_policy(policy: str) -> None:
-    """Check that the policy exists and acts on the belief alone, before there is a robot to make it for.
-
-    Raises
-    ------
-    ValueError
-        If it does not exist or knows the truth.
-    """
+    """Check that the policy exists and acts on the belief alone, before there is a robot to make it for."""
     check_policy(policy, laps=0, robots=1)
     if policy == TOUR:
         raise ValueError(f"the policy {policy!r} knows the truth: use limslam run --policy {policy}")
@@ -134,13 +103,7 @@ def check_belief_policy(policy: str) -> None:
 def policies_by_belief(
     policy: str, robot: RobotSpec, config: AgentConfig, *, robots: int, seed: int
 ) -> list[Policy] | None:
-    """A policy for each robot that acts on the belief alone. None for ``frontier``, whose policies a team makes itself.
-
-    Raises
-    ------
-    ValueError
-        If no policy has this name, or the policy knows the truth.
-    """
+    """A policy for each robot that acts on the belief alone. None for ``frontier``: a team makes those itself."""
     check_belief_policy(policy)
     if is_file_policy(policy):
         return file_policies(policy, robot, config.policy, robots=robots, seed=seed)

@@ -39,13 +39,7 @@ def short_name(policy: str) -> str:
 
 
 def file_and_name(policy: str) -> tuple[Path, str]:
-    """The file, and the name of the class or the function in it.
-
-    Raises
-    ------
-    PolicyFileError
-        If there is no such file, or no name is given.
-    """
+    """The file, and the name of the class or the function in it."""
     path, _, name = policy.rpartition(":")
     if not path.endswith(".py"):
         raise PolicyFileError(f"{policy}: the name of the policy in the file is missing: FILE.py:CLASS")
@@ -57,13 +51,7 @@ def file_and_name(policy: str) -> tuple[Path, str]:
 
 
 def file_policies(policy: str, robot: RobotSpec, config: PolicyConfig, *, robots: int, seed: int) -> list[Policy]:
-    """A new policy of a file for each robot. Each has its own random generator as ``seed``.
-
-    Raises
-    ------
-    PolicyFileError
-        If the file cannot be loaded, or what it has by that name makes no policy.
-    """
+    """A new policy of a file for each robot. Each has its own random generator as ``seed``."""
     path, name = file_and_name(policy)
     made = made_by_file(policy, robot, config, robots=robots, seed=seed)
     return [_checked(each, f"{path}: {name}") for each in made]

@@ -28,16 +28,8 @@ if TYPE_CHECKING:
 class FinalMap:
     """The map of a finished run, from which its files, its picture and its scores are made.
 
-    Attributes
-    ----------
-    segments
-        Walls (k, 4), m, cut at doors and holes.
-    landmarks
-        The lines that the walls lie on, with covariances.
-    grid
-        Occupancy grid.
-    poses
-        The poses (t, n, 3) that the map was drawn from, m and rad.
+    Walls (k, 4), m, cut at doors and holes; the lines that they lie on; and the poses (t, n, 3), m and rad, that the
+    map was drawn from.
     """
 
     segments: FloatArray
@@ -94,7 +86,7 @@ class Episode:
     slam_ms, decide_ms, wall_clock
         Cost of a step: the SLAM alone (t,), ms, and the grid with the policies (t,), ms. Cost of the whole loop, s.
     is_joined
-        Whether two robots with unknown starts share a frame at the end.
+        Whether the robots share a frame at the end.
     """
 
     config: RunConfig
@@ -124,7 +116,7 @@ class Episode:
     slam_ms: FloatArray
     decide_ms: FloatArray
     wall_clock: float
-    is_joined: bool = False
+    is_joined: bool = True
     sensor: RangeSensor | None = None
     beam_turns: FloatArray | None = None
 

@@ -96,13 +96,7 @@ def _hough(event: dict[str, Any], time: float) -> HoughView:
 
 @contextmanager
 def filming(path: Path, config: RunConfig, title: str, *, force: bool = False) -> Iterator[FilmedRun]:
-    """The film of one run. The file appears when the context ends without an error.
-
-    Raises
-    ------
-    ValueError
-        If such a video cannot be written.
-    """
+    """The film of one run. The file appears when the context ends without an error."""
     corners = load_world(config.world).edges.reshape(-1, 2)
     with video_file(path, FPS, (WIDTH, HEIGHT), force=force) as writer:
         filmed = FilmedRun(Film(writer, corners.min(axis=0), corners.max(axis=0), title))

@@ -4,6 +4,7 @@ The estimate is compared with the truth only here, after the run is over.
 """
 
 import sys
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
 from importlib.metadata import version
 from pathlib import Path
@@ -12,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.logs.recorded_log import write_npz
+from limslam_agent.mapping.joining import NOT_YET_CONFIRMED
 from limslam_agent.output.cost import run_cost
 from limslam_agent.output.export import WallsAndGrid, map_content, plain, write_covariances, write_json, write_map
 from limslam_agent.output.finished_run import COVARIANCES, UNPLACED, WORLD, run_title
@@ -19,22 +21,17 @@ from limslam_agent.output.summary import calibration_record, place_records, reco
 from limslam_agent.output.tum import write_paths
 from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.optimum import offline_optimum
-from limslam_agent.runs.policies import explores
+from limslam_agent.runs.policies import TOUR
 from limslam_agent.runs.policy_file import short_name
 from limslam_agent.runs.record import Episode, FinalMap
 from limslam_agent.runs.run_config import RunConfig
-from limslam_agent.runs.smoothing import final_status, mean_scores, smoothed_scores
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.status import status_scores, worst
+from limslam_agent.status.smoothed_status import lost_note, lost_since, smoothed_status
+from limslam_agent.status.status import LEVELS, final_status_scores, status_scores, worst
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.metrics import metrics
-from limslam_env.metrics.association import (
-    AssociationEvent,
-    association_metrics,
-    closure_metrics,
-    dropped_beam_metrics,
-)
+from limslam_env.metrics.association import AssociationEvent, association_metrics, closure_metrics, dropped_beam_metrics
 from limslam_env.simulation.coverage import CELL, CoverageGrid
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.formats.toml import world_toml
@@ -68,11 +65,11 @@ def score(episode: Episode) -> dict[str, Any]:
     placed = slice(episode.placed_robots)  # the poses of a robot that was not placed are in a frame of its own
     known, online = episode.placed_steps, None if episode.smoothed is None else episode.online_map
     columns = (episode.true, episode.estimated, episode.odometry, episode.covariances)
-    trajectory = team_scores(*(rows[:, placed] for rows in columns))
+    trajectory = over_robots(trajectory_scores, *(rows[:, placed] for rows in columns))
     limit = offline_optimum_scores(episode, trajectory["ate_m"]) if config.limit else {}
     smoothed = smoothed_scores(episode, limit.get("limit_ate_m"))
     is_over = episode.is_finished and not episode.stop_reason.endswith(NOT_EXPLORED)
-    has_explored = is_over and explores(config.policy, config.laps)
+    has_explored = is_over and not config.laps and config.policy != TOUR
     walls = map_scores(
         episode.world,
         config.robot,
@@ -98,17 +95,15 @@ def score(episode: Episode) -> dict[str, Any]:
     }
 
 
-def team_scores(
-    true: FloatArray, estimated: FloatArray, odometry: FloatArray, covariances: FloatArray
-) -> dict[str, float | None]:
-    """Means of :func:`trajectory_scores` over n robots, from poses (t, n, 3) and covariances (t, n, 3, 3)."""
-    numbers = range(true.shape[1])
-    return mean_scores(
-        [
-            trajectory_scores(*(rows[:, number] for rows in (true, estimated, odometry, covariances)))
-            for number in numbers
-        ]
-    )
+def over_robots(scores: Callable[..., Mapping[str, float | None]], *columns: FloatArray) -> dict[str, float | None]:
+    """Means over n robots of the scores of each one, from columns (t, n, ...)."""
+    return mean_scores([scores(*(rows[:, one] for rows in columns)) for one in range(columns[0].shape[1])])
+
+
+def mean_scores(each: Sequence[Mapping[str, float | None]]) -> dict[str, float | None]:
+    """Means of several scores. A mean is None if one of them has no value."""
+    columns: dict[str, Any] = {name: [scores[name] for scores in each] for name in each[0]}
+    return {name: None if None in values else float(np.mean(values)) for name, values in columns.items()}
 
 
 def drive_scores(
@@ -116,14 +111,8 @@ def drive_scores(
 ) -> dict[str, float | None]:
     """Metrics that need no estimate.
 
-    Parameters
-    ----------
-    time, coverage
-        Times (t,), s, and true coverage (t,), 0 to 1.
-    true, contact
-        True poses (t, n, 3), and whether each robot touches something (t, n).
-    has_explored
-        Whether the agent itself has ended an exploration.
+    They are made from times (t,), s, true coverage (t,), 0 to 1, true poses (t, n, 3), and whether each robot touches
+    something (t, n). ``has_explored`` says whether the agent itself has ended an exploration.
     """
     return {
         "path_m": float(np.mean([metrics.path_length(poses) for poses in true.swapaxes(0, 1)])),
@@ -183,6 +172,49 @@ def offline_optimum_scores(episode: Episode, ate: float | None) -> dict[str, flo
     errors = np.linalg.norm(limit[..., :2] - true[..., :2], axis=-1)
     best = float(np.sqrt(np.mean(errors**2, axis=0)).mean())
     return {"limit_ate_m": best, "ate_over_limit": ate / best if ate is not None and best > 0.0 else None}
+
+
+def final_status(episode: Episode) -> dict[str, str]:
+    """The status of the smoothed path and map by the names in ``docs/metrics.md``; nothing if there are none."""
+    online_statuses, smoothed = episode.snapshot.statuses, episode.smoothed
+    if smoothed is None:
+        return {}
+    places = episode.places
+    status = smoothed_status(
+        smoothed.contradictions,
+        episode.revised,
+        (smoothed.poses, smoothed.covariances),
+        while_driving=LEVELS[int(episode.levels.max())],
+        lost_since=lost_since(episode.time, places.placed.stop),
+    )
+    if status.level == "ok" and NOT_YET_CONFIRMED in online_statuses:
+        status = NOT_YET_CONFIRMED
+    if status.level == "ok":
+        status = places.doubt
+    return final_status_scores(status, worst(online_statuses), lost_note(episode.time, episode.levels))
+
+
+def smoothed_scores(episode: Episode, limit: float | None) -> dict[str, float | None]:
+    """Metrics of the smoothed path, as means over the robots, and its ratio to the offline optimum's error (m)."""
+    smoothed = episode.smoothed
+    if smoothed is None:
+        return {}
+    scores = over_robots(path_scores, episode.true, smoothed.poses, smoothed.covariances)
+    if episode.config.limit:
+        ate = scores["ate_smoothed_m"]
+        scores["smoothed_over_limit"] = ate / limit if ate is not None and limit else None
+    return scores
+
+
+def path_scores(true: FloatArray, smoothed: FloatArray, covariances: FloatArray | None) -> dict[str, float | None]:
+    """Metrics of a smoothed path (n, 3) with covariances (n, 3, 3) against the truth (n, 3)."""
+    errors = metrics.trajectory_metrics(true, smoothed)
+    found: dict[str, float | None] = {
+        "ate_smoothed_m": errors["ate_m"], "heading_smoothed_rmse_deg": errors["heading_rmse_deg"],
+    }  # fmt: skip
+    if covariances is not None:
+        found["anees_smoothed"] = metrics.consistency_metrics(true, smoothed, covariances)["anees"]
+    return plain(found)
 
 
 def cost(episode: Episode) -> dict[str, float]:

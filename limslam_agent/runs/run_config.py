@@ -23,46 +23,18 @@ LONGEST_TIME = 1e6
 
 @dataclass(frozen=True)
 class RunConfig:
-    """Settings of a run.
+    """Settings of a run: those of the options of ``limslam run`` that have the same names, and these.
 
     Attributes
     ----------
     world
         Name, file or world.
-    noise
-        Standard deviation of the range noise, m. The agent is told this value.
-    preset
-        Name of the agent's settings.
-    seed
-        Seed of all random numbers.
-    max_time
-        Longest simulated time, s.
-    laps
-        Number of laps of the world's loop to drive instead of exploring. 0 explores. With the policy ``tour``, the
-        number of rounds.
-    robot
-        Body and beams of each robot.
-    robots
-        Number of robots, 1 to 8.
-    ablation
-        Part of the method that is switched off. None switches off nothing.
-    policy
-        Name of the policy, as ``limslam run --policy`` takes it. ``tour`` drives around the world's loop by the true
-        pose, while the estimators listen.
-    limit
-        Whether to also compare the run with the offline optimum of its log.
     settings
         The agent's settings before the ablation. The preset's settings by default.
     until
-        When the policies ``frontier`` and ``frontier_fast`` are done: ``seen`` or ``walls``
-        (:func:`~limslam_agent.config.presets.with_until`). None leaves this to the settings, whose default is ``seen``.
-    kidnap_at
-        Time at which the robot is carried to a random place, s. None leaves it alone.
+        As the option. None leaves this to the settings, whose default is ``seen``.
     prior_map
-        Folder of an earlier run. The robot begins in its map, at a place that the agent does not know. None begins with
-        an empty map and a known start pose.
-    unknown_starts
-        Whether the second of two robots starts at a place that the agent does not know.
+        As the option ``map``.
     true_noise
         The simulator's noise. Its ``sensor_noise`` is replaced by ``noise``.
     driver

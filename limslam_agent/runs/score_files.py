@@ -1,125 +1,28 @@
 """Scores the trajectory and the map of any SLAM system, from files, by the metrics of ``docs/metrics.md``."""
 
-import math
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from limslam_agent.logs.relations import read_relations, relation_errors, summary
 from limslam_agent.output.export import plain
-from limslam_agent.output.finished_run import read_walls
 from limslam_agent.output.tum import TrajectoryError, read_rows, read_tum
 from limslam_agent.safe_files import load_arrays
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.se2 import compose, inverse, transform_points, turned
 from limslam_env.interface import RobotSpec
 from limslam_env.metrics import metrics
-from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.world import World
-
-ALIGNMENTS = ("none", "start", "path")
-"""How the frame of an estimate can be moved onto that of the truth."""
-
-MAX_DIFFERENCE = 0.01
-"""Poses whose times differ by at most this (s) belong together, as in evo."""
 
 _UPPER = (0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2)
 
 
-@dataclass(frozen=True)
-class ScoredFiles:
-    """What is scored, and with what.
-
-    Attributes
-    ----------
-    estimated
-        Estimated trajectory, a TUM file, or None where only a map is scored.
-    true
-        True trajectory, a TUM file, or None.
-    relations
-        File of known relative poses, or None.
-    covariances
-        Covariances of the estimated poses (:func:`read_covariances`), or None.
-    align
-        How the frame of the estimate is moved first: ``none``, ``start`` or ``path`` (:meth:`Pairs.alignment`).
-    max_difference
-        Most that the times of poses that belong together may differ, s.
-    walls
-        Estimated walls, a ``map.json``, or None.
-    world
-        The true walls, a name or file of a world, or None.
-    robot
-        The robot that drove. Its range decides which walls can be seen.
-
-    Raises
-    ------
-    ValueError
-        If the files do not make up a score.
-    """
-
-    estimated: Path | None
-    true: Path | None
-    relations: Path | None
-    covariances: Path | None
-    align: str
-    max_difference: float
-    walls: Path | None
-    world: str | None
-    robot: RobotSpec
-
-    def __post_init__(self) -> None:
-        if self.align not in ALIGNMENTS:
-            raise ValueError(f"--align: {', '.join(ALIGNMENTS)} can be chosen, not {self.align!r}")
-        if not 0.0 <= self.max_difference < math.inf:
-            raise ValueError(f"--max-difference: must be at least 0 s and finite, not {self.max_difference:g}")
-        if self.estimated is None and self.walls is None:
-            raise ValueError("something to score is needed: --est FILE.tum, or --map map.json with --world")
-        if (self.walls is None) != (self.world is None):
-            raise ValueError("--map and --world go together: a map is scored against the walls of a world")
-        if self.estimated is not None and self.true is None and self.relations is None:
-            raise ValueError(f"{self.estimated}: needs something to compare with: --true FILE.tum, or --relations FILE")
-        needs = {"--true": self.true, "--relations": self.relations}
-        if self.estimated is None and any(needs.values()):
-            raise ValueError(f"{next(name for name, file in needs.items() if file)} needs --est FILE.tum")
-        if self.true is None and (self.covariances is not None or self.align != "none"):
-            raise ValueError("--covariances and --align need --est and --true")
-
-    def scores(self) -> dict[str, float | int | None]:
-        """All metrics that the files allow, by the names of ``docs/metrics.md``.
-
-        Raises
-        ------
-        ValueError
-            If a file cannot be used.
-        """
-        scores: dict[str, float | int | None] = {}
-        pairs, motion = None, np.zeros(3)
-        if self.estimated is not None and self.true is not None:
-            pairs = read_pairs(self.true, self.estimated, self.covariances, self.max_difference)
-            motion = pairs.alignment(self.align)
-            scores |= trajectory_scores(pairs.moved(motion))
-        if self.estimated is not None and self.relations is not None:
-            scores |= summary(relation_errors(read_relations(self.relations), *read_tum(self.estimated)))
-        if self.walls is not None and self.world is not None:
-            walls = read_walls(self.walls)
-            scores |= map_scores(load_world(self.world), self.robot, walls, motion, pairs)
-        return scores
-
-
 @dataclass(frozen=True, eq=False)
 class Pairs:
-    """True and estimated poses at the same times.
+    """True and estimated poses (n, 3) at the same times, m and rad, and covariances (n, 3, 3) of the estimated ones.
 
-    Attributes
-    ----------
-    true, estimated
-        Poses (n, 3), m and rad.
-    covariances
-        Covariances of the estimated poses (n, 3, 3), or None.
-    unmatched
-        Estimated poses without a true pose at their time.
+    ``unmatched`` counts the estimated poses without a true pose at their time.
     """
 
     true: FloatArray
@@ -145,11 +48,11 @@ class Pairs:
         return replace(self, estimated=compose(motion, self.estimated), covariances=covariances)
 
 
-def read_pairs(true: Path, estimated: Path, covariances: Path | None, max_difference: float = MAX_DIFFERENCE) -> Pairs:
+def read_pairs(true: Path, estimated: Path, covariances: Path | None, max_difference: float = 0.01) -> Pairs:
     """Read two trajectories and, if it is given, a file with the covariances of the estimated one.
 
     As in evo, each pose of the trajectory with fewer poses belongs to the pose of the longer one that is nearest in
-    time.
+    time, if that is at most ``max_difference`` away, s.
 
     Raises
     ------

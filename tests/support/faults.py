@@ -8,7 +8,7 @@ import numpy as np
 from benchmarks.suite.faults import Fault
 from benchmarks.suite.jobs import KIDNAPPED
 from limslam_agent import LimSlamAgent, preset
-from limslam_agent.runs.kidnapping import another_place
+from limslam_agent.runs.episode import another_place
 from limslam_env import LimSlamEnv, NominalNoise
 
 

@@ -4,6 +4,7 @@ import json
 import subprocess
 import sys
 from dataclasses import replace
+from functools import partial
 from io import StringIO
 
 import pytest
@@ -42,7 +43,7 @@ class Mine:
 
 
 def run_all(entry, plans, folder, **options):
-    return run_entry(entry, plans, folder, **{"seed": 0, "is_secret": False, "jobs": 1, **options})
+    return run_entry(entry, plans, folder, **{"seed": 0, "jobs": 1, **options})
 
 
 def test_a_run_is_resumed_verified_and_kept(tmp_path, entry, short_plans):
@@ -79,7 +80,7 @@ def test_failed_plans_are_run_again_when_asked(tmp_path, entry, short_plans):
 
 def test_a_kept_run_can_be_inspected_although_its_world_has_a_decimal_size(tmp_path, entry, short_plans):
     assert short_plans[0].world.endswith("6x5.1")
-    run_job(Job(entry, short_plans[0], tmp_path / "run", {}, "", write_kept_run))
+    run_job(Job(entry, short_plans[0], {}, "", partial(write_kept_run, tmp_path / "run")))
     finished = call(main, "inspect", tmp_path / "run")
     assert finished.returncode == 0, finished.stderr
     assert "The poses equal those in the folder" in finished.stdout
@@ -87,7 +88,7 @@ def test_a_kept_run_can_be_inspected_although_its_world_has_a_decimal_size(tmp_p
 
 def test_a_policy_of_a_file_drives_every_robot(tmp_path, short_plans):
     entry = made_entry(tmp_path / "mine", PYTHON.format(name="Mine"), mine=POLICY.format(body="return [0.5, 0.4]"))
-    row = run_job(Job(entry, short_plans[1], None, {}, ""))
+    row = run_job(Job(entry, short_plans[1], {}, ""))
     assert row.error is None
     assert row.metrics["path_m"] == pytest.approx(2.0 * 0.45 * 0.3, rel=0.05)
 
@@ -95,7 +96,7 @@ def test_a_policy_of_a_file_drives_every_robot(tmp_path, short_plans):
 def test_an_actor_ends_a_run_that_is_lost(tmp_path, short_plans):
     manifest = PYTHON.replace('"belief"', '"readings"')
     entry = made_entry(tmp_path / "mine", manifest.format(name="Mine"), mine=ACTOR)
-    metrics = run_job(Job(entry, short_plans[0], None, {}, "")).metrics
+    metrics = run_job(Job(entry, short_plans[0], {}, "")).metrics
     assert (metrics["lost"], metrics["claims_done"]) == ("claims to be done and is not", True)
     assert metrics["end_time_s"] == pytest.approx(0.5)
 
@@ -109,7 +110,7 @@ def test_an_actor_ends_a_run_that_is_lost(tmp_path, short_plans):
 )
 def test_a_failure_of_the_entry_is_its_loss(tmp_path, short_plans, body, reason):
     entry = made_entry(tmp_path / "mine", PYTHON.format(name="Mine"), mine=POLICY.format(body=body))
-    row = run_job(Job(entry, short_plans[0], None, {}, ""))
+    row = run_job(Job(entry, short_plans[0], {}, ""))
     assert reason in row.error
     assert row.metrics["lost"].startswith("failed: ")
     assert row.metrics["plan_time_to_95_s"] == 2.0
@@ -122,7 +123,7 @@ def test_results_of_something_else_are_not_continued(tmp_path, entry, short_plan
     with pytest.raises(ValueError, match="holds results of another entry"):
         run_all(other, short_plans, folder)
     with pytest.raises(ValueError, match="holds results of other plans"):
-        run_all(entry, short_plans, folder, seed=5, is_secret=True)
+        run_all(entry, short_plans, folder, seed=5)
     with pytest.raises(ValueError, match="lies in the folder of the entry"):
         run_all(entry, short_plans, entry.folder / "out")
 
@@ -148,7 +149,7 @@ def test_rows_that_were_changed_are_noticed(tmp_path, entry, short_plans):
 
 
 def test_a_process_is_verified_within_bounds(entry, short_plans):
-    row = run_job(Job(entry, short_plans[0], None, {}, ""))
+    row = run_job(Job(entry, short_plans[0], {}, ""))
     near, far = ({**row.metrics, "correct_coverage": row.metrics["correct_coverage"] + off} for off in (0.04, 0.06))
     made = [type(row)(row.plan, row.setting, metrics) for metrics in (near, far)]
     assert differences(row, made[0], is_process=True) == []
@@ -160,7 +161,7 @@ def test_a_process_is_verified_within_bounds(entry, short_plans):
 
 def test_secret_plans_are_verified_with_their_seed_only(tmp_path, entry):
     folder = tmp_path / "out"
-    run_all(entry, [], folder, seed=7, is_secret=True)
+    run_all(entry, [], folder, seed=7)
     with pytest.raises(ValueError, match="--secret-seed is needed"):
         opened(folder, None, None)
     with pytest.raises(ValueError, match="its plans are not those of this seed"):

@@ -7,7 +7,7 @@ import pytest
 from support.command_line import invoke
 
 from limslam_agent import read_log
-from limslam_agent.cli.export import export
+from limslam_agent.cli.show import export
 from limslam_agent.logs.table_options import TableOptions
 from limslam_agent.output.finished_run import read_run
 from limslam_agent.output.formats.content import read_exported

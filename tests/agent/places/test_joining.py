@@ -15,9 +15,8 @@ from limslam_agent.output.summary import record_summary
 from limslam_agent.places.meeting import Meeting
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.runs.episode import run_episode
-from limslam_agent.runs.results import write_episode
+from limslam_agent.runs.results import final_status, write_episode
 from limslam_agent.runs.run_config import RunConfig
-from limslam_agent.runs.smoothing import final_status
 from limslam_agent.status.status import LEVELS
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import NominalNoise, RobotSpec

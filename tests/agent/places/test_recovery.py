@@ -13,9 +13,8 @@ from limslam_agent.config.presets import with_until
 from limslam_agent.output.summary import record_summary
 from limslam_agent.places.revisions import BEGUN_ANEW, NOT_CONFIRMED, PlaceHistory, Revision, revised
 from limslam_agent.runs.episode import run_episode
-from limslam_agent.runs.results import score, write_episode
+from limslam_agent.runs.results import final_status, score, write_episode
 from limslam_agent.runs.run_config import RunConfig
-from limslam_agent.runs.smoothing import final_status
 from limslam_agent.slam.line_graph.problem import make_problem
 from limslam_agent.slam.line_graph.smoother import FilteredRun, with_breaks, with_slips
 from limslam_agent.status.status import Status

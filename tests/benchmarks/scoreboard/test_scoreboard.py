@@ -7,12 +7,11 @@ import numpy as np
 import pytest
 
 from benchmarks import __main__ as command
-from benchmarks.scoreboard.board import read_board, run_scoreboard, table
+from benchmarks.scoreboard.board import read_board, run_scoreboard, size_of, table
 from benchmarks.scoreboard.compare import NOISE, compared, comparison_table
 from benchmarks.scoreboard.drives import recorded_drive, world_of
 from benchmarks.scoreboard.measure import at_the_end, measure, while_driving
 from benchmarks.scoreboard.rows import Row, read_rows
-from benchmarks.scoreboard.sources import size_of
 from limslam_env.config import NoiseConfig
 
 TINY = """
