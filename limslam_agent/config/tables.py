@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from limslam_agent.safe_files import read_limited
+from limslam_env.messages import described, one_line
 
 T = TypeVar("T")
 Table = Mapping[str, Any]
@@ -21,8 +22,6 @@ class SettingsError(ValueError):
     """A file of settings that cannot be used; the message names the file and the key."""
 
     def __init__(self, message: str) -> None:
-        from limslam_env.messages import one_line
-
         super().__init__(one_line(message))
 
 
@@ -73,10 +72,9 @@ def updated(settings: T, table: Any, where: str, fixed: Collection[str] = ()) ->
     SettingsError
         If a key is unknown, or a value has a wrong type or is impossible.
     """
-    known = [name for name in _hints(type(settings)) if name not in fixed]
-    current = {name: getattr(settings, name) for name in known}
-    changes = _converted_table(type(settings), table, where, current)
-    return _made(type(settings), {name: getattr(settings, name) for name in _hints(type(settings))} | changes, where)
+    every = {name: getattr(settings, name) for name in _hints(type(settings))}
+    current = {name: value for name, value in every.items() if name not in fixed}
+    return _made(type(settings), every | _converted_table(type(settings), table, where, current), where)
 
 
 def built(kind: type[T], table: Any, where: str) -> T:
@@ -88,9 +86,9 @@ def built(kind: type[T], table: Any, where: str) -> T:
         If a key is unknown or missing, or a value has a wrong type or is impossible; ``where`` is the file and the key.
     """
     values = _converted_table(kind, table, where, dict.fromkeys(_hints(kind)))
-    missing = [field.name for field in _fields(kind) if _is_required(field) and field.name not in values]
-    if missing:
-        raise SettingsError(f"{_key(where, missing[0])}: is missing")
+    for field in _fields(kind):
+        if field.name not in values and field.default is MISSING and field.default_factory is MISSING:
+            raise SettingsError(f"{_key(where, field.name)}: is missing")
     return _made(kind, values, where)
 
 
@@ -122,10 +120,8 @@ def _converted(hint: Any, value: Any, where: str, current: Any) -> Any:
     if get_origin(hint) is tuple:
         return _converted_list(hint, value, where)
     if get_origin(hint) is Literal:
-        if value not in get_args(hint):
-            raise SettingsError(
-                f"{where}: must be one of {', '.join(map(str, get_args(hint)))}, not {_described(value)}"
-            )
+        if value not in (known := get_args(hint)):
+            raise SettingsError(f"{where}: must be one of {', '.join(map(str, known))}, not {described(value)}")
         return value
     return _converted_plain(hint, value, where)
 
@@ -137,9 +133,9 @@ def _converted_plain(hint: Any, value: Any, where: str) -> Any:
         try:
             return float(value)
         except OverflowError:
-            raise SettingsError(f"{where}: is too large for a number: {_described(value)}") from None
+            raise SettingsError(f"{where}: is too large for a number: {described(value)}") from None
     if type(value) is not hint:
-        raise SettingsError(f"{where}: must be {_PLAIN[hint]}, not {_described(value)}")
+        raise SettingsError(f"{where}: must be {_PLAIN[hint]}, not {described(value)}")
     return value
 
 
@@ -155,7 +151,7 @@ def _converted_union(hint: Any, value: Any, where: str) -> Any:
 
 def _converted_list(hint: Any, value: Any, where: str) -> tuple[Any, ...]:
     if not isinstance(value, list):
-        raise SettingsError(f"{where}: must be a list, not {_described(value)}")
+        raise SettingsError(f"{where}: must be a list, not {described(value)}")
     kinds = get_args(hint)
     kinds = kinds[:1] * len(value) if kinds[1:] == (Ellipsis,) else kinds
     if len(kinds) != len(value):
@@ -164,13 +160,6 @@ def _converted_list(hint: Any, value: Any, where: str) -> tuple[Any, ...]:
         _converted(kind, each, f"{where}[{number}]", None)
         for number, (kind, each) in enumerate(zip(kinds, value, strict=True))
     )
-
-
-def _described(value: Any) -> str:
-    """What a value looks like, for a message."""
-    from limslam_env.messages import described
-
-    return described(value)
 
 
 def _key(where: str, name: str) -> str:
@@ -185,10 +174,6 @@ def _hints(kind: type[Any]) -> dict[str, Any]:
 
 def _fields(kind: type[Any]) -> tuple[Field[Any], ...]:
     return tuple(field for field in fields(kind) if field.init)
-
-
-def _is_required(field: Field[Any]) -> bool:
-    return field.default is MISSING and field.default_factory is MISSING
 
 
 def _without_none(value: Any) -> Any:
