@@ -26,14 +26,18 @@ def write_tum(path: Path, time: FloatArray, poses: FloatArray) -> None:
     np.savetxt(path, table, fmt="%.6f %.6f %.6f %.0f %.0f %.0f %.9f %.9f")
 
 
+def suffix_of(robot: int, robots: int) -> str:
+    """What the names of a robot's files end in: nothing for a single robot."""
+    return f"_{robot}" if robots > 1 else ""
+
+
 def write_paths(folder: Path, time: FloatArray, paths: Mapping[str, Sequence[FloatArray]]) -> None:
     """Write the paths (n, 3) of each robot, by their kinds: ``trajectory_est.tum``, or ``trajectory_est_0.tum`` and so
     on of several robots.
     """
     for kind, each in paths.items():
         for number, poses in enumerate(each):
-            suffix = f"_{number}" if len(each) > 1 else ""
-            write_tum(folder / f"trajectory_{kind}{suffix}.tum", time, poses)
+            write_tum(folder / f"trajectory_{kind}{suffix_of(number, len(each))}.tum", time, poses)
 
 
 def read_tum(path: Path) -> tuple[FloatArray, FloatArray]:

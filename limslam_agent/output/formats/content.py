@@ -61,11 +61,6 @@ class ExportedRun:
         return {name: poses for name, poses in kinds.items() if poses}
 
 
-def suffix_of(robot: int, robots: int) -> str:
-    """What the names of a robot's files end in: nothing for a single robot."""
-    return f"_{robot}" if robots > 1 else ""
-
-
 def read_exported(folder: Path) -> ExportedRun:
     """Read the folder of a finished run.
 
