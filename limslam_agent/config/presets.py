@@ -182,7 +182,6 @@ def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:
 
 def with_until(config: AgentConfig, until: str) -> AgentConfig:
     """The same settings, with an exploration that is over when everything was ``seen`` or when the ``walls`` are whole.
-
     Raises
     ------
     ValueError
@@ -192,12 +191,8 @@ def with_until(config: AgentConfig, until: str) -> AgentConfig:
 
 
 def self_calibrating(config: AgentConfig, calibrate: WhenToCalibrate = "always") -> AgentConfig:
-    """The same settings, with an estimator that estimates the constant errors of the odometry then.
-
-    Raises
-    ------
-    ValueError
-        If the estimator cannot do that.
+    """The same settings, with an estimator that estimates the constant errors of the odometry then. Raises a ValueError
+    if the estimator cannot do that.
     """
     if not isinstance(config.estimator, ConsistentConfig):
         raise ValueError("only the consistent estimator can calibrate odometry by itself")  # noqa: TRY004 (a setting)
@@ -219,12 +214,8 @@ ABLATIONS = tuple(_ABLATED)
 
 
 def ablated(config: AgentConfig, ablation: str) -> AgentConfig:
-    """The same settings with one part of the method switched off, which shows what that part contributes.
-
-    Raises
-    ------
-    ValueError
-        If there is no such ablation, or the estimator has no such part.
+    """The same settings with one part of the method switched off, which shows what that part contributes. Raises a
+    ValueError if there is no such ablation, or the estimator has no such part.
     """
     estimator = config.estimator
     if ablation not in ABLATIONS:

@@ -26,13 +26,7 @@ class SettingsError(ValueError):
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The content of a TOML file.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such file, or it is not TOML.
-    """
+    """The content of a TOML file. Raises a SettingsError if there is no such file, or it is not TOML."""
     try:
         return tomllib.loads(read_limited(path, MAX_FILE_BYTES).decode("utf-8-sig").replace("\r\n", "\n"))
     except OSError as error:
@@ -78,12 +72,8 @@ def updated(settings: T, table: Any, where: str, fixed: Collection[str] = ()) ->
 
 
 def built(kind: type[T], table: Any, where: str) -> T:
-    """A dataclass from a table that has at least the values without defaults.
-
-    Raises
-    ------
-    SettingsError
-        If a key is unknown or missing, or a value has a wrong type or is impossible; ``where`` is the file and the key.
+    """A dataclass from a table that has at least the values without defaults. Raises a SettingsError if a key is
+    unknown or missing, or a value has a wrong type or is impossible; ``where`` is the file and the key.
     """
     values = _converted_table(kind, table, where, dict.fromkeys(_hints(kind)))
     for field in _fields(kind):

@@ -95,12 +95,8 @@ def filled(template: str, parts: Mapping[str, str]) -> str:
 
 
 def write_page(path: Path, title: str, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> int:
-    """Write the HTML file, which appears only when it is complete. Returns its size in bytes.
-
-    Raises
-    ------
-    OSError
-        If it cannot be written there.
+    """Write the HTML file, which appears only when it is complete. Returns its size in bytes. Raises an OSError if it
+    cannot be written there.
     """
     content = page(title, arrays, meta).encode()
     with atomic_write(path) as beside:

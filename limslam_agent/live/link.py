@@ -110,12 +110,8 @@ class Link:
             self.send(Greeting(VERSION, self._seq))
 
     def first_hello(self, patience: float) -> Hello:
-        """Wait for the robot.
-
-        Raises
-        ------
-        NoRobotError
-            If none has said hello after ``patience`` s, or if it speaks another version of the protocol.
+        """Wait for the robot. Raises a NoRobotError if none has said hello after ``patience`` s, or if it speaks
+        another version of the protocol.
         """
         begin = self.clock()
         while self.clock() - begin <= patience:

@@ -110,13 +110,7 @@ _FIELDS = {kind: [field.name for field in fields(kind) if field.name != "ranges"
 
 
 def encode(message: Message) -> bytes:
-    """The line of a message, with its checksum and its newline.
-
-    Raises
-    ------
-    BadLineError
-        If a value is out of bounds.
-    """
+    """The line of a message, with its checksum and its newline. Raises a BadLineError if a value is out of bounds."""
     kind = type(message)
     words = [_LETTERS[kind], *(str(getattr(message, name)) for name in _FIELDS[kind])]
     if isinstance(message, Telemetry):
@@ -127,12 +121,8 @@ def encode(message: Message) -> bytes:
 
 
 def decode(line: bytes) -> Message:
-    """The message of a line, with or without its newline.
-
-    Raises
-    ------
-    BadLineError
-        If the line is not a message. Nothing else is raised, whatever the line holds.
+    """The message of a line, with or without its newline. Raises a BadLineError if the line is not a message. Nothing
+    else is raised, whatever the line holds.
     """
     line = line.removesuffix(b"\n").removesuffix(b"\r")
     body, asterisk, check = line.rpartition(b"*")

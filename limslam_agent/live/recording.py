@@ -140,12 +140,8 @@ class Recording:
         self._actions[row.number] = action
 
     def log(self) -> RecordedLog:
-        """All rows as a log, in the order of measurement, with those that came late in their places.
-
-        Raises
-        ------
-        ValueError
-            If there are no rows.
+        """All rows as a log, in the order of measurement, with those that came late in their places. Raises a
+        ValueError if there are no rows.
         """
         rows = self._sorted()
         travel = np.array([(row.left, row.right) for row in rows]).reshape(-1, 2)

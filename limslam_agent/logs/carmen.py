@@ -48,13 +48,9 @@ def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) ->
 
     There is one event for each line, in the order of the file, at the line's ``ipc_time``. The frame of the estimate is
     the robot's first pose, because the origin of odometry is arbitrary and may be far away. Times that begin below 0
-    and go on from there are moved so that the first one is 0. Other lines with a negative time are left out.
-
-    Raises
-    ------
-    LogError
-        If the file cannot be read, is cut short, has something other than a number where one is needed, has no scan or
-        no odometry, or has no beam within 1 degree of a given angle.
+    and go on from there are moved so that the first one is 0. Other lines with a negative time are left out. Raises a
+    LogError if the file cannot be read, is cut short, has something other than a number where one is needed, has no
+    scan or no odometry, or has no beam within 1 degree of a given angle.
     """
     with naming(path):
         check_max_range(max_range)
@@ -74,12 +70,7 @@ def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) ->
 def beam_angles_deg(count: int) -> FloatArray:
     """Directions of a scan's beams (count,), deg, from -90 on the right to the left.
 
-    A scan with an even count has no beam at +90.
-
-    Raises
-    ------
-    ValueError
-        If the layout of this number of beams is unknown.
+    A scan with an even count has no beam at +90. Raises a ValueError if the layout of this number of beams is unknown.
     """
     if count not in (180, 181, 360, 361):
         raise ValueError(f"a scan of {count} beams: only 180, 181, 360 and 361 beams are known")

@@ -72,12 +72,8 @@ NO_ROW = "delete the line if it is no row of the table, or begin it with #"
 
 
 def is_csv(path: FilePath) -> bool:
-    """Whether a text file, plain or gzip, begins with such a header.
-
-    Raises
-    ------
-    LogError
-        If the file cannot be read or is not a text file.
+    """Whether a text file, plain or gzip, begins with such a header. Raises a LogError if the file cannot be read or is
+    not a text file.
     """
     for number, line in numbered_lines(path):
         if number > _HEADER_WITHIN:
@@ -96,14 +92,11 @@ def read_csv(
 ) -> RecordedLog:
     """Read a text file with the header ``t,x,y,theta,r_<deg>,...`` or ``t,left,right,r_<deg>,...``, plain or gzip.
 
-    The parameters are those of `limslam_agent.logs.log_reader.read_log`. There is one event for each row.
-
-    Raises
-    ------
-    LogError
-        If the file cannot be read, is cut short, has another header, has a row whose columns do not match the header or
-        that holds something other than numbers, or has no row with ranges; if a table of wheel travel comes without a
-        robot, the robot has no beam in a direction of the header, or a wheel travels farther than the robot can drive.
+    The parameters are those of `limslam_agent.logs.log_reader.read_log`. There is one event for each row. Raises a
+    LogError if the file cannot be read, is cut short, has another header, has a row whose columns do not match the
+    header or that holds something other than numbers, or has no row with ranges; if a table of wheel travel comes
+    without a robot, the robot has no beam in a direction of the header, or a wheel travels farther than the robot can
+    drive.
     """
     rows = _Rows(beams_deg, max_range, options or TableOptions())
     read_lines(path, rows.add)
@@ -210,12 +203,8 @@ class _Rows:
     def _take_time(self, time: float) -> float:
         """The time of a row, s, on the clock of the log.
 
-        A clock that is full begins again. A late row after that is still from before.
-
-        Raises
-        ------
-        ValueError
-            If the time steps back for another reason.
+        A clock that is full begins again. A late row after that is still from before. Raises a ValueError if the time
+        steps back for another reason.
         """
         time *= self.options.seconds
         before = self.moves[-self.leading] - self.time_before if self.moves else time
@@ -259,11 +248,7 @@ class _Rows:
 
 def _mounted(robot: RobotSpec, degrees: float, max_range: float | None, source: str) -> SensorSpec:
     """The robot's beam in a direction that ``source`` names. A reading of a table is a new measurement in each row.
-
-    Raises
-    ------
-    ValueError
-        If the robot has no such beam.
+    Raises a ValueError if the robot has no such beam.
     """
     apart = np.abs(np.degrees(wrap_angle(robot.beam_angles - math.radians(degrees))))
     nearest = int(np.argmin(apart))

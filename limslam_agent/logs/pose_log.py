@@ -65,12 +65,8 @@ def choose_beams(beams: Sequence[SensorSpec], beams_deg: Sequence[float] | None)
 
 
 def nearest_beams(angles: FloatArray, beams_deg: Sequence[float]) -> list[int]:
-    """Indices of the angles (n,), deg, nearest to the given directions, deg.
-
-    Raises
-    ------
-    ValueError
-        As for :func:`choose_beams`.
+    """Indices of the angles (n,), deg, nearest to the given directions, deg. Raises a ValueError as for
+    :func:`choose_beams`.
     """
     if not len(beams_deg):
         raise ValueError("at least one beam must be chosen")
@@ -138,13 +134,7 @@ def pose_log(
 
 
 def check_max_range(max_range: float) -> None:
-    """Refuse a largest range that is not a length above ``MIN_RANGE`` and up to ``LARGEST_RANGE``.
-
-    Raises
-    ------
-    ValueError
-        If it is not.
-    """
+    """Raise a ValueError if a largest range is not a length above ``MIN_RANGE`` and up to ``LARGEST_RANGE``."""
     if not (math.isfinite(max_range) and max_range > MIN_RANGE):
         raise ValueError(f"the largest range must be above {MIN_RANGE} m, not {max_range}")
     if max_range > LARGEST_RANGE:

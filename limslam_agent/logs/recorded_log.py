@@ -198,25 +198,13 @@ def write_npz(path: Path, robot: RobotSpec, **arrays: Any) -> None:
 
 
 def check_beams(count: int) -> None:
-    """Refuse too many beams.
-
-    Raises
-    ------
-    ValueError
-        If there are more than ``MOST_BEAMS``.
-    """
+    """Raise a ValueError if there are more beams than ``MOST_BEAMS``."""
     if count > MOST_BEAMS:
         raise ValueError(f"a scan has {count} beams, more than {MOST_BEAMS}")
 
 
 def first_bytes(path: FilePath, count: int) -> bytes:
-    """The first ``count`` bytes of a file. Fewer if the file is shorter.
-
-    Raises
-    ------
-    LogError
-        If the file cannot be read.
-    """
+    """The first ``count`` bytes of a file. Fewer if the file is shorter. Raises a LogError if the file cannot be read."""
     try:
         with open_regular(Path(path)) as file:
             return file.read(count)
@@ -259,13 +247,8 @@ def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
 
 
 def read_lines(path: FilePath, take: Callable[[bytes], None]) -> None:
-    """Hand the lines of a text file to a function, one after the other.
-
-    Raises
-    ------
-    LogError
-        As :func:`numbered_lines` does; and where the function raises a ValueError, with the number of the line, and
-        whether the file ends within it.
+    """Hand the lines of a text file to a function, one after the other. Raises a LogError as :func:`numbered_lines`
+    does; and where the function raises a ValueError, with the number of the line, and whether the file ends within it.
     """
     for number, line in numbered_lines(path):
         try:
@@ -276,12 +259,8 @@ def read_lines(path: FilePath, take: Callable[[bytes], None]) -> None:
 
 
 def parse_range(field: bytes, what: str) -> float:
-    """A range from a field of a text. It may be infinite, NaN or negative, as `limslam_agent.readings` defines.
-
-    Raises
-    ------
-    ValueError
-        If the field is not a number. The message begins with ``what``.
+    """A range from a field of a text. It may be infinite, NaN or negative, as `limslam_agent.readings` defines. Raises
+    a ValueError if the field is not a number. The message begins with ``what``.
     """
     try:
         return float(field)
@@ -299,12 +278,8 @@ def is_number(field: str | bytes) -> bool:
 
 
 def parse_number(field: bytes, what: str) -> float:
-    """A finite number from a field of a text.
-
-    Raises
-    ------
-    ValueError
-        If the field is not a finite number. The message begins with ``what``.
+    """A finite number from a field of a text. Raises a ValueError if the field is not a finite number. The message
+    begins with ``what``.
     """
     value = parse_range(field, what)
     if not math.isfinite(value):

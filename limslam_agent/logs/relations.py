@@ -68,11 +68,7 @@ class RelationErrors:
 
 def read_relations(path: FilePath) -> Relations:
     """Read relations, plain or gzip: lines ``t1 t2 x y z roll pitch yaw`` (s, m, rad), with comments after ``#``.
-
-    Raises
-    ------
-    LogError
-        If the file cannot be read, is cut short, has a line with other fields, or has no relations.
+    Raises a LogError if the file cannot be read, is cut short, has a line with other fields, or has no relations.
     """
     rows: list[list[float]] = []
 

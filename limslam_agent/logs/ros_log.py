@@ -41,14 +41,9 @@ def read_ros(
 
     The times are those of the message headers. They are those of the bag if a header has no time or the clocks of the
     topics differ. Odometry is interpolated. Sensors with different periods are combined at the times of the slowest
-    sensor.
-
-    Raises
-    ------
-    LogError
-        If the bag cannot be read, is cut short or damaged; if it is unclear which topics to
-        use; if a topic holds something other than a number where one is needed, its times step back, or the times of
-        the topics do not overlap.
+    sensor. Raises a LogError if the bag cannot be read, is cut short or damaged; if it is unclear which topics to use;
+    if a topic holds something other than a number where one is needed, its times step back, or the times of the topics
+    do not overlap.
     """
     with open_bag(path) as bag:
         try:

@@ -78,12 +78,8 @@ class Sensor:
 
 
 def plan_for(bag: Bag, topics: Topics, beams_deg: Sequence[float] | None, max_range: float) -> Plan:
-    """Choose topics and beams.
-
-    Raises
-    ------
-    ValueError
-        If there are too few or too many candidates, or a requested topic is missing, empty or of another type.
+    """Choose topics and beams. Raises a ValueError if there are too few or too many candidates, or a requested topic is
+    missing, empty or of another type.
     """
     if not topics and (found := crazyflie.find_topics(bag.types)) is not None:
         ranger, position = found

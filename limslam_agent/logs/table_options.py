@@ -107,12 +107,8 @@ class TableOptions:
         """Metres along a beam in the direction ``degrees`` for each 1 in its range column.
 
         A multi-zone sensor reports the distance d along its optical axis. At an angle a from this axis, the distance
-        along the zone's own direction is d / cos(a).
-
-        Raises
-        ------
-        ValueError
-            If no axis of ``zone_axes`` is near this direction.
+        along the zone's own direction is d / cos(a). Raises a ValueError if no axis of ``zone_axes`` is near this
+        direction.
         """
         if not self.zone_axes:
             return self.metres
@@ -167,12 +163,8 @@ def _continued(travel: FloatArray, columns: FloatArray, farthest: float) -> Floa
 def check_travel(wheels: FloatArray, time: FloatArray, robot: RobotSpec, options: TableOptions) -> None:
     """Refuse wheel travel (n, 2), m, that the robot cannot drive between two rows with the times (n,), s.
 
-    The message asks about what the options have not said.
-
-    Raises
-    ------
-    ValueError
-        If a wheel travels more than ten times as far as the robot's largest wheel speed allows.
+    The message asks about what the options have not said. Raises a ValueError if a wheel travels more than ten times as
+    far as the robot's largest wheel speed allows.
     """
     lasted = np.maximum(np.diff(time, prepend=time[0]), robot.control_period)
     farthest = np.abs(wheels).max(axis=1)

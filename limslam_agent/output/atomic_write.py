@@ -42,12 +42,8 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 
 def check_target(path: Path, kind: str = "a file", endings: Collection[str] = (), *, force: bool) -> None:
-    """Refuse a file of another kind than its ending says, and one that would be replaced by accident.
-
-    Raises
-    ------
-    OutputError
-        If the path ends in none of the endings, is a folder, or is a file that only ``force`` may replace.
+    """Refuse a file of another kind than its ending says, and one that would be replaced by accident. Raises an
+    OutputError if the path ends in none of the endings, is a folder, or is a file that only ``force`` may replace.
     """
     if endings and path.suffix.lower() not in endings:
         raise OutputError(f"{path}: {kind} ends in {', '.join(endings)}")
@@ -58,12 +54,8 @@ def check_target(path: Path, kind: str = "a file", endings: Collection[str] = ()
 
 
 def append_line(path: Path, line: bytes) -> None:
-    """Append a line durably: once this function has returned, a kill cannot lose the line.
-
-    Raises
-    ------
-    OSError
-        If the line cannot be written as a whole.
+    """Append a line durably: once this function has returned, a kill cannot lose the line. Raises an OSError if the
+    line cannot be written as a whole.
     """
     with path.open("ab", buffering=0) as file:
         written = file.write(line)

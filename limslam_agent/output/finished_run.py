@@ -73,13 +73,7 @@ class FinishedRun:
         return np.asarray(time - time[0])
 
     def with_one_time(self) -> "FinishedRun":
-        """The run itself.
-
-        Raises
-        ------
-        FolderError
-            If it is of two logs, of which each has times of its own.
-        """
+        """The run itself. Raises a FolderError if it is of two logs, of which each has times of its own."""
         if self.times:
             raise FolderError(f"{self.folder}: is of two logs with times of their own; use {self.folder / 'log_0'}")
         return self
@@ -129,12 +123,8 @@ def policy_words(policy: str) -> str:
 def read_run(folder: Path) -> FinishedRun:
     """Read a folder that ``limslam run`` or ``limslam replay`` has written.
 
-    Results that a process was killed over while it replaced them are first put back in place.
-
-    Raises
-    ------
-    FolderError
-        If the folder does not exist, or one of its files is missing, damaged or inconsistent with the others.
+    Results that a process was killed over while it replaced them are first put back in place. Raises a FolderError if
+    the folder does not exist, or one of its files is missing, damaged or inconsistent with the others.
     """
     _check_finished(folder)
     result, segments = _read_json(folder / RESULT_FILE), read_walls(folder / MAP)
@@ -203,12 +193,8 @@ def part_of(content: Mapping[str, Any], name: str) -> Mapping[str, Any]:
 
 
 def read_walls(path: Path) -> FloatArray:
-    """The walls (k, 4), m, of a ``map.json``.
-
-    Raises
-    ------
-    FolderError
-        If the file cannot be read or has no walls in that form.
+    """The walls (k, 4), m, of a ``map.json``. Raises a FolderError if the file cannot be read or has no walls in that
+    form.
     """
     listed = _read_json(path).get("segments")
     try:

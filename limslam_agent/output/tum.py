@@ -43,12 +43,8 @@ def write_paths(folder: Path, time: FloatArray, paths: Mapping[str, Sequence[Flo
 def read_tum(path: Path) -> tuple[FloatArray, FloatArray]:
     """Times (n,), s, and poses in the plane (n, 3), m and rad, of a TUM file. Comments begin with ``#``.
 
-    The heading of an orientation in space is its yaw, the first of the Euler angles z-y-x.
-
-    Raises
-    ------
-    TrajectoryError
-        If the file cannot be read, has a line with other fields or a quaternion of length 0, or has no poses.
+    The heading of an orientation in space is its yaw, the first of the Euler angles z-y-x. Raises a TrajectoryError if
+    the file cannot be read, has a line with other fields or a quaternion of length 0, or has no poses.
     """
     numbers, table = read_rows(path, "t x y z qx qy qz qw")
     if not len(table):
@@ -62,12 +58,8 @@ def read_tum(path: Path) -> tuple[FloatArray, FloatArray]:
 def read_rows(path: Path, form: str) -> tuple[list[int], FloatArray]:
     """Numbers of the lines (n,), counted from 1, and a table (n, k) of the finite numbers in them.
 
-    ``form`` names the k numbers of a line. Comments begin with ``#``.
-
-    Raises
-    ------
-    TrajectoryError
-        If the file cannot be read, or a line has other fields.
+    ``form`` names the k numbers of a line. Comments begin with ``#``. Raises a TrajectoryError if the file cannot be
+    read, or a line has other fields.
     """
     numbers: list[int] = []
     rows: list[list[float]] = []

@@ -42,12 +42,8 @@ class UdpPort:
 
 
 class PtyPort:
-    """A serial port of the operating system, which a program opens by its name like any other. Not on Windows.
-
-    Raises
-    ------
-    ValueError
-        If the operating system has no such ports.
+    """A serial port of the operating system, which a program opens by its name like any other. Not on Windows. Raises a
+    ValueError if the operating system has no such ports.
     """
 
     def __init__(self) -> None:

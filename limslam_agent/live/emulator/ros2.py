@@ -63,12 +63,8 @@ class RosRobot(SimulatedRobot):
 
 
 def serve(robot: RosRobot, pace: float, truth: IO[str] | None) -> None:
-    """Emulate for ever. A control period takes ``pace`` s, or with 0 as long as the host needs to answer.
-
-    Raises
-    ------
-    ValueError
-        If ROS 2 is not installed.
+    """Emulate for ever. A control period takes ``pace`` s, or with 0 as long as the host needs to answer. Raises a
+    ValueError if ROS 2 is not installed.
     """
     check_installed()
     import rclpy

@@ -76,12 +76,8 @@ class RosLink:
         return self._sensors.robot or self._robot
 
     def first_hello(self, patience: float) -> Hello:
-        """Wait until sensors and odometry have shown the period.
-
-        Raises
-        ------
-        NoRobotError
-            If that takes more than ``patience`` s.
+        """Wait until sensors and odometry have shown the period. Raises a NoRobotError if that takes more than
+        ``patience`` s.
         """
         begin, found = self.clock(), list[Measurement]()
         while len(found) < _FIRST or self._sensors.robot is None:

@@ -242,13 +242,7 @@ def _ended(error: type[Exception]) -> Iterator[None]:
 
 
 def check_installed() -> None:
-    """Refuse where packages of ROS 2 are missing.
-
-    Raises
-    ------
-    ValueError
-        If they are. It says how they are installed.
-    """
+    """Raise a ValueError, which says how they are installed, if packages of ROS 2 are missing."""
     missing = [name for name in PACKAGES if find_spec(name) is None]
     if missing:
         raise ValueError(

@@ -62,12 +62,8 @@ class Parameters(Bounded):
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> "Parameters":
-        """The parameters from the values of a node. Names that are missing keep their defaults.
-
-        Raises
-        ------
-        ValueError
-            If there is no such parameter, or a value cannot be used.
+        """The parameters from the values of a node. Names that are missing keep their defaults. Raises a ValueError if
+        there is no such parameter, or a value cannot be used.
         """
         # ROS has arrays of numbers where a file of settings has lists.
         told = {name: list(value) if isinstance(value, array) else value for name, value in values.items()}
@@ -80,13 +76,7 @@ class Parameters(Bounded):
         return np.array([x, y, math.radians(degrees)])
 
     def check(self, robot: RobotSpec) -> None:
-        """Refuse topics of ranges that are not one for each beam.
-
-        Raises
-        ------
-        ValueError
-            If they are not.
-        """
+        """Raise a ValueError if there is not one topic of ranges for each beam."""
         if self.range_topics and len(self.range_topics) != len(robot.beams):
             raise ValueError(
                 f"range_topics has {len(self.range_topics)} topics, but the robot has {len(robot.beams)} beams"

@@ -56,13 +56,7 @@ class ScanSensors:
         self._columns: IntArray = np.zeros(0, dtype=np.int64)
 
     def add(self, number: int, time: float, message: Any) -> list[Reading]:
-        """The readings of a scan.
-
-        Raises
-        ------
-        ValueError
-            If the scan has no beam in a wanted direction.
-        """
+        """The readings of a scan. Raises a ValueError if the scan has no beam in a wanted direction."""
         del number
         if self.robot is None:
             self.robot = self._chosen(message)

@@ -18,12 +18,8 @@ from limslam_env.interface import RobotSpec
 def wired_by_ros(described: RobotSpec | None, arguments: Sequence[str]) -> Iterator[Wired]:
     """A robot of ROS 2, until the context ends.
 
-    After the policy that was asked for, it drives home, where the parameters or an order say so.
-
-    Raises
-    ------
-    ValueError
-        If ROS 2 is not installed, the robot is not described, or an argument or a parameter cannot be used.
+    After the policy that was asked for, it drives home, where the parameters or an order say so. Raises a ValueError if
+    ROS 2 is not installed, the robot is not described, or an argument or a parameter cannot be used.
     """
     check_installed()
     if described is None:

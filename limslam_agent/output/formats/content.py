@@ -62,12 +62,8 @@ class ExportedRun:
 
 
 def read_exported(folder: Path) -> ExportedRun:
-    """Read the folder of a finished run.
-
-    Raises
-    ------
-    FolderError
-        If the folder is not that of a run, or a file in it cannot be used.
+    """Read the folder of a finished run. Raises a FolderError if the folder is not that of a run, or a file in it
+    cannot be used.
     """
     run = read_run(folder).with_one_time()
     try:
@@ -78,12 +74,8 @@ def read_exported(folder: Path) -> ExportedRun:
 
 
 def read_readings(run: FinishedRun) -> Readings | None:
-    """The readings in a run's folder, or None where there are none.
-
-    Raises
-    ------
-    FolderError
-        If they cannot be read, or do not fit the run.
+    """The readings in a run's folder, or None where there are none. Raises a FolderError if they cannot be read, or do
+    not fit the run.
     """
     path = run.folder / LOG
     if not path.is_file():

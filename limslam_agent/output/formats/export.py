@@ -60,12 +60,8 @@ def _write(path: Path, names: list[str], table: FloatArray) -> None:
 
 
 def write_dxf(folder: Path, exported: ExportedRun) -> list[Path]:
-    """Write ``map.dxf`` for CAD programs, in metres, with a layer for the walls and one for each path.
-
-    Raises
-    ------
-    ValueError
-        If ezdxf is not installed.
+    """Write ``map.dxf`` for CAD programs, in metres, with a layer for the walls and one for each path. Raises a
+    ValueError if ezdxf is not installed.
     """
     try:
         from ezdxf import units

@@ -30,12 +30,8 @@ class _Told:
 
 
 def write_bag(folder: Path, exported: ExportedRun) -> list[Path]:
-    """Write the folder ``bag``, a ROS 2 bag in the format MCAP, whose file has the schemas of its messages.
-
-    Raises
-    ------
-    ValueError
-        If rosbags is not installed.
+    """Write the folder ``bag``, a ROS 2 bag in the format MCAP, whose file has the schemas of its messages. Raises a
+    ValueError if rosbags is not installed.
     """
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
