@@ -182,6 +182,7 @@ def preset(name: str, noise: NominalNoise | None = None) -> AgentConfig:
 
 def with_until(config: AgentConfig, until: str) -> AgentConfig:
     """The same settings, with an exploration that is over when everything was ``seen`` or when the ``walls`` are whole.
+
     Raises
     ------
     ValueError

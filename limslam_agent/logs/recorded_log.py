@@ -204,7 +204,7 @@ def check_beams(count: int) -> None:
 
 
 def first_bytes(path: FilePath, count: int) -> bytes:
-    """The first ``count`` bytes of a file. Fewer if the file is shorter. Raises a LogError if the file cannot be read."""
+    """The first ``count`` bytes of a file, or fewer if it is shorter. Raises a LogError if it cannot be read."""
     try:
         with open_regular(Path(path)) as file:
             return file.read(count)
