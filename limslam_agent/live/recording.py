@@ -27,28 +27,16 @@ SAVED_EVERY = 30.0
 
 
 class Row(NamedTuple):
-    """One telemetry line in a frame that also holds after counters have overflowed and after the robot was restarted.
+    """One telemetry line in a frame that still holds when counters overflow and when the robot was restarted."""
 
-    Attributes
-    ----------
-    number
-        Place in the log. Lost lines leave gaps.
-    time
-        Time of the measurement since the first row, s, by the robot's clock.
-    left, right
-        Wheel travel since the first row, m.
-    ranges
-        Readings (n_beams,), m. NaN where there is no new reading, and infinity where nothing was seen.
-    is_late
-        Whether a later measurement had already arrived.
-    """
-
-    number: int
-    time: float
+    number: int  # Place in the log. Lost lines leave gaps.
+    time: float  # Time of the measurement since the first row, s, by the robot's clock
+    # Wheel travel since the first row, m
     left: float
     right: float
+    # Readings (n_beams,), m. NaN where there is no new reading, and infinity where nothing was seen.
     ranges: FloatArray
-    is_late: bool = False
+    is_late: bool = False  # Whether a later measurement had already arrived
 
 
 class Recording:

@@ -32,29 +32,16 @@ _STOP_WAIT = 0.05  # s, between two attempts to stop the wheels
 
 @dataclass(frozen=True)
 class Wired:
-    """A robot that is connected.
-
-    Attributes
-    ----------
-    link
-        The connection.
-    place
-        Where the robot is, in words.
-    robot
-        The description of the robot that has said hello. Raises a ValueError if it cannot be driven.
-    policy
-        The policy that drives, from the one that was asked for; None is that of the agent itself.
-    watch
-        Called with the session after each decision.
-    obey
-        Called with the session before each decision, and again and again while the robot is silent.
-    """
+    """A robot that is connected."""
 
     link: Connection
-    place: str
+    place: str  # Where the robot is, in words
+    # The description of the robot that has said hello. Raises a ValueError if it cannot be driven.
     robot: Callable[[Hello], RobotSpec]
+    # The policy that drives, from the one that was asked for; None is that of the agent itself
     policy: Callable[[Policy | None, AgentConfig, RobotSpec], Policy | None] = lambda policy, _config, _robot: policy
-    watch: Callable[["Session"], None] = lambda _: None
+    watch: Callable[["Session"], None] = lambda _: None  # Called with the session after each decision
+    # Called with the session before each decision, and again and again while the robot is silent
     obey: Callable[["Session"], None] = lambda _: None
 
 

@@ -48,24 +48,12 @@ class Reader:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """How a bag becomes a log.
-
-    Attributes
-    ----------
-    beams
-        Beams of the robot.
-    scans
-        Readers of ranges. Their columns side by side, in the order ``columns``, belong to the beams.
-    columns
-        (n_beams,).
-    moves
-        Readers whose columns side by side are x, y and heading.
-    """
+    """How a bag becomes a log."""
 
     beams: list[SensorSpec]
-    scans: list[Reader]
-    columns: IntArray
-    moves: list[Reader]
+    scans: list[Reader]  # Readers of ranges. Their columns side by side, in the order ``columns``, belong to the beams.
+    columns: IntArray  # (n_beams,)
+    moves: list[Reader]  # Readers whose columns side by side are x, y and heading
 
 
 @dataclass(frozen=True, eq=False)

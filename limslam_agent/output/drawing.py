@@ -31,38 +31,22 @@ _AROUND = 0.1  # share of the map's size around the map, beyond which odometry i
 
 @dataclass(frozen=True, eq=False)
 class MapPicture:
-    """Content of a picture of a map. All arrays are in the world frame, m.
+    """Content of a picture of a map. All arrays are in the world frame, m."""
 
-    Attributes
-    ----------
-    title
-        Title above the picture.
-    segments
-        Walls of the map (N, 4).
-    estimated
-        Estimated positions (n, 2) of each robot that go with the map, of one robot at least.
-    odometry
-        Positions (n, 2) of each robot by odometry alone from the same start. Empty if they are unknown.
-    true_edges, true
-        True walls (k, 4), and true positions (n, 2) of each robot. None, and empty, if they are unknown.
-    grid
-        Occupancy grid, which is drawn behind everything. None draws no grid.
-    online
-        Positions (n, 2) of each robot as they were estimated while it drove, if the map is from the smoothed paths.
-        Empty if ``estimated`` are those positions.
-    remark
-        A sentence below the title, such as why the map may be wrong. Empty if there is none.
-    """
-
-    title: str
-    segments: FloatArray
+    title: str  # Title above the picture
+    segments: FloatArray  # Walls of the map (N, 4)
+    # Estimated positions (n, 2) of each robot that go with the map, of one robot at least
     estimated: Sequence[FloatArray]
+    # Positions (n, 2) of each robot by odometry alone from the same start. Empty if they are unknown.
     odometry: Sequence[FloatArray] = ()
+    # True walls (k, 4), and true positions (n, 2) of each robot. None, and empty, if they are unknown.
     true_edges: FloatArray | None = None
     true: Sequence[FloatArray] = ()
-    grid: GridView | None = None
+    grid: GridView | None = None  # Occupancy grid, which is drawn behind everything. None draws no grid.
+    # Positions (n, 2) of each robot as they were estimated while it drove, if the map is from the smoothed paths. Empty
+    # if ``estimated`` are those positions.
     online: Sequence[FloatArray] = ()
-    remark: str = ""
+    remark: str = ""  # A sentence below the title, such as why the map may be wrong. Empty if there is none.
 
 
 def draw_map(path: Path, picture: MapPicture) -> None:

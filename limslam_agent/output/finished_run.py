@@ -33,38 +33,21 @@ class FolderError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class FinishedRun:
-    """The content of a folder.
-
-    Attributes
-    ----------
-    folder
-        The folder.
-    result
-        Content of ``result.json``.
-    segments
-        Walls of the map (k, 4), m.
-    time
-        (n,), s.
-    estimated
-        Estimated poses of each robot (n, 3), m and rad.
-    odometry, true, smoothed
-        Poses by odometry alone, true poses, and smoothed poses of each robot. Empty where they are unknown.
-    covariances, smoothed_covariances
-        Covariances (n, 3, 3) of the estimated and of the smoothed poses of each robot. Empty where they are unknown.
-    times
-        Times of each log, s, where ``time`` is that of the first log only. Empty where all robots have the same times.
-    """
+    """The content of a folder."""
 
     folder: Path
-    result: dict[str, Any]
-    segments: FloatArray
-    time: FloatArray
-    estimated: list[FloatArray]
+    result: dict[str, Any]  # content of ``result.json``
+    segments: FloatArray  # Walls of the map (k, 4), m
+    time: FloatArray  # (n,), s
+    estimated: list[FloatArray]  # Estimated poses of each robot (n, 3), m and rad
+    # Poses by odometry alone, true poses, and smoothed poses of each robot. Empty where they are unknown.
     odometry: list[FloatArray]
     true: list[FloatArray]
     smoothed: list[FloatArray]
+    # Covariances (n, 3, 3) of the estimated and of the smoothed poses of each robot. Empty where they are unknown.
     covariances: list[FloatArray] = field(default_factory=list)
     smoothed_covariances: list[FloatArray] = field(default_factory=list)
+    # Times of each log, s, where ``time`` is that of the first log only. Empty where all robots have the same times.
     times: list[FloatArray] = field(default_factory=list)
 
     def elapsed(self, number: int) -> FloatArray:

@@ -21,25 +21,13 @@ _MM = 1e-3
 
 @dataclass(frozen=True)
 class Event:
-    """The association of an observed line, or a loop closure.
+    """The association of an observed line, or a loop closure."""
 
-    Attributes
-    ----------
-    kind
-        ``"new"``: the line became a wall. ``"again"``: the line is a known wall. ``"loop"``: two walls are the same
-        wall.
-    wall
-        Number of the wall.
-    other
-        For a loop, number of the older wall that is the same as ``wall``.
-    robot
-        Robot that saw the line. A loop belongs to no robot.
-    """
-
+    # ``"new"``: the line became a wall. ``"again"``: the line is a known wall. ``"loop"``: two walls are the same wall.
     kind: Literal["new", "again", "loop"]
-    wall: int
-    other: int | None = None
-    robot: int = 0
+    wall: int  # Number of the wall
+    other: int | None = None  # For a loop, number of the older wall that is the same as ``wall``
+    robot: int = 0  # Robot that saw the line. A loop belongs to no robot.
 
     @property
     def words(self) -> str:
@@ -56,35 +44,18 @@ class Event:
 
 @dataclass(frozen=True, eq=False)
 class HoughView:
-    """The latest extraction of lines.
+    """The latest extraction of lines."""
 
-    Attributes
-    ----------
-    time
-        Time of the extraction, s.
-    robot, side
-        Robot and side of the buffer.
-    points
-        The points that voted (p, 2), m, in the world frame.
-    votes
-        Number of votes for each line (r bins, theta bins). r is measured from the mean of the points and increases with
-        the row. theta goes from 0 to pi in the robot's frame.
-    r_reach
-        The bins of r go from minus this value to plus this value, m.
-    peaks
-        The extracted lines (k, 2): r (m) and theta (rad) on the axes of ``votes``.
-    segments
-        The extracted lines (k, 4), m, in the world frame, cut to the extent of their points.
-    """
-
-    time: float
+    time: float  # Time of the extraction, s
     robot: int
     side: Literal["left", "right"]
-    points: FloatArray
+    points: FloatArray  # The points that voted (p, 2), m, in the world frame
+    # Number of votes for each line (r bins, theta bins). r is measured from the mean of the points and increases with
+    # the row. theta goes from 0 to pi in the robot's frame.
     votes: IntArray
-    r_reach: float
-    peaks: FloatArray
-    segments: FloatArray
+    r_reach: float  # The bins of r go from minus this value to plus this value, m
+    peaks: FloatArray  # The extracted lines (k, 2): r (m) and theta (rad) on the axes of ``votes``
+    segments: FloatArray  # The extracted lines (k, 4), m, in the world frame, cut to the extent of their points
 
     @classmethod
     def of(cls, extraction: Mapping[str, Any], time: float) -> "HoughView":
@@ -107,53 +78,26 @@ class HoughView:
 
 @dataclass(frozen=True, eq=False)
 class BeliefFrame:
-    """What is believed at one moment. Arrays are in the world frame, m and rad. There are n robots.
+    """What is believed at one moment. Arrays are in the world frame, m and rad. There are n robots."""
 
-    Attributes
-    ----------
-    time
-        Simulated time, s.
-    poses, covariances
-        (n, 3) and (n, 3, 3).
-    walls
-        All landmarks. A wall is called by its number plus one, also in ``events``.
-    unsure
-        Names of provisional walls, which were seen too few times. They are drawn thinner.
-    grid
-        Occupancy grid. None draws no grid.
-    frontier
-        Centres of the frontier cells (m, 2).
-    plans, goals
-        Each robot's planned path (p, 2) and its goal (2,) or None.
-    new_goals
-        Robots that have got another goal since the previous frame.
-    paths
-        Positions (q, 2) of each robot so far, as it estimated them.
-    buffers
-        The points that wait for an extraction, two entries for each robot: the scan buffers.
-    hough
-        The latest extraction of lines. None before the first.
-    events
-        Events since the previous frame.
-    warning
-        Why the estimate cannot be trusted, in words. Empty if it can.
-    """
-
-    time: float
-    poses: FloatArray
-    covariances: FloatArray
-    walls: Sequence[Landmark] = ()
+    time: float  # Simulated time, s
+    poses: FloatArray  # (n, 3)
+    covariances: FloatArray  # of the poses (n, 3, 3)
+    walls: Sequence[Landmark] = ()  # All landmarks. A wall is called by its number plus one, also in ``events``.
+    # Names of provisional walls, which were seen too few times. They are drawn thinner.
     unsure: frozenset[int] = frozenset()
-    grid: GridView | None = None
-    frontier: FloatArray = field(default_factory=lambda: no_rows(2))
+    grid: GridView | None = None  # Occupancy grid. None draws no grid.
+    frontier: FloatArray = field(default_factory=lambda: no_rows(2))  # Centres of the frontier cells (m, 2)
+    # Each robot's planned path (p, 2) and its goal (2,) or None
     plans: Sequence[FloatArray] = ()
     goals: Sequence[FloatArray | None] = ()
-    new_goals: Sequence[int] = ()
-    paths: Sequence[FloatArray] = ()
+    new_goals: Sequence[int] = ()  # Robots that have got another goal since the previous frame
+    paths: Sequence[FloatArray] = ()  # Positions (q, 2) of each robot so far, as it estimated them
+    # The points that wait for an extraction, two entries for each robot: the scan buffers
     buffers: Sequence[PendingPoints] = ()
-    hough: HoughView | None = None
-    events: Sequence[Event] = ()
-    warning: str = ""
+    hough: HoughView | None = None  # The latest extraction of lines. None before the first.
+    events: Sequence[Event] = ()  # Events since the previous frame
+    warning: str = ""  # Why the estimate cannot be trusted, in words. Empty if it can.
 
 
 def wall_bands(walls: Sequence[Landmark], sigmas: float = 2.0, samples: int = 9) -> FloatArray:

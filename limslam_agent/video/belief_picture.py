@@ -45,21 +45,11 @@ _TRAIL_POINTS = 1500
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """A picture with world coordinates: x to the right, y upwards, m.
+    """A picture with world coordinates: x to the right, y upwards, m."""
 
-    Attributes
-    ----------
-    image
-        (height, width, 3), RGB.
-    low
-        World position of the lower left corner of the picture (2,), m.
-    scale
-        Pixels per metre.
-    """
-
-    image: Image
-    low: FloatArray
-    scale: float
+    image: Image  # (height, width, 3), RGB
+    low: FloatArray  # World position of the lower left corner of the picture (2,), m
+    scale: float  # Pixels per metre
 
     def pixels(self, points: FloatArray) -> NDArray[np.int32]:
         """Positions (n, 2), m, in the fixed-point pixel coordinates of OpenCV."""

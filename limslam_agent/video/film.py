@@ -38,30 +38,14 @@ _ADDED_MARGIN = 0.04  # share of the world's size at each side, so that a map th
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The content of a frame besides truth and belief.
-
-    Attributes
-    ----------
-    caption
-        Text about what is happening.
-    title
-        Title of the run.
-    log
-        Past events, with the latest first: time (s), kind and text.
-    coverage
-        True coverage, 0 to 1.
-    window
-        Corners (2,), m, of the region that the picture of the belief shows.
-    is_paused
-        Whether the video is paused for the caption.
-    """
+    """The content of a frame besides truth and belief."""
 
     caption: Caption
     title: str
-    log: Sequence[tuple[float, str, str]]
-    coverage: float
-    window: tuple[FloatArray, FloatArray]
-    is_paused: bool = False
+    log: Sequence[tuple[float, str, str]]  # Past events, with the latest first: time (s), kind and text
+    coverage: float  # True coverage, 0 to 1
+    window: tuple[FloatArray, FloatArray]  # Corners (2,), m, of the region that the picture of the belief shows
+    is_paused: bool = False  # Whether the video is paused for the caption
 
 
 @dataclass(frozen=True)

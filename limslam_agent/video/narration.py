@@ -21,25 +21,14 @@ _OUTDATED = 4.0
 
 @dataclass(frozen=True)
 class Caption:
-    """A headline and an explanation.
+    """A headline and an explanation."""
 
-    Attributes
-    ----------
-    stages
-        Stages of the method that the caption is about, counted from 0.
-    headline, explanation
-        The text.
-    event
-        The event that the caption is about, if it is about walls.
-    hough
-        The votes that the caption is about. They stay in the picture as long as the caption, although newer votes may
-        follow. None shows the latest votes.
-    """
-
-    stages: tuple[int, ...]
+    stages: tuple[int, ...]  # Stages of the method that the caption is about, counted from 0
     headline: str
     explanation: str = ""
-    event: Event | None = None
+    event: Event | None = None  # The event that the caption is about, if it is about walls
+    # The votes that the caption is about. They stay in the picture as long as the caption, although newer votes may
+    # follow. None shows the latest votes.
     hough: HoughView | None = field(default=None, compare=False)
 
     @property

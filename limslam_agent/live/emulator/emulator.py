@@ -14,26 +14,14 @@ from limslam_env.worlds.world import World
 
 
 class Body(NamedTuple):
-    """The robot that is emulated, and its world.
-
-    Attributes
-    ----------
-    world, robot, noise
-        Where it drives, what it is, and its errors.
-    name
-        What it calls itself.
-    watchdog_ms
-        Time without a line from the host after which its wheels stop, ms.
-    seed
-        Seed of all random numbers.
-    """
+    """The robot that is emulated, and its world."""
 
     world: World
     robot: RobotSpec
     noise: NoiseConfig
-    name: str = "paper"
-    watchdog_ms: int = 500
-    seed: int = 0
+    name: str = "paper"  # What it calls itself
+    watchdog_ms: int = 500  # Time without a line from the host after which its wheels stop, ms
+    seed: int = 0  # Seed of all random numbers
 
 
 class SimulatedRobot:

@@ -41,17 +41,10 @@ class Event(NamedTuple):
 
 @dataclass
 class Orders:
-    """What the topics of ``explore`` have asked for.
+    """What the topics of ``explore`` have asked for."""
 
-    Attributes
-    ----------
-    is_paused
-        Whether to map only.
-    go_home, stop
-        Whether to drive back to the start, and to end at once.
-    """
-
-    is_paused: bool = False
+    is_paused: bool = False  # Whether to map only
+    # Whether to drive back to the start, and to end at once
     go_home: bool = False
     stop: bool = False
 

@@ -18,22 +18,13 @@ _JITTER = 0.7  # share of the period that must at least have passed between two 
 
 
 class Sample(NamedTuple):
-    """The odometry at one moment.
+    """The odometry at one moment."""
 
-    Attributes
-    ----------
-    time
-        Time of the header, s.
-    left, right
-        Wheel travel since the first message, m.
-    pose
-        Pose (3,) in the frame of the odometry, m, m, rad.
-    """
-
-    time: float
+    time: float  # Time of the header, s
+    # Wheel travel since the first message, m
     left: float
     right: float
-    pose: FloatArray
+    pose: FloatArray  # Pose (3,) in the frame of the odometry, m, m, rad
 
 
 class Measurement(NamedTuple):

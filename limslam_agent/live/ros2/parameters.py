@@ -18,47 +18,26 @@ _Time = Annotated[float, Bounds(0.0, 60.0)]
 
 @dataclass(frozen=True)
 class Parameters(Bounded):
-    """Parameters of the node.
+    """Parameters of the node."""
 
-    Attributes
-    ----------
-    range_topics
-        A topic of Range messages for each beam of the robot, in the order of the beams. None: the topic ``scan`` has
-        LaserScans.
-    scan_mount
-        Pose of the laser on the robot: x (m), y (m), heading (deg).
-    period
-        Time between two measurements that are used, s. Faster sensors are thinned out.
-    watchdog
-        Time after the latest decision after which the wheels are stopped, s.
-    map_period
-        Time between two publications of the map, s.
-    map_frame, odom_frame
-        Names of the frames. Without a name, the frame is that of the odometry's messages.
-    transform_tolerance
-        By how much the transform from ``map_frame`` to ``odom_frame`` is dated ahead, s.
-    publish_tf
-        Whether to publish this transform on ``/tf``.
-    explore
-        Whether to explore from the start. If not, the robot maps until ``explore/resume`` says true.
-    return_to_init
-        Whether to drive back to the start when everything is explored.
-    enable_stamped_cmd_vel
-        Whether ``cmd_vel`` has TwistStamped messages.
-    """
-
+    # A topic of Range messages for each beam of the robot, in the order of the beams. None: the topic ``scan`` has
+    # LaserScans.
     range_topics: tuple[str, ...] = ()
+    # Pose of the laser on the robot: x (m), y (m), heading (deg)
     scan_mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
-    period: _Time = 0.1
+    period: _Time = 0.1  # Time between two measurements that are used, s. Faster sensors are thinned out.
+    # Time after the latest decision after which the wheels are stopped, s
     watchdog: Annotated[float, Bounds(0.05, 60.0)] = 0.5
-    map_period: _Time = 1.0
+    map_period: _Time = 1.0  # Time between two publications of the map, s
+    # Names of the frames. Without a name, the frame is that of the odometry's messages.
     map_frame: str = "map"
     odom_frame: str = ""
-    transform_tolerance: _Time = 0.5
-    publish_tf: bool = True
+    transform_tolerance: _Time = 0.5  # By how much the transform from ``map_frame`` to ``odom_frame`` is dated ahead, s
+    publish_tf: bool = True  # Whether to publish this transform on ``/tf``
+    # Whether to explore from the start. If not, the robot maps until ``explore/resume`` says true.
     explore: bool = True
-    return_to_init: bool = False
-    enable_stamped_cmd_vel: bool = False
+    return_to_init: bool = False  # Whether to drive back to the start when everything is explored
+    enable_stamped_cmd_vel: bool = False  # Whether ``cmd_vel`` has TwistStamped messages
 
     @classmethod
     def of(cls, values: Mapping[str, Any]) -> "Parameters":

@@ -19,39 +19,19 @@ _READINGS = ("ranges", "wheels", "robot")
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """What the robots of a run measured.
-
-    Attributes
-    ----------
-    robot
-        Description of the robots.
-    ranges
-        (n, robots, beams) float32, m. A beam's maximum where nothing was seen.
-    wheels
-        (n, robots, 2), left and right wheel travel since the previous step, m.
-    """
+    """What the robots of a run measured."""
 
     robot: RobotSpec
-    ranges: NDArray[np.float32]
-    wheels: NDArray[Any]
+    ranges: NDArray[np.float32]  # (n, robots, beams) float32, m. A beam's maximum where nothing was seen.
+    wheels: NDArray[Any]  # (n, robots, 2), left and right wheel travel since the previous step, m
 
 
 @dataclass(frozen=True, eq=False)
 class ExportedRun:
-    """A finished run with all that other programs may want of it.
-
-    Attributes
-    ----------
-    run
-        The run.
-    readings
-        Its readings, or None where the folder has none, as that of a replayed log.
-    grid
-        Its occupancy grid, or None.
-    """
+    """A finished run with all that other programs may want of it."""
 
     run: FinishedRun
-    readings: Readings | None
+    readings: Readings | None  # None where the folder has none, as that of a replayed log
     grid: GridView | None
 
     def paths(self) -> dict[str, list[FloatArray]]:
