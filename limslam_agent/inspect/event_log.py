@@ -28,11 +28,6 @@ _MOVED_GOAL = 1.0
 class EventLog:
     """Keeps the events of one run. Nothing that it does changes the mapper.
 
-    Parameters
-    ----------
-    mapper
-        The mapper.
-
     Attributes
     ----------
     events

@@ -92,14 +92,9 @@ class LivePage:
 
 
 class Follower:
-    """Records a mapper while it runs, from its first step that is noted.
+    """Records a mapper while it runs, from its first step that is noted, for a page if there is one.
 
-    Parameters
-    ----------
-    page
-        Gets the states of the recording; None where no page shows it.
-    steps
-        Largest number of steps that will come.
+    ``steps`` is the largest number of steps that will come.
     """
 
     def __init__(self, page: LivePage | None, steps: int) -> None:
@@ -109,12 +104,8 @@ class Follower:
     def note(
         self, mapper: Mapper, policies: Sequence[Policy], seconds: float, true: FloatArray | None = None
     ) -> Recorder:
-        """Note a step, after the policies have decided, with the true poses (n, 3) where they are known.
-
-        Returns
-        -------
-        Recorder
-            The recording so far.
+        """Note a step, after the policies have decided, with the true poses (n, 3) where they are known. Returns the
+        recording so far.
         """
         if self._recorder is None:
             self._recorder = Recorder(mapper, self._steps)
@@ -136,15 +127,7 @@ class Follower:
 
 @contextmanager
 def live_page(title: str, edges: FloatArray | None = None) -> Iterator[LivePage]:
-    """A page that is served on a free port while the context lasts.
-
-    Parameters
-    ----------
-    title
-        What the page shows, in one line.
-    edges
-        True walls (k, 4), m, where they are known.
-    """
+    """A page that is served on a free port while the context lasts, with the true walls (k, 4), m, if known."""
     with ThreadingHTTPServer((HOST, 0), _Handler) as server:
         server.daemon_threads = True
         server.page = page = LivePage(title, f"http://{HOST}:{server.server_port}/", edges)  # type: ignore[attr-defined]

@@ -57,15 +57,7 @@ def parts_of_pages(style: str) -> dict[str, str]:
 
 
 def page(title: str, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> str:
-    """The text of the HTML file.
-
-    Parameters
-    ----------
-    title
-        What was run, in one line.
-    arrays, meta
-        The recording, as in ``page/data.js``.
-    """
+    """The text of the HTML file, from what was run, in one line, and the recording, as in ``page/data.js``."""
     return _assembled(title, packed(arrays, told_to_page(title, meta)))
 
 

@@ -40,17 +40,8 @@ class Recorder:
 
     Call :meth:`note` after each step of the mapper. Nothing that the recorder does changes the mapper.
 
-    Parameters
-    ----------
-    mapper
-        The mapper. Of steps that it has made before, nothing is known.
-    steps
-        Number of steps that will come, or at least their largest number.
-
-    Attributes
-    ----------
-    log
-        What has happened so far.
+    ``steps`` is the number of steps that will come, or at least their largest number. Of steps that the mapper has made
+    before, nothing is known.
     """
 
     def __init__(self, mapper: Mapper, steps: int) -> None:
@@ -78,18 +69,10 @@ class Recorder:
         policies: Sequence[Policy] | None = None,
         true: FloatArray | None = None,
     ) -> None:
-        """Keep a step that the mapper has made.
+        """Keep a step that the mapper has made, after the policy of each robot has decided, if there are policies.
 
-        Parameters
-        ----------
-        time
-            Time of the step, s.
-        ranges
-            The readings of the step (n, n_beams), m. NaN where a beam has measured nothing new.
-        policies
-            The policy of each robot, after it has decided; None if nothing decides.
-        true
-            True poses (n, 3), m and rad; None where they are unknown.
+        The readings (n, n_beams), m, are NaN where a beam has measured nothing new. True poses (n, 3), m and rad, are
+        kept where they are known.
         """
         self._time.append(float(time))
         self._slam_steps.append(self._mapper.slam.robots[0].step)

@@ -37,18 +37,7 @@ _SPAN = 1 << 32
 
 
 class Firmware:
-    """The robot's side of the protocol.
-
-    Parameters
-    ----------
-    hello
-        What the robot says about itself.
-
-    Attributes
-    ----------
-    has_host
-        Whether the robot has been greeted, and has heard the host since.
-    """
+    """The robot's side of the protocol. ``has_host``: it has been greeted, and has heard the host since."""
 
     def __init__(self, hello: Hello) -> None:
         self.hello, self.has_host = hello, False

@@ -61,24 +61,9 @@ class Connection(Protocol):
 
 
 class Link:
-    """Messages instead of lines, over a transport.
+    """A connection of lines over a transport."""
 
-    Parameters
-    ----------
-    transport
-        Where lines come from and go to.
-    clock
-        The host's clock, s.
-
-    Attributes
-    ----------
-    bad_lines
-        Number of lines that were no messages.
-    late
-        Always 0. Such lines are found by their sequence numbers, in the recording.
-    """
-
-    late = 0
+    late = 0  # such lines are found by their sequence numbers, in the recording
 
     def __init__(self, transport: Transport, clock: Callable[[], float] = time.monotonic) -> None:
         self.transport, self.clock, self.bad_lines = transport, clock, 0

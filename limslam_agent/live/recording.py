@@ -42,13 +42,6 @@ class Row(NamedTuple):
 class Recording:
     """The telemetry of a session.
 
-    Parameters
-    ----------
-    robot
-        Description of the robot.
-    hello
-        What the robot has said about itself.
-
     Attributes
     ----------
     doubled, late, implausible

@@ -48,20 +48,8 @@ class Wired:
 class Session:
     """Drives a robot, and records what it sends.
 
-    Parameters
-    ----------
-    link
-        Connection to the robot.
-    hello
-        What the robot has said about itself.
-    agent
-        Maps and decides. It is made for ``recording.robot``.
-    recording
-        Takes everything that the robot has measured.
-    watch
-        Called after each decision.
-    obey
-        Called before each decision, and again and again while the robot is silent. It may set the attributes below.
+    The agent is made for ``recording.robot``. ``watch`` and ``obey`` are as in :class:`Wired`, and ``obey`` may set the
+    attributes below.
 
     Attributes
     ----------

@@ -39,19 +39,8 @@ class UdpTransport:
     """A UDP socket on which the host listens. The robot finds the host, and says hello.
 
     The first robot that says hello is the one that is driven. Datagrams of other senders are ignored until that robot
-    has been silent for a second.
-
-    Parameters
-    ----------
-    port
-        Port on which the host listens, on all of its addresses. 0 chooses a free one.
-
-    Raises
-    ------
-    ValueError
-        If it is no number of a port.
-    OSError
-        If the port cannot be used.
+    has been silent for a second. The host listens on all of its addresses; the port 0 chooses a free one. Raises a
+    ValueError if it is no number of a port, and an OSError if the port cannot be used.
     """
 
     def __init__(self, port: int) -> None:
@@ -102,19 +91,8 @@ class UdpTransport:
 
 
 class SerialTransport:
-    """A serial port. If it is unplugged, it is opened again as soon as it is back.
-
-    Parameters
-    ----------
-    port
-        Name of the port, like ``/dev/ttyUSB0`` or ``COM3``.
-    baud
-        Bits per second.
-
-    Raises
-    ------
-    ValueError
-        If pyserial is not installed, or the port cannot be opened.
+    """A serial port, like ``/dev/ttyUSB0`` or ``COM3``. If it is unplugged, it is opened again as soon as it is back.
+    Raises a ValueError if pyserial is not installed, or the port cannot be opened.
     """
 
     def __init__(self, port: str, baud: int) -> None:

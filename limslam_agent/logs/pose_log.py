@@ -43,19 +43,8 @@ def beam(angle: float, max_range: float, *, x: float = 0.0, y: float = 0.0, min_
 
 
 def choose_beams(beams: Sequence[SensorSpec], beams_deg: Sequence[float] | None) -> list[int]:
-    """Indices of the beams nearest to the given directions.
-
-    Parameters
-    ----------
-    beams
-        All beams of the log.
-    beams_deg
-        Wanted directions, deg. None takes all beams of a sparse robot, and six beams of another robot.
-
-    Raises
-    ------
-    ValueError
-        If no direction is given, no beam lies within 1 degree of a direction, or one beam is nearest to two directions.
+    """Indices of the beams of a log nearest to the wanted directions, deg, as :func:`nearest_beams` chooses them. None
+    takes all beams of a sparse robot, and six beams of another robot.
     """
     if beams_deg is None:
         if len(beams) <= SPARSE_BEAMS:
@@ -65,8 +54,8 @@ def choose_beams(beams: Sequence[SensorSpec], beams_deg: Sequence[float] | None)
 
 
 def nearest_beams(angles: FloatArray, beams_deg: Sequence[float]) -> list[int]:
-    """Indices of the angles (n,), deg, nearest to the given directions, deg. Raises a ValueError as for
-    :func:`choose_beams`.
+    """Indices of the angles (n,), deg, nearest to the given directions, deg. Raises a ValueError if no direction is
+    given, no beam lies within 1 degree of a direction, or one beam is nearest to two directions.
     """
     if not len(beams_deg):
         raise ValueError("at least one beam must be chosen")
@@ -89,32 +78,12 @@ def pose_log(
     has_scan: BoolArray,
     robot: RobotSpec | None = None,
 ) -> RecordedLog:
-    """The log of a robot that recorded poses.
+    """The log of a robot that recorded poses. Its arrays are as in a :class:`RecordedLog`.
 
-    Parameters
-    ----------
-    beams
-        Beams of the robot.
-    time
-        (n,), s.
-    odometry
-        (n, 3), m, m, rad. Headings may include full turns.
-    ranges
-        Whatever the sensors report (n, n_beams), m. `limslam_agent.readings` defines what it means.
-    has_scan
-        Whether ranges were measured (n,).
-    robot
-        The robot without its beams. By default only a radius of 0.2 m is assumed.
-
-    Returns
-    -------
-    RecordedLog
-        The frame of the estimate is the robot's first pose, because the origin of odometry is arbitrary.
-
-    Raises
-    ------
-    ValueError
-        If a number is not finite, or the odometry jumps or has impossible coordinates.
+    The headings of ``odometry`` may include full turns. ``ranges`` are whatever the sensors report, which
+    `limslam_agent.readings` defines. Of a robot that is not described only a radius of 0.2 m is assumed. The frame of
+    the estimate is the robot's first pose, because the origin of odometry is arbitrary. Raises a ValueError if a number
+    is not finite, or the odometry jumps or has impossible coordinates.
     """
     if np.any(np.abs(odometry) > FARTHEST):
         row = int(np.argmax(np.any(np.abs(odometry) > FARTHEST, axis=1)))

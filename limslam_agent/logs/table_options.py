@@ -127,14 +127,8 @@ class TableOptions:
         """Travel of both wheels (n, 2), m, since the row before, from the columns ``left`` and ``right`` (n, 2).
 
         The first row has no row before it. The robot counts as standing there, wherever it drove earlier. Counters of
-        any number of bits, with or without a sign, are continued where they begin again.
-
-        Parameters
-        ----------
-        columns
-            The columns (n, 2).
-        robot
-            The robot, with the usual time between two rows as its control period.
+        any number of bits, with or without a sign, are continued where they begin again. The control period of
+        ``robot`` is the usual time between two rows.
         """
         travel = np.diff(columns, axis=0, prepend=columns[:1]) if self.accumulated else columns.copy()
         travel[0] = 0.0

@@ -39,14 +39,7 @@ def turn_records(turns: FloatArray | None) -> list[dict[str, float]]:
 def record_of(time: FloatArray, paths: Sequence[FloatArray], odometry: Sequence[FloatArray]) -> dict[str, Any]:
     """The ``record`` of a ``result.json``: how long it is, and where odometry ended.
 
-    Parameters
-    ----------
-    time
-        Times of the steps (n,), s.
-    paths
-        Poses (n, 3) of each robot along which the driven distance is measured: the true ones where they are known.
-    odometry
-        Poses (n, 3) of each robot by odometry alone.
+    The driven distance is measured along ``paths``, poses (n, 3) of each robot: the true ones where they are known.
     """
     driven = [float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum()) for poses in paths]
     ends = [[float(x), float(y), float(np.degrees(heading))] for x, y, heading in (poses[-1] for poses in odometry)]
@@ -64,16 +57,8 @@ def place_records(time: FloatArray, places: Sequence[Mapping[str, Any]]) -> list
 
 
 def run_cost(duration: float, wall_clock: float, **step_ms: FloatArray) -> dict[str, float]:
-    """Values for ``cost`` in a ``result.json``.
-
-    Parameters
-    ----------
-    duration
-        Time that passed in the run or in its log, s.
-    wall_clock
-        Time that the computation took, s.
-    **step_ms
-        Time that each named part of a step took (n,), ms.
+    """Values for ``cost`` in a ``result.json``, from the time that passed in the run or in its log, s, the time that
+    computing took, s, and the times that each named part of a step took (n,), ms.
     """
     parts = {
         f"{name}_ms_{label}": float(np.percentile(values, share))

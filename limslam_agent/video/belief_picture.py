@@ -99,21 +99,9 @@ class Sheet:
 
 
 def draw_belief(frame: BeliefFrame, size: tuple[int, int], window: tuple[FloatArray, FloatArray]) -> Image:
-    """Draw what is believed.
+    """What is believed, as an RGB image (height, width, 3) of a size (width, height). Walls of events are highlighted.
 
-    Parameters
-    ----------
-    frame
-        What is drawn. Walls of its ``events`` are highlighted.
-    size
-        Width and height, pixels.
-    window
-        Lower left and upper right corner (2,), m, of the visible region.
-
-    Returns
-    -------
-    image
-        (height, width, 3), RGB.
+    ``window`` has the lower left and the upper right corner (2,), m, of the visible region.
     """
     sheet = _sheet(size, window)
     _draw_grid(sheet, frame)

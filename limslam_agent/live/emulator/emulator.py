@@ -27,19 +27,7 @@ class Body(NamedTuple):
 class SimulatedRobot:
     """A robot that drives in the simulator. Each step is one control period.
 
-    Parameters
-    ----------
-    body
-        The robot and its world.
-
-    Attributes
-    ----------
-    robot
-        The robot.
-    readings
-        What it has measured last.
-    pose
-        True pose (3,), m and rad.
+    ``readings`` are what it has measured last, and ``pose`` is its true pose (3,), m and rad.
     """
 
     begins = 0.0  # s, the time of the robot's clock at the start
@@ -70,17 +58,8 @@ class SimulatedRobot:
 
 
 class Emulator(SimulatedRobot):
-    """A simulated robot behind the line protocol. Each step is one control period.
-
-    Parameters
-    ----------
-    body
-        The robot and its world.
-
-    Raises
-    ------
-    ValueError
-        If the protocol cannot describe the robot, or the robot cannot start in the world.
+    """A simulated robot behind the line protocol. Each step is one control period. Raises a ValueError if the protocol
+    cannot describe the robot, or the robot cannot start in the world.
     """
 
     def __init__(self, body: Body) -> None:

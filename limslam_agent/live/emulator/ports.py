@@ -12,13 +12,7 @@ _MOST_BYTES = 65536
 
 
 class UdpPort:
-    """A UDP socket that sends to a host's port.
-
-    Parameters
-    ----------
-    host, port
-        Address of the host.
-    """
+    """A UDP socket that sends to a host's port."""
 
     def __init__(self, host: str, port: int) -> None:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)

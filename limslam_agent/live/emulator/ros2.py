@@ -30,12 +30,8 @@ class Measured(NamedTuple):
 
 
 class RosRobot(SimulatedRobot):
-    """A simulated robot that is driven by speeds, and integrates its own odometry.
-
-    Parameters
-    ----------
-    body
-        The robot and its world. Its watchdog stops the wheels without new speeds.
+    """A simulated robot that is driven by speeds, and integrates its own odometry. Its watchdog stops the wheels
+    without new speeds.
     """
 
     begins = 1.0  # a time of zero means that there is none
@@ -78,19 +74,7 @@ def serve(robot: RosRobot, pace: float, truth: IO[str] | None) -> None:
 
 
 class Served:
-    """The topics of an emulated robot.
-
-    Parameters
-    ----------
-    robot
-        The robot.
-    node
-        The node.
-    pace
-        Time that a control period takes, s; 0: as long as the host needs to answer.
-    truth
-        File for the true poses, or None.
-    """
+    """The topics of an emulated robot."""
 
     def __init__(self, robot: RosRobot, node: Any, pace: float, truth: IO[str] | None) -> None:
         from rclpy.qos import qos_profile_sensor_data

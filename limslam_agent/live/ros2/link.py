@@ -25,16 +25,7 @@ _FIRST = 5  # number of measurements that show the period
 class RosLink:
     """Makes telemetry of the messages of ROS, and speeds of commands. No message says which command was obeyed.
 
-    Parameters
-    ----------
-    ports
-        The node.
-    robot
-        Description of the robot, with the beams that are wanted.
-    parameters
-        Parameters of the node.
-    clock
-        The host's clock, s.
+    ``robot`` describes the robot, with the beams that are wanted.
 
     Attributes
     ----------

@@ -55,23 +55,8 @@ class Orders:
 
 
 class RosNode:
-    """A node with the topics of a live robot. Its messages are taken by another thread than the one that listens.
-
-    Parameters
-    ----------
-    node
-        The node of rclpy.
-
-    Attributes
-    ----------
-    parameters
-        The parameters of the node.
-    orders
-        What was asked for.
-    build
-        Builds messages.
-    watchdog_stops
-        Number of times that the watchdog has stopped the wheels.
+    """A node of rclpy with the topics of a live robot. Its messages are taken by another thread than the one that
+    listens. ``watchdog_stops`` is the number of times that the watchdog has stopped the wheels.
     """
 
     def __init__(self, node: Any) -> None:
@@ -177,17 +162,8 @@ class RosNode:
 
 @contextmanager
 def ros_node(arguments: Sequence[str]) -> Iterator[RosNode]:
-    """A node that listens in a thread of its own.
-
-    Parameters
-    ----------
-    arguments
-        Arguments for ROS, which begin with ``--ros-args``; or none.
-
-    Raises
-    ------
-    ValueError
-        If ROS 2 is not installed, or an argument cannot be used.
+    """A node that listens in a thread of its own. The arguments begin with ``--ros-args`` if there are any. Raises a
+    ValueError if ROS 2 is not installed, or an argument cannot be used.
     """
     if arguments and arguments[0] != BEGIN:
         raise ValueError(f"what follows -- is for ROS 2 and begins with {BEGIN}, not with {arguments[0]}")

@@ -38,14 +38,8 @@ class Odometer:
     """Sums the wheel travel between the poses of ``/odom``, and gives each reading the odometry of its own time.
 
     The travel between two poses is that of the arc that connects them, so lost messages lose no travel. A motion to the
-    side is left out, since wheels cannot make it. Readings wait until a later pose has arrived.
-
-    Parameters
-    ----------
-    robot
-        Its axle and its largest wheel speed count.
-    period
-        Time between two measurements, s. Readings that follow each other faster are left out.
+    side is left out, since wheels cannot make it. Readings wait until a later pose has arrived. Those that follow each
+    other faster than the period, s, are left out.
 
     Attributes
     ----------

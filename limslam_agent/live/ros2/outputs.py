@@ -16,15 +16,7 @@ _LEVELS = {"ok": b"\x00", "unsure": b"\x01", "lost": b"\x02"}  # of DiagnosticSt
 
 
 class Outputs:
-    """Publishes pose, transform, map, walls and status of a session, and passes orders on to it.
-
-    Parameters
-    ----------
-    node
-        The node.
-    link
-        The connection of the session.
-    """
+    """Publishes pose, transform, map, walls and status of a session, and passes orders on to it."""
 
     def __init__(self, node: RosNode, link: RosLink) -> None:
         self._node, self._link = node, link

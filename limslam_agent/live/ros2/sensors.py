@@ -36,17 +36,8 @@ class Reading(NamedTuple):
 class ScanSensors:
     """Picks the beams of a robot from LaserScans, by their directions.
 
-    Parameters
-    ----------
-    robot
-        The robot, whose beams say which directions are wanted, and how far to look.
-    mount
-        Pose (3,) of the laser on the robot, m, m, rad. The beams begin there.
-
-    Attributes
-    ----------
-    robot
-        The robot, with the beams as the messages describe them. None until there was a scan.
+    The beams of the robot say which directions are wanted, and how far to look. They begin at the laser's pose (3,) on
+    the robot, m, m, rad. ``robot`` then has the beams as the messages describe them. It is None until there was a scan.
     """
 
     def __init__(self, robot: RobotSpec, mount: FloatArray) -> None:
@@ -89,19 +80,8 @@ class RangeSensors:
 
     Messages belong together if their times lie within three quarters of a period. Readings are complete when each topic
     has had its message, or when a message comes that does not belong to them. Beams without a message have no reading.
-    The time of the readings is the median of those of the messages.
-
-    Parameters
-    ----------
-    robot
-        The robot. Its beams are in the order of the topics.
-    period
-        Time between two measurements, s.
-
-    Attributes
-    ----------
-    robot
-        The robot, with the beams as the messages describe them. None until each topic has had a message.
+    The time of the readings is the median of those of the messages. The robot's beams are in the order of the topics.
+    ``robot`` then has the beams as the messages describe them. It is None until each topic has had a message.
     """
 
     def __init__(self, robot: RobotSpec, period: float) -> None:

@@ -89,23 +89,9 @@ FORMATS = {"csv": write_csv, "dxf": write_dxf, "bag": write_bag}
 
 
 def export_run(folder: Path, target: Path, formats: Collection[str], *, force: bool = False) -> list[Path]:
-    """Write a finished run in some formats and return what was written.
-
-    Parameters
-    ----------
-    folder
-        Folder of the run.
-    target
-        Folder for the files; it is made if it is missing.
-    formats
-        Names of formats, as in ``FORMATS``.
-    force
-        Replace files of the same names.
-
-    Raises
-    ------
-    ValueError
-        If the folder is not that of a run, a file exists, or a package that a format needs is not installed.
+    """Write a finished run into a target folder in some of the ``FORMATS``, and return what was written. Raises a
+    ValueError if the folder is not that of a run, a file exists that ``force`` does not replace, or a package that a
+    format needs is not installed.
     """
     exported = read_exported(folder)
     target.mkdir(parents=True, exist_ok=True)

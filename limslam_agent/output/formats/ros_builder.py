@@ -20,13 +20,7 @@ def cells_of(grid: GridView) -> NDArray[np.int8]:
 
 
 class MessageBuilder:
-    """Builds messages from numbers.
-
-    Parameters
-    ----------
-    make
-        Makes a message from its type, like ``std_msgs/msg/Header``, and its fields as keywords.
-    """
+    """Builds messages from numbers. ``make`` makes one from its type, like ``std_msgs/msg/Header``, and its fields."""
 
     def __init__(self, make: Callable[..., Any]) -> None:
         self.make = make
