@@ -48,7 +48,6 @@ class LivePage:
         self._changed = threading.Condition()
         # Each is replaced as a whole, so that the run does not wait while a state is packed for a page.
         self._state: tuple[int, dict[str, NDArray[Any]], dict[str, Any]] = 0, {}, {}
-        self._text = 0, ""
         self._due = 0.0
 
     def update(self, recorder: Recorder) -> None:
@@ -82,13 +81,8 @@ class LivePage:
         with self._changed:
             self._changed.wait_for(lambda: self._state[0] not in {0, version} or self.is_over, _PATIENCE)
             number, arrays, meta = self._state
-        if number in {0, version}:
-            return number, ""
-        packed_number, text = self._text
-        if packed_number != number:
-            text = packed(arrays, told_to_page(self.title, meta), level=1)
-            self._text = number, text
-        return number, text
+        is_new = number not in {0, version}
+        return number, packed(arrays, told_to_page(self.title, meta), level=1) if is_new else ""
 
 
 class Follower:

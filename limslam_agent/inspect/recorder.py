@@ -7,11 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.config.presets import ConsistentConfig
-from limslam_agent.inspect.columns import Ragged, quantised, quantum_for
-from limslam_agent.inspect.event_log import EventLog
-from limslam_agent.inspect.events import Event, rounded
-from limslam_agent.inspect.frontiers import frontiers_of
-from limslam_agent.inspect.grid_changes import GridChanges
+from limslam_agent.inspect.columns import Ragged, quantised, quantum_for, rounded
+from limslam_agent.inspect.event_log import Event, EventLog
+from limslam_agent.inspect.grid import GridChanges, frontiers_of
 from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.policies.policy import Policy, checked_plan
 from limslam_agent.slam.slam import LineSlam

@@ -59,7 +59,7 @@ class HoughView:
 
     @classmethod
     def of(cls, extraction: Mapping[str, Any], time: float) -> "HoughView":
-        """The view of an extraction as a recording has it (``limslam_agent.inspect.events``), at a time, s.
+        """The view of an extraction as a recording has it (``limslam_agent.inspect.event_log``), at a time, s.
 
         The bins of r are those of the estimator, so that the votes are those that it saw.
         """

@@ -71,24 +71,19 @@ class Emulator(SimulatedRobot):
         self._travel = np.zeros(2)
         period = round(1e3 * robot.control_period)
         number, beams = int(boot.generate_state(1)[0]), len(robot.beams)
-        self._firmware = Firmware(Hello(VERSION, number, body.name, beams, NM_PER_TICK, period, body.watchdog_ms))
-
-    @property
-    def has_host(self) -> bool:
-        """Whether a host has greeted the robot, and was heard since."""
-        return self._firmware.has_host
+        self.firmware = Firmware(Hello(VERSION, number, body.name, beams, NM_PER_TICK, period, body.watchdog_ms))
 
     def hear(self, line: bytes) -> None:
         """Take a line that the host has sent."""
-        self._firmware.hear(line, self._now)
+        self.firmware.hear(line, self._now)
 
     def step(self) -> list[bytes]:
         """Drive for a control period. The lines for the host after it."""
-        speeds = self._firmware.speeds(self._now)
+        speeds = self.firmware.speeds(self._now)
         self.drive(*(1e-3 * speed for speed in speeds))
         self._travel += self.readings.wheels[0]
         ranges = ranges_in_mm(self.readings.ranges[0], self.robot)
-        return self._firmware.say(self._now, ticks(self._travel), ranges)
+        return self.firmware.say(self._now, ticks(self._travel), ranges)
 
     @property
     def _now(self) -> int:

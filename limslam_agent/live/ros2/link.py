@@ -10,9 +10,8 @@ import numpy as np
 from limslam_agent.live.link import POLL, NoRobotError
 from limslam_agent.live.protocol import VERSION, Command, Heartbeat, Hello, Message, Speeds, Stop, Telemetry
 from limslam_agent.live.recording import MM
-from limslam_agent.live.ros2.node import ODOMETRY, Event, RosNode
+from limslam_agent.live.ros2.node import ODOMETRY, Event, Parameters, RosNode
 from limslam_agent.live.ros2.odometer import Measurement, Odometer, Sample
-from limslam_agent.live.ros2.parameters import Parameters
 from limslam_agent.live.ros2.sensors import RangeSensors, ScanSensors
 from limslam_agent.logs.ros_messages import pose_of
 from limslam_env.geometry.se2 import wheels_to_arc
