@@ -1,5 +1,6 @@
 """Watches a mapper step by step and keeps what the page shows."""
 
+from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,9 +13,10 @@ from limslam_agent.inspect.event_log import Event, EventLog
 from limslam_agent.inspect.grid import GridChanges, frontiers_of
 from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.policies.policy import Policy, checked_plan
+from limslam_agent.slam.core.diagnostics import PendingPoints
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.status import LEVELS, Status
-from limslam_env.geometry import FloatArray
+from limslam_env.geometry import FloatArray, no_rows
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import Side
 
@@ -49,9 +51,7 @@ class Recorder:
         beams = len(mapper.robot.beams)
         self._beams = np.unique(np.linspace(0, beams - 1, min(beams, MOST_BEAMS)).round().astype(int))
         self._row, self._frame_rows = 0, list[int]()
-        self._columns: dict[str, list[Any]] = {
-            name: [] for name in ("pose", "cov", "odometry", "level", "reason", "ranges", "landmarks", "buffers")
-        } | {name: [] for name in ("map_index", "plan_index", "frontier_index", "goal")}
+        self._columns = defaultdict[str, list[Any]](list)
         self._reasons: dict[str, int] = {"": 0}
         self._pending, self._plans, self._cells = Ragged(2), Ragged(2), Ragged(2)
         self._walls, self._marks, self._grid = Ragged(5), Ragged(11), Ragged(4)
@@ -194,21 +194,13 @@ class Recorder:
 
     def _keep_buffers(self, slam: LineSlam) -> None:
         """Keep the pending points, and of each buffer: its robot, its side, its points, new ones, and its size."""
-        counts = []
-        robots = len(self._mapper.poses)
         found = {(each.robot, each.side): each for each in slam.pending_points}
-        points = []
-        for robot in range(robots):
-            for side in SIDES:
-                each = found.get((robot, side))
-                if each is None:
-                    counts.append((0, 0, 0))
-                    continue
-                new = len(each.points) if each.new is None else each.new
-                counts.append((len(each.points), new, each.enough))
-                points.append(each.points.reshape(-1, 2))
-        self._columns["buffers"].append(counts)
-        self._pending.add(np.concatenate([*points, np.zeros((0, 2))]))
+        nothing = PendingPoints(0, "none", no_rows(2), 0, 0)
+        buffers = [found.get((robot, side), nothing) for robot in range(len(self._mapper.poses)) for side in SIDES]
+        self._columns["buffers"].append(
+            [(len(each.points), len(each.points) if each.new is None else each.new, each.enough) for each in buffers]
+        )
+        self._pending.add(np.concatenate([each.points.reshape(-1, 2) for each in buffers]))
 
     def _keep_map(self, slam: LineSlam) -> None:
         """Keep walls and landmarks where they have changed since the last frame."""

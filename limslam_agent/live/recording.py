@@ -13,12 +13,10 @@ import numpy as np
 
 from limslam_agent.live.protocol import NOTHING_SEEN, Hello, Telemetry, difference
 from limslam_agent.logs.recorded_log import RecordedLog, write_npz
+from limslam_agent.logs.table_options import TOO_FAST
 from limslam_agent.output.atomic_write import atomic_write
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import Observation, RobotSpec
-
-TOO_FAST = 10.0
-"""Telemetry by which a wheel is this many times faster than the robot's largest wheel speed is not believed."""
 
 MM = 1e-3
 

@@ -35,6 +35,18 @@ class LineBuffer:
         return [line.rstrip(b"\r") for line in lines if line.strip()]
 
 
+def datagrams(source: socket.socket, timeout: float) -> list[tuple[bytes, tuple[str, int]]]:
+    """The datagrams that have arrived, each ended as a line, and their senders. Waits at most ``timeout`` s."""
+    select.select([source], [], [], timeout)
+    found = []
+    # On Windows, a datagram that could not be delivered is reported by the next read.
+    with suppress(BlockingIOError, ConnectionError):
+        while True:
+            data, sender = source.recvfrom(_MOST_BYTES)
+            found.append((data + b"\n", sender))
+    return found
+
+
 class UdpTransport:
     """A UDP socket on which the host listens. The robot finds the host, and says hello.
 
@@ -59,15 +71,8 @@ class UdpTransport:
 
     def receive(self, timeout: float) -> list[bytes]:
         """The lines of all datagrams that have arrived."""
-        select.select([self._socket], [], [], timeout)
-        lines: list[bytes] = []
-        # On Windows, a datagram that could not be delivered is reported by the next read.
-        with suppress(BlockingIOError, ConnectionError):
-            while True:
-                data, sender = self._socket.recvfrom(_MOST_BYTES)
-                if self._is_robot(data, sender):
-                    lines += LineBuffer().add(data + b"\n")
-        return lines
+        arrived = [data for data, sender in datagrams(self._socket, timeout) if self._is_robot(data, sender)]
+        return [line for data in arrived for line in LineBuffer().add(data)]
 
     def _is_robot(self, data: bytes, sender: tuple[str, int]) -> bool:
         now = time.monotonic()

@@ -32,8 +32,8 @@ FARTHEST = 1e9
 """Largest coordinate (m) of an odometry pose. Maps of the whole Earth have coordinates of about 1e7 m."""
 
 LARGEST_STEP_BACK = 1.0
-"""Times may step back by this much (s), for example if two threads write one log. A larger step means another run or a
-clock that was set.
+"""Times may step back by this much (s), for example if two threads write one log. A larger step means another run, a
+clock that was set, or a bag that begins again.
 """
 
 

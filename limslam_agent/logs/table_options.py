@@ -32,7 +32,9 @@ allows.
 """
 
 TOO_FAST = 10.0
-"""A wheel cannot travel farther than this many times its largest speed allows. A longer travel has another unit."""
+"""A wheel cannot travel farther than this many times its largest speed allows. A longer travel has another unit, or its
+counters are wrong.
+"""
 
 
 @dataclass(frozen=True)

@@ -4,6 +4,7 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -116,37 +117,32 @@ def path_colours(robots: int) -> list[tuple[str, str]]:
 
 def legend(picture: MapPicture) -> list[Line2D]:
     """The entries of the legend."""
-    robots = len(picture.estimated)
-    several, (estimated, odometry) = robots > 1, path_colours(robots)[0]
-    handles = [
-        Line2D([], [], color=WALLS, marker="o", markersize=3, label="walls of the map, end points"),
-    ]
-    if several:
-        colours = path_colours(robots)
-        handles += [Line2D([], [], color=colours[number][0], label=f"robot {number + 1}") for number in range(robots)]
-        estimated = odometry = "0.45"
-    is_smoothed = bool(picture.online)
-    handles.append(Line2D([], [], color=estimated, label="smoothed path" if is_smoothed else "estimated path"))
-    if is_smoothed:
-        online = Line2D(
-            [], [], color=estimated, linestyle=_DOTS, linewidth=_ONLINE_WIDTH, label="path as estimated online"
-        )
-        handles.append(online)
-    handles += [
-        Line2D([], [], color=estimated, linestyle="", marker=_START, label="start"),
-        Line2D([], [], color=estimated, linestyle="", marker=_END, label="end"),
-    ]
+    handles: list[Line2D] = []
+
+    def add(label: str, **style: Any) -> None:
+        handles.append(Line2D([], [], label=label, **style))
+
+    colours = path_colours(len(picture.estimated))
+    several = len(colours) > 1
+    estimated, odometry = ("0.45", "0.45") if several else colours[0]
+    add("walls of the map, end points", color=WALLS, marker="o", markersize=3)
+    for number, (colour, _) in enumerate(colours if several else ()):
+        add(f"robot {number + 1}", color=colour)
+    add("smoothed path" if picture.online else "estimated path", color=estimated)
+    if picture.online:
+        add("path as estimated online", color=estimated, linestyle=_DOTS, linewidth=_ONLINE_WIDTH)
+    add("start", color=estimated, linestyle="", marker=_START)
+    add("end", color=estimated, linestyle="", marker=_END)
     if picture.odometry:
         away = ", runs out of the picture" if is_cut(picture) else ""
-        handles.append(Line2D([], [], color=odometry, linestyle=_DASHES, label=f"path by odometry alone{away}"))
+        add(f"path by odometry alone{away}", color=odometry, linestyle=_DASHES)
     if picture.true:
-        handles.append(Line2D([], [], color=TRUE_PATH, label="true path"))
+        add("true path", color=TRUE_PATH)
     if picture.true_edges is not None:
-        handles.append(Line2D([], [], color=TRUTH, linewidth=5.0, label="true walls"))
+        add("true walls", color=TRUTH, linewidth=5.0)
     if picture.grid is not None:
         for colour, label in ((2, "seen free"), (0, "seen occupied")):
-            cells = Line2D([], [], linestyle="", marker="s", color=_GRID(colour), markeredgecolor="0.8", label=label)
-            handles.append(cells)
+            add(label, linestyle="", marker="s", color=_GRID(colour), markeredgecolor="0.8")
     return handles
 
 

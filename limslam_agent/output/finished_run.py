@@ -4,6 +4,7 @@ import json
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import count, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ MOST_WALLS = 20_000
 MAP, LOG, PICTURE, WORLD = "map.json", "log.npz", "map.png", "world.toml"
 COVARIANCES = "covariance_est.npz"
 UNPLACED = "map_unplaced.json"
+_KINDS = {"estimated": "est", "odometry": "odometry", "true": "true", "smoothed": "smoothed"}
 
 
 class FolderError(ValueError):
@@ -111,37 +113,22 @@ def read_run(folder: Path) -> FinishedRun:
     """
     _check_finished(folder)
     result, segments = _read_json(folder / RESULT_FILE), read_walls(folder / MAP)
-    has_own_times = "logs" in part_of(result, "config")  # of two logs that were replayed together
-    tables = _read_trajectories(folder, has_own_times=has_own_times)
-    time = tables["est"][0][:, 0]
-    times = [table[:, 0] for table in tables["est"]] if has_own_times else []
-    estimated, true, odometry, smoothed = ([table[:, 1:] for table in found] for found in tables.values())
-    covariances, smoothed_covariances = _covariances(folder / COVARIANCES, len(estimated), len(time))
-    return FinishedRun(
-        folder=folder,
-        result=result,
-        segments=segments,
-        time=time,
-        estimated=estimated,
-        odometry=odometry,
-        true=true,
-        smoothed=smoothed,
-        covariances=covariances,
-        smoothed_covariances=smoothed_covariances,
-        times=times,
-    )
-
-
-def _read_trajectories(folder: Path, *, has_own_times: bool) -> dict[str, list[FloatArray]]:
-    """The trajectories of each kind, of as many robots and rows as the estimate has, or of none."""
-    tables = {kind: _trajectories(folder, kind) for kind in ("est", "true", "odometry", "smoothed")}
-    if not tables["est"]:
+    tables = {name: _trajectories(folder, kind) for name, kind in _KINDS.items()}
+    estimated = tables["estimated"]
+    if not estimated:
         raise FolderError(f"{folder}: there is no trajectory_est.tum")
-    counts = [len(table if has_own_times else tables["est"][0]) for table in tables["est"]]
-    for kind, found in tables.items():
+    has_own_times = "logs" in part_of(result, "config")  # of two logs that were replayed together
+    counts = [len(table if has_own_times else estimated[0]) for table in estimated]
+    for name, found in tables.items():
         if found and [len(table) for table in found] != counts:
-            raise FolderError(f"{folder}: the trajectories ({kind}) have other robots or times")
-    return tables
+            raise FolderError(f"{folder}: the trajectories ({_KINDS[name]}) have other robots or times")
+    covariances, smoothed_covariances = _covariances(folder / COVARIANCES, len(estimated), len(estimated[0]))
+    return FinishedRun(
+        folder, result, segments, estimated[0][:, 0],
+        **{name: [table[:, 1:] for table in found] for name, found in tables.items()},
+        covariances=covariances, smoothed_covariances=smoothed_covariances,
+        times=[table[:, 0] for table in estimated] if has_own_times else [],
+    )  # fmt: skip
 
 
 def _check_finished(folder: Path) -> None:
@@ -192,23 +179,13 @@ def read_walls(path: Path) -> FloatArray:
 
 
 def _trajectories(folder: Path, kind: str) -> list[FloatArray]:
-    """Tables (n, 4) of time and pose for each robot. Empty if there is no file."""
+    """Tables (n, 4) of time, x, y and heading for each robot. Empty if there is no file."""
     single = folder / f"trajectory_{kind}.tum"
-    if single.is_file():
-        return [_read_table(single)]
-    tables: list[FloatArray] = []
-    while (path := folder / f"trajectory_{kind}_{len(tables)}.tum").is_file():
-        tables.append(_read_table(path))
-    return tables
-
-
-def _read_table(path: Path) -> FloatArray:
-    """A trajectory as a table (n, 4) of time, x, y and heading."""
+    several = takewhile(Path.is_file, (folder / f"trajectory_{kind}_{number}.tum" for number in count()))
     try:
-        time, poses = read_tum(path)
+        return [np.column_stack(read_tum(path)) for path in ([single] if single.is_file() else several)]
     except TrajectoryError as error:
         raise FolderError(str(error)) from error
-    return np.column_stack((time, poses))
 
 
 def _covariances(path: Path, robots: int, steps: int) -> tuple[list[FloatArray], list[FloatArray]]:

@@ -13,15 +13,11 @@ from typing import IO, TYPE_CHECKING, Annotated
 import typer
 
 from limslam_agent.cli.terminal import run_command
-from limslam_agent.live.transports import LineBuffer
+from limslam_agent.live.transports import LineBuffer, datagrams
 
 if TYPE_CHECKING:
     from limslam_agent.live.emulator.emulator import Emulator
 
-ANSWER_WITHIN = 2.0
-"""Longest time for which an emulator without a fixed speed waits for the host's answer, s."""
-
-_LONELY_POLL = 0.02  # s, between two steps of a robot that nobody has greeted
 
 _MOST_BYTES = 65536
 
@@ -82,12 +78,7 @@ class UdpPort:
 
     def receive(self, timeout: float) -> list[bytes]:
         """The lines of all datagrams that have arrived."""
-        select.select([self._socket], [], [], timeout)
-        lines: list[bytes] = []
-        with suppress(BlockingIOError, ConnectionError):
-            while True:
-                lines += LineBuffer().add(self._socket.recv(_MOST_BYTES) + b"\n")
-        return lines
+        return [line for data, _ in datagrams(self._socket, timeout) for line in LineBuffer().add(data)]
 
     def send(self, line: bytes) -> None:
         """Send a line to the host."""
@@ -127,6 +118,8 @@ class PtyPort:
 
 def run(emulator: "Emulator", port: UdpPort | PtyPort, pace: float, truth: IO[str] | None) -> None:
     """Emulate for ever. A control period takes ``pace`` s, or with 0 as long as the host needs to answer."""
+    from limslam_agent.live.emulator.emulator import ANSWER_WITHIN, LONELY_POLL
+
     due = time.monotonic()
     while True:
         lines = emulator.step()
@@ -138,7 +131,7 @@ def run(emulator: "Emulator", port: UdpPort | PtyPort, pace: float, truth: IO[st
         if pace:
             due = max(due + pace, now - pace)  # no attempt to catch up
         else:
-            due = now + (ANSWER_WITHIN if emulator.firmware.awaits_answer else _LONELY_POLL)
+            due = now + (ANSWER_WITHIN if emulator.firmware.awaits_answer else LONELY_POLL)
         left = due - now
         while True:
             for line in port.receive(max(left, 0.0)):

@@ -12,6 +12,12 @@ from limslam_env.interface import RobotSpec
 from limslam_env.simulation.simulation import Simulation
 from limslam_env.worlds.world import World
 
+ANSWER_WITHIN = 2.0
+"""Longest time for which an emulator without a fixed speed waits for the host's answer, s."""
+
+LONELY_POLL = 0.02
+"""Time between two steps of a robot that nobody drives, s."""
+
 
 class Body(NamedTuple):
     """The robot that is emulated, and its world."""

@@ -6,17 +6,12 @@ from typing import IO, Any, NamedTuple
 
 import numpy as np
 
-from limslam_agent.live.emulator.emulator import Body, SimulatedRobot
+from limslam_agent.live.emulator.emulator import ANSWER_WITHIN, LONELY_POLL, Body, SimulatedRobot
 from limslam_agent.live.ros2.node import check_installed, make, message_type
 from limslam_agent.output.formats.ros_builder import MessageBuilder
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc
 
-ANSWER_WITHIN = 2.0
-"""Longest time for which an emulator without a fixed speed waits for an answer, s."""
-
-_LONELY_POLL = 0.02  # s, between two steps of a robot that gets no speeds
-_BEAM_WIDTH = math.radians(2.0)
 _FRAMES = ("odom", "base_link")
 
 
@@ -114,7 +109,7 @@ class Served:
 
         now = time.monotonic()
         if not self._pace:
-            due = now + (ANSWER_WITHIN if now - self._answered < ANSWER_WITHIN + 1.0 else _LONELY_POLL)
+            due = now + (ANSWER_WITHIN if now - self._answered < ANSWER_WITHIN + 1.0 else LONELY_POLL)
         while (left := due - time.monotonic()) > 0.0 and (self._pace or self._answers == before):
             rclpy.spin_once(self._node, timeout_sec=left)
 
@@ -129,4 +124,4 @@ class Served:
         beams = zip(self._robot.robot.beams, measured.ranges, self._sensors, strict=True)
         for number, (beam, reading, sensor) in enumerate(beams):
             limits = beam.min_range, beam.max_range
-            sensor.publish(build.range(at, f"beam_{number}", limits, _BEAM_WIDTH, reading))
+            sensor.publish(build.range(at, f"beam_{number}", limits, reading))

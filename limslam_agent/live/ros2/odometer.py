@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.live.recording import TOO_FAST
-from limslam_agent.live.ros2.sensors import CLOCK_SET, Ranges, Reading
+from limslam_agent.live.ros2.sensors import Ranges, Reading
+from limslam_agent.logs.pose_log import LARGEST_STEP_BACK
+from limslam_agent.logs.table_options import TOO_FAST
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, between, compose
 from limslam_env.interface import RobotSpec
@@ -61,7 +62,7 @@ class Odometer:
 
     def add_pose(self, time: float, pose: FloatArray) -> list[Measurement]:
         """Take a pose (3,), m, m, rad, at a time, s. The measurements that are complete with it."""
-        if self._samples and time < self._samples[-1].time - CLOCK_SET:
+        if self._samples and time < self._samples[-1].time - LARGEST_STEP_BACK:
             self.begun += 1
             self._forget()
         if not self._samples:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from limslam_agent.live.protocol import NOTHING_SEEN
-from limslam_agent.logs.pose_log import nearest_beams
+from limslam_agent.logs.pose_log import LARGEST_STEP_BACK, nearest_beams
 from limslam_agent.logs.ros_messages import beam_on_body, rotation_of, scan_angles, scan_readings, sensor_limits
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
@@ -16,12 +16,6 @@ from limslam_env.interface import RobotSpec, SensorSpec
 
 Ranges = tuple[int | None, ...]
 """The reading of each beam, mm, as telemetry has it: None where there is none, ``NOTHING_SEEN`` where nothing is."""
-
-
-CLOCK_SET = 1.0
-"""A message whose time is earlier than that of the one before by more than this, s, is no late message: the clock was
-set, or a bag begins again.
-"""
 
 _TOGETHER = 0.75  # share of a period
 
@@ -95,7 +89,7 @@ class RangeSensors:
         limits = float(message.min_range), float(message.max_range)
         self._describe(number, limits)
         before = self._latest.get(number, -math.inf)
-        if before - CLOCK_SET <= time <= before:  # late, or twice
+        if before - LARGEST_STEP_BACK <= time <= before:  # late, or twice
             return []
         self._latest[number] = time
         times = [*self._times.values(), time]

@@ -1,6 +1,5 @@
 """Writes a run as messages of ROS 2: a bag, whose file Foxglove opens, too. rosbags is an extra; ROS is not needed."""
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,8 +15,6 @@ from limslam_env.interface import RobotSpec, SensorSpec
 
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
-
-_BEAM_WIDTH = math.radians(2.0)  # rad; a Range has to state one
 
 
 @dataclass(frozen=True)
@@ -105,7 +102,7 @@ class _Messages:
     def _ranges(self, time: float, ranges: Any, robot: RobotSpec, prefix: str) -> Iterator[_Told]:
         for number, (beam, reading) in enumerate(zip(robot.beams, ranges.tolist(), strict=True)):
             name, limits = f"{prefix}beam_{number}", (beam.min_range, beam.max_range)
-            yield _Told(time, f"/{name}", self._build.range(time, name, limits, _BEAM_WIDTH, reading))
+            yield _Told(time, f"/{name}", self._build.range(time, name, limits, reading))
 
     def _path(self, poses: FloatArray) -> Any:
         build = self._build
