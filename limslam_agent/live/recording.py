@@ -124,14 +124,9 @@ class Recording:
         """
         rows = self._sorted()
         travel = np.array([(row.left, row.right) for row in rows]).reshape(-1, 2)
-        return RecordedLog(
-            robot=self.robot,
-            time=np.array([row.time - rows[0].time for row in rows]),
-            ranges=np.array([row.ranges for row in rows], dtype=np.float32),
-            has_scan=np.ones(len(rows), dtype=np.bool_),
-            start_pose=np.zeros(3),
-            wheels=np.diff(travel, axis=0, prepend=travel[:1]),
-        )
+        time, ranges = np.array([row.time - rows[0].time for row in rows]), np.array([row.ranges for row in rows])
+        wheels = np.diff(travel, axis=0, prepend=travel[:1])
+        return RecordedLog(self.robot, time, ranges, np.ones(len(rows), dtype=np.bool_), wheels=wheels)
 
     def save(self, path: Path) -> None:
         """Write the rows as ``log.npz``, which ``limslam replay`` reads.

@@ -47,7 +47,6 @@ from limslam_agent.logs.recorded_log import (
     read_lines,
 )
 from limslam_agent.logs.table_options import CLOCK_COUNTS, TableOptions, check_travel
-from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec, SensorSpec
 
@@ -230,20 +229,10 @@ class _Rows:
         robot = self.options.robot
         if robot is None or self.leading == len(_POSE):
             return pose_log(self.beams, moves[:, 0], moves[:, 1:], ranges, has_scan, robot)
-        return self._wheel_log(robot, moves, ranges, has_scan)
-
-    def _wheel_log(self, robot: RobotSpec, moves: FloatArray, ranges: FloatArray, has_scan: BoolArray) -> RecordedLog:
         robot = replace(robot, beams=tuple(self.beams), control_period=median_spacing(moves[:, 0]))
         wheels = self.options.wheel_travel(moves[:, 1:], robot)
         check_travel(wheels, moves[:, 0], robot, self.options)
-        return RecordedLog(
-            robot=robot,
-            time=moves[:, 0],
-            ranges=np.where(has_scan[:, None], ranges, robot.max_ranges).astype(np.float32),
-            has_scan=has_scan,
-            start_pose=np.zeros(3),
-            wheels=wheels,
-        )
+        return RecordedLog(robot, moves[:, 0], ranges, has_scan, wheels=wheels)
 
 
 def _mounted(robot: RobotSpec, degrees: float, max_range: float | None, source: str) -> SensorSpec:

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from limslam_agent.logs.recorded_log import RecordedLog
-from limslam_agent.readings import as_readings
 from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.interface import LARGEST_RANGE, RobotSpec, SensorSpec
 
@@ -80,26 +79,17 @@ def pose_log(
 ) -> RecordedLog:
     """The log of a robot that recorded poses. Its arrays are as in a :class:`RecordedLog`.
 
-    The headings of ``odometry`` may include full turns. ``ranges`` are whatever the sensors report, which
-    `limslam_agent.readings` defines. Of a robot that is not described only a radius of 0.2 m is assumed. The frame of
-    the estimate is the robot's first pose, because the origin of odometry is arbitrary. Raises a ValueError if a number
-    is not finite, or the odometry jumps or has impossible coordinates.
+    The headings of ``odometry`` may include full turns. Of a robot that is not described only a radius of 0.2 m is
+    assumed. The frame of the estimate is the robot's first pose, because the origin of odometry is arbitrary. Raises a
+    ValueError if a number is not finite, or the odometry jumps or has impossible coordinates.
     """
     if np.any(np.abs(odometry) > FARTHEST):
         row = int(np.argmax(np.any(np.abs(odometry) > FARTHEST, axis=1)))
         raise ValueError(f"the odometry in row {row} is not a pose: {', '.join(f'{v:g}' for v in odometry[row])}")
     body = robot or RobotSpec(radius=BODY_RADIUS)
     robot = replace(body, control_period=median_spacing(time), beams=tuple(beams))
-    # Negative ranges stay, so that the log can count them.
-    readings = np.where(ranges < 0.0, ranges, as_readings(ranges, robot.min_ranges, robot.max_ranges))
-    return RecordedLog(
-        robot=robot,
-        time=time,
-        ranges=np.where(has_scan[:, None], readings, robot.max_ranges).astype(np.float32),
-        has_scan=has_scan,
-        start_pose=np.zeros(3),
-        odometry=np.column_stack((odometry[:, :2], se2.wrap_angle(odometry[:, 2]))),
-    )
+    odometry = np.column_stack((odometry[:, :2], se2.wrap_angle(odometry[:, 2])))
+    return RecordedLog(robot, time, ranges, has_scan, odometry=odometry)
 
 
 def check_max_range(max_range: float) -> None:

@@ -64,11 +64,12 @@ class RecordedLog:
         Times of the log (n,), s. They may step back a little.
     ranges
         (n, n_beams) float32, m, as `limslam_agent.readings` defines them: a beam's maximum where nothing was seen, and
-        NaN where there is no reading.
+        NaN where there is no reading. They are given as the sensors report them.
     has_scan
         (n,) bool. Where False, the event has odometry only, and its ranges are the maxima.
     start_pose
-        Pose of the robot at the first event (3,), m, m, rad, in the frame of the estimate.
+        Pose of the robot at the first event (3,), m, m, rad, in the frame of the estimate, which is that pose itself
+        where no other is given.
     odometry
         Absolute odometry poses (n, 3), m, m, rad, in a frame of their own, or None.
     wheels
@@ -89,9 +90,9 @@ class RecordedLog:
 
     robot: RobotSpec
     time: FloatArray
-    ranges: NDArray[np.float32]
+    ranges: NDArray[Any]
     has_scan: BoolArray
-    start_pose: FloatArray
+    start_pose: FloatArray = field(default_factory=lambda: np.zeros(3))
     odometry: FloatArray | None = None
     wheels: FloatArray | None = None
     true_pose: FloatArray | None = None
@@ -107,10 +108,11 @@ class RecordedLog:
             raise ValueError("needs either odometry or wheels")
         _check("time", self.time, (count,))
         _check("ranges", self.ranges, (count, beams), finite=False)
+        _check("has_scan", self.has_scan, (count,))
         object.__setattr__(self, "negative", int((self.ranges < 0.0).sum()))
         readings = as_readings(self.ranges, self.robot.min_ranges, self.robot.max_ranges)
+        readings[~self.has_scan] = self.robot.max_ranges
         object.__setattr__(self, "ranges", readings.astype(np.float32))
-        _check("has_scan", self.has_scan, (count,))
         _check("start_pose", self.start_pose, (3,))
         for name, array, width in (("odometry", self.odometry, 3), ("wheels", self.wheels, 2)):
             if array is not None:
@@ -184,7 +186,7 @@ def read_npz(path: FilePath) -> RecordedLog:
         return RecordedLog(
             robot=robot,
             time=_floats("time", arrays),
-            ranges=_floats("ranges", arrays).astype(np.float32),
+            ranges=_floats("ranges", arrays),
             has_scan=np.ones(count, dtype=np.bool_),
             start_pose=_floats("start_pose", arrays),
             wheels=_floats("wheels", arrays),

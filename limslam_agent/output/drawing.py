@@ -141,8 +141,8 @@ def legend(picture: MapPicture) -> list[Line2D]:
     if picture.true_edges is not None:
         add("true walls", color=TRUTH, linewidth=5.0)
     if picture.grid is not None:
-        for colour, label in ((2, "seen free"), (0, "seen occupied")):
-            add(label, linestyle="", marker="s", color=_GRID(colour), markeredgecolor="0.8")
+        for kind, label in ((2, "seen free"), (0, "seen occupied")):
+            add(label, linestyle="", marker="s", color=_GRID(kind), markeredgecolor="0.8")
     return handles
 
 
