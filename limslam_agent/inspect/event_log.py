@@ -116,14 +116,11 @@ class EventLog:
         if self._open is None or self._slam is None:
             return
         (event, _, closures), self._open = self._open, None
-        if len(self._slam.closures) > closures and not self._mapper_merges:
+        merges = isinstance(self._mapper.config.estimator, ConsistentConfig)
+        if len(self._slam.closures) > closures and not merges:
             event["why"] = "it shows that two walls are one: it closes the loop and is not used further"
             return
         _explain_waiting(event, self._mapper.slam.association_limits)
-
-    @property
-    def _mapper_merges(self) -> bool:
-        return isinstance(self._mapper.config.estimator, ConsistentConfig)
 
     def _add(self, event: Event) -> Event:
         event["row"] = self._row

@@ -9,6 +9,7 @@ from scipy import ndimage
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView
+from limslam_agent.inspect.columns import rounded
 from limslam_agent.policies.targets import ways_from
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.interface import RobotSpec
@@ -66,10 +67,6 @@ def frontiers_of(grid: GridView, poses: Sequence[FloatArray], robot: RobotSpec, 
     costs = [ways_from(pose[:2], grid, robot).cost for pose in poses]
     groups = sorted((np.argwhere(labels == label) for label in range(1, count + 1)), key=len, reverse=True)
     return [
-        (grid.centres(group), [_finite(float(each[tuple(group.T)].min())) for each in costs])
+        (grid.centres(group), rounded([each[tuple(group.T)].min() for each in costs], 2))
         for group in groups[:MOST_GROUPS]
     ]
-
-
-def _finite(cost: float) -> float | None:
-    return round(cost, 2) if np.isfinite(cost) else None

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.inspect.columns import packed
-from limslam_agent.inspect.page import empty_page, told_to_page
+from limslam_agent.inspect.page import page as page_of
+from limslam_agent.inspect.page import told_to_page
 from limslam_agent.inspect.recorder import Recorder
 from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.policies.policy import Policy
@@ -145,7 +146,7 @@ class _Handler(BaseHTTPRequestHandler):
         if f"http://{self.headers.get('Host', '')}/" != page.address:  # a name of somebody else that leads here
             self.send_error(403)
         elif path == "/":
-            self._send(empty_page(page.title), "text/html; charset=utf-8")
+            self._send(page_of(page.title), "text/html; charset=utf-8")
         elif path == "/recording":
             is_over = page.is_over  # asked before the state: what comes after the last one is nothing
             version, text = page.newest(int(known) if known.isdecimal() else 0)

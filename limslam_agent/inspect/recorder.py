@@ -15,7 +15,7 @@ from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.policies.policy import Policy, checked_plan
 from limslam_agent.slam.core.diagnostics import PendingPoints
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.status import LEVELS, Status
+from limslam_agent.status.status import LEVELS
 from limslam_env.geometry import FloatArray, no_rows
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import Side
@@ -41,7 +41,7 @@ class Recorder:
     Call :meth:`note` after each step of the mapper. Nothing that the recorder does changes the mapper.
 
     ``steps`` is the number of steps that will come, or at least their largest number. Of steps that the mapper has made
-    before, nothing is known.
+    before, nothing is known. ``frame_rows`` has the step of each frame.
     """
 
     def __init__(self, mapper: Mapper, steps: int) -> None:
@@ -50,7 +50,7 @@ class Recorder:
         self._stride = -(-steps // MOST_FRAMES)
         beams = len(mapper.robot.beams)
         self._beams = np.unique(np.linspace(0, beams - 1, min(beams, MOST_BEAMS)).round().astype(int))
-        self._row, self._frame_rows = 0, list[int]()
+        self._row, self.frame_rows = 0, list[int]()
         self._columns = defaultdict[str, list[Any]](list)
         self._reasons: dict[str, int] = {"": 0}
         self._pending, self._plans, self._cells = Ragged(2), Ragged(2), Ragged(2)
@@ -83,7 +83,7 @@ class Recorder:
 
     def finish(self) -> None:
         """Note what the mapper has done with the pending readings at the end of the run."""
-        if self.log.is_in_another_frame and self._frame_rows and self._frame_rows[-1] == self._row - 1:
+        if self.log.is_in_another_frame and self.frame_rows and self.frame_rows[-1] == self._row - 1:
             # The last row of a run is in the frame in which the run has ended.
             for name, column in self._estimates().items():
                 self._columns[name][-1] = column
@@ -94,7 +94,7 @@ class Recorder:
         walls, marks = self._walls.values(), self._marks.values()
         pending, plans, cells = (each.values() for each in (self._pending, self._plans, self._cells))
         self.quantum = quantum_for([walls[:, :4], marks[:, 7:11], pending, plans, cells])
-        rows, columns = np.array(self._frame_rows), self._columns
+        rows, columns = np.array(self.frame_rows), self._columns
         found: dict[str, NDArray[Any]] = {
             "time": np.array(self._time)[rows],
             **{name: np.array(columns[name], dtype=np.float32) for name in ("pose", "cov", "odometry")},
@@ -149,14 +149,9 @@ class Recorder:
         """Estimated poses (f, n, 3) of the frames, m and rad."""
         return np.array(self._columns["pose"])
 
-    @property
-    def frame_rows(self) -> list[int]:
-        """The step of each frame."""
-        return self._frame_rows
-
     def _keep(self, ranges: FloatArray, policies: Sequence[Policy] | None, goals: FloatArray) -> None:
         mapper, columns = self._mapper, self._columns
-        self._frame_rows.append(self._row)
+        self.frame_rows.append(self._row)
         for name, column in self._estimates().items():
             columns[name].append(column)
         columns["ranges"].append(self._millimetres(ranges))
@@ -179,11 +174,8 @@ class Recorder:
             "cov": mapper.covariances[:, *np.triu_indices(3)],
             "odometry": mapper.odometry,
             "level": [LEVELS.index(status.level) for status in statuses],
-            "reason": [self._reason_index(status) for status in statuses],
+            "reason": [self._reasons.setdefault(status.reason, len(self._reasons)) for status in statuses],
         }
-
-    def _reason_index(self, status: Status) -> int:
-        return self._reasons.setdefault(status.reason, len(self._reasons))
 
     def _millimetres(self, ranges: FloatArray) -> NDArray[np.uint16]:
         """Readings (n, b) in mm; 0 where there is none, and the largest number where nothing was seen."""

@@ -42,6 +42,8 @@ class Recording:
 
     Attributes
     ----------
+    newest
+        The latest measurement. None at the start.
     doubled, late, implausible
         Numbers of telemetry lines that came twice, that came after a later one, and that no such robot can have sent:
         a wheel was far too fast, the clock stood still, or there is another number of beams.
@@ -55,16 +57,11 @@ class Recording:
         self._metres = 1e-9 * hello.nm_per_tick
         self._rows: dict[int, Row] = {}
         self._actions: dict[int, FloatArray] = {}
-        self._newest: Row | None = None
+        self.newest: Row | None = None
         self._origin: tuple[Telemetry, Row] | None = None
 
     def __len__(self) -> int:
         return len(self._rows)
-
-    @property
-    def newest(self) -> Row | None:
-        """The latest measurement. None at the start."""
-        return self._newest
 
     @property
     def newest_seq(self) -> int:
@@ -106,7 +103,7 @@ class Recording:
             self.late += 1
         else:
             # Counters of 32 bits are compared with the newest ones, so that they may overflow.
-            self._newest, self._origin = row, (packet, row)
+            self.newest, self._origin = row, (packet, row)
         return row
 
     def observation(self, row: Row, before: Row | None) -> Observation:
@@ -157,7 +154,7 @@ class Recording:
             return None
         ranges = np.array([_metres(each) for each in packet.ranges])
         if self._origin is None:
-            last = self._newest
+            last = self.newest
             if last is None:
                 return Row(0, 0.0, 0.0, 0.0, ranges)
             after = last.time + max(gap, self.robot.control_period)
@@ -175,7 +172,7 @@ class Recording:
 
     def _is_plausible(self, row: Row) -> bool:
         """Whether the robot can have driven from the newest row to this one, or back to it."""
-        last = self._newest
+        last = self.newest
         if last is None or self._origin is None:
             return True
         elapsed = (row.time - last.time) * (-1.0 if row.is_late else 1.0)

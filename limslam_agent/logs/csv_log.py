@@ -46,7 +46,7 @@ from limslam_agent.logs.recorded_log import (
     parse_range,
     read_lines,
 )
-from limslam_agent.logs.table_options import CLOCK_COUNTS, TableOptions, check_travel
+from limslam_agent.logs.table_options import CLOCK_COUNTS, LONGEST_PAUSE, TableOptions, check_travel
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec, SensorSpec
 
@@ -209,7 +209,7 @@ class _Rows:
         before = self.moves[-self.leading] - self.time_before if self.moves else time
         turn = CLOCK_COUNTS * self.options.seconds
         if time < before - LARGEST_STEP_BACK:
-            if not self.options.is_clock_full(time, before):
+            if not 0.0 <= time - before + turn < LONGEST_PAUSE:  # a clock that was full begins again at 0
                 back = f"the time steps back by {before - time:.1f} s"
                 raise ValueError(f"{back}: if the robot was switched on again, replay the parts as logs of their own")
             self.time_before += turn

@@ -330,11 +330,7 @@ def _check(name: str, array: NDArray[Any], shape: tuple[int, ...], *, finite: bo
         raise ValueError(f"{name} does not hold numbers")
     bad = ~np.isfinite(array)
     if finite and bad.any():
-        raise ValueError(f"{name} holds something that is not a finite number in row {_first_row(bad)}")
-
-
-def _first_row(marked: NDArray[np.bool_]) -> int:
-    return int(np.argwhere(marked)[0, 0])
+        raise ValueError(f"{name} holds something that is not a finite number in row {np.argwhere(bad)[0, 0]}")
 
 
 def _unreadable(path: FilePath, error: OSError) -> LogError:

@@ -96,11 +96,6 @@ class TableOptions:
             raise ValueError(f"--zone-axes must be directions in degrees, not {self.zone_axes}")
 
     @property
-    def metres(self) -> float:
-        """Metres for each 1 in a range column."""
-        return LENGTHS[self.range_unit]
-
-    @property
     def seconds(self) -> float:
         """Seconds for each 1 in the time column."""
         return TIMES[self.time_unit]
@@ -113,17 +108,13 @@ class TableOptions:
         direction.
         """
         if not self.zone_axes:
-            return self.metres
+            return LENGTHS[self.range_unit]
         apart = np.abs(se2.wrap_angle(np.radians(np.array(self.zone_axes) - degrees))).min()
         if apart > math.radians(LARGEST_OFF_AXIS_DEG):
             raise ValueError(
                 f"--zone-axes: no axis lies within {LARGEST_OFF_AXIS_DEG:g} deg of the column at {degrees:g} deg"
             )
-        return self.metres / math.cos(apart)
-
-    def is_clock_full(self, time: float, before: float) -> bool:
-        """Whether a clock that steps back between two rows of time, s, was full, and so began again at 0."""
-        return 0.0 <= time - before + CLOCK_COUNTS * self.seconds < LONGEST_PAUSE
+        return LENGTHS[self.range_unit] / math.cos(apart)
 
     def wheel_travel(self, columns: FloatArray, robot: RobotSpec) -> FloatArray:
         """Travel of both wheels (n, 2), m, since the row before, from the columns ``left`` and ``right`` (n, 2).

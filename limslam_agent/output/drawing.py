@@ -134,7 +134,9 @@ def legend(picture: MapPicture) -> list[Line2D]:
     add("start", color=estimated, linestyle="", marker=_START)
     add("end", color=estimated, linestyle="", marker=_END)
     if picture.odometry:
-        away = ", runs out of the picture" if is_cut(picture) else ""
+        low, high = _extent(picture)
+        is_cut = any(((path < low) | (path > high)).any() for path in picture.odometry)
+        away = ", runs out of the picture" if is_cut else ""
         add(f"path by odometry alone{away}", color=odometry, linestyle=_DASHES)
     if picture.true:
         add("true path", color=TRUE_PATH)
@@ -188,12 +190,6 @@ def _draw_scale(axes: Axes, low: FloatArray, high: FloatArray) -> None:
         f"{length:g} m", (left + 0.5 * length, bottom), xytext=(0, 3), textcoords="offset points",
         ha="center", va="bottom", fontsize=9,
     )  # fmt: skip
-
-
-def is_cut(picture: MapPicture) -> bool:
-    """Whether odometry leaves the map so far that the picture does not follow it."""
-    low, high = _extent(picture)
-    return any(bool(((path < low) | (path > high)).any()) for path in picture.odometry)
 
 
 def _extent(picture: MapPicture) -> tuple[FloatArray, FloatArray]:

@@ -86,23 +86,18 @@ class FinishedRun:
 
 def run_title(config: Mapping[str, Any], robots: int, seed: object) -> str:
     """A run in a few words, from the ``config`` of its ``result.json``. Missing values are left out."""
-    noise = config.get("noise")
+    noise, policy = config.get("noise"), str(config.get("policy", "frontier"))
     parts = (
         str(config["world"]),
         f"{robots} robots" if robots > 1 else "",
         # A damaged file may hold a whole number that no float can hold.
         f"range noise {100.0 * noise:g} cm" if isinstance(noise, int | float) and abs(noise) < 1e6 else "",
         " ".join(filter(None, (str(config["preset"]), config.get("ablation")))),
-        policy_words(str(config["policy"])) if config.get("policy", "frontier") != "frontier" else "",
+        "" if policy == "frontier" else policy if ".py:" in policy else policy.replace("_", " "),
         counted(config["laps"], "lap") if config.get("laps") else "",
         f"seed {seed}" if seed is not None else "",
     )
     return ", ".join(filter(None, parts))
-
-
-def policy_words(policy: str) -> str:
-    """The name of a policy in words. A policy of a file keeps the name of the file."""
-    return policy if ".py:" in policy else policy.replace("_", " ")
 
 
 def read_run(folder: Path) -> FinishedRun:

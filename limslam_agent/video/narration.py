@@ -165,7 +165,7 @@ def _happenings(frame: BeliefFrame, last: BeliefFrame | None) -> list[str]:
     kinds = {event.kind for event in frame.events}
     found = {
         "goal": bool(frame.new_goals) and last.time > 0.0,
-        "drive": _has_moved(frame, last),
+        "drive": (np.hypot(*(frame.poses[:, :2] - last.poses[:, :2]).T) > 0.01).any(),
         "collect": is_collected,
         "hough": is_extracted and (last.hough is None or frame.hough is None or frame.hough.time > last.hough.time),
         "new": "new" in kinds,
@@ -174,10 +174,6 @@ def _happenings(frame: BeliefFrame, last: BeliefFrame | None) -> list[str]:
         "warning": frame.warning != "",
     }
     return [kind for kind, is_so in found.items() if is_so]
-
-
-def _has_moved(frame: BeliefFrame, last: BeliefFrame) -> bool:
-    return bool((np.hypot(*(frame.poses[:, :2] - last.poses[:, :2]).T) > 0.01).any())
 
 
 def _captions(frame: BeliefFrame) -> dict[str, Caption]:
