@@ -7,7 +7,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from limslam_agent.live.link import POLL, NoRobotError
+from limslam_agent.live.link import POLL, Connection, NoRobotError
 from limslam_agent.live.protocol import VERSION, Command, Heartbeat, Hello, Message, Speeds, Stop, Telemetry
 from limslam_agent.live.recording import MM
 from limslam_agent.live.ros2.node import ODOMETRY, Event, Parameters, RosNode
@@ -21,7 +21,7 @@ _MICROMETRE = 1e-6
 _FIRST = 5  # number of measurements that show the period
 
 
-class RosLink:
+class RosLink(Connection):
     """Makes telemetry of the messages of ROS, and speeds of commands. No message says which command was obeyed.
 
     ``robot`` describes the robot, with the beams that are wanted.
@@ -37,7 +37,7 @@ class RosLink:
     def __init__(
         self, ports: RosNode, robot: RobotSpec, parameters: Parameters, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self.clock, self.bad_lines = clock, 0
+        super().__init__(clock)
         self.newest: Sample | None = None
         self.frames = ("odom", "base_link")
         self._ports, self._robot, self._parameters = ports, robot, parameters
@@ -45,7 +45,7 @@ class RosLink:
             RangeSensors(robot, parameters.period) if parameters.range_topics else ScanSensors(robot, parameters.mount)
         )
         self._odometer = Odometer(robot, parameters.period)
-        self._seq = self._row = self._stops = 0
+        self._row = self._stops = 0
         self._hello: Hello | None = None
         self._ready = list[Message]()
         self._heard, self._trouble = set[int](), ""
@@ -91,11 +91,6 @@ class RosLink:
                 messages.append(replace(self._hello, boot=self._odometer.begun))
             messages += [self._telemetry(each) for each in measurements]
         return messages
-
-    def next_seq(self) -> int:
-        """A sequence number for the next command."""
-        self._seq += 1
-        return self._seq
 
     def send(self, command: Command) -> None:
         """Publish the speeds of a command."""
