@@ -86,11 +86,7 @@ class Session:
     def drive(self, max_time: float, patience: float) -> str:
         """Drive until the agent is done, ``max_time`` (s, by the robot's clock) is over, the robot has sent no new
         telemetry for ``patience`` s, or Ctrl-C is pressed. The wheels are stopped in any case, before anything else.
-
-        Returns
-        -------
-        str
-            Why the session has ended.
+        Returns why the session has ended.
         """
         self._last_new = self.link.clock()
         reason: str | None = None

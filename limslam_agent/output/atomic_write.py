@@ -15,20 +15,9 @@ from limslam_agent.output.claims import OutputError, claimed, hidden
 def atomic_write(path: Path) -> Iterator[Path]:
     """Write a file beside its final place, and move it to ``path`` when the context ends without an error.
 
-    Missing folders are made. After an error nothing is left; what a killed process leaves is removed by the next one
-    that writes to the same folder.
-
-    Yields
-    ------
-    Path
-        An empty file with the same suffix, beside ``path``.
-
-    Raises
-    ------
-    OutputError
-        If another process is writing this file.
-    OSError
-        If the file cannot be written there.
+    The context gets an empty file with the same suffix. Missing folders are made. After an error nothing is left; what
+    a killed process leaves is removed by the next one that writes to the same folder. Raises an OutputError if another
+    process is writing this file, and an OSError if it cannot be written there.
     """
     path = path.absolute()
     beside = hidden(path, "new", path.suffix.lower())
