@@ -121,19 +121,13 @@ class Recording:
         """
         rows = self._sorted()
         travel = np.array([(row.left, row.right) for row in rows]).reshape(-1, 2)
-        time, ranges = np.array([row.time - rows[0].time for row in rows]), np.array([row.ranges for row in rows])
+        times, ranges = np.array([row.time - rows[0].time for row in rows]), np.array([row.ranges for row in rows])
         wheels = np.diff(travel, axis=0, prepend=travel[:1])
-        return RecordedLog(self.robot, time, ranges, np.ones(len(rows), dtype=np.bool_), wheels=wheels)
+        return RecordedLog(self.robot, times, ranges, np.ones(len(rows), dtype=np.bool_), wheels=wheels)
 
     def save(self, path: Path) -> None:
-        """Write the rows as ``log.npz``, which ``limslam replay`` reads.
-
-        Raises
-        ------
-        ValueError
-            If there are no rows.
-        OSError
-            If the file cannot be written.
+        """Write the rows as ``log.npz``, which ``limslam replay`` reads. Raises a ValueError if there are none, and an
+        OSError if the file cannot be written.
         """
         log = self.log()
         nothing = np.zeros(2)
