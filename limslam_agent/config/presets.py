@@ -9,30 +9,10 @@ from limslam_agent.config.bounds import Bounded, Bounds, Count, CountOrNone, Pos
 from limslam_agent.config.consistent import ConsistentConfig, WhenToCalibrate
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.config.published import FilterConfig, PublishedConfig
-from limslam_agent.config.shared import HoughConfig, OdometryConfig
+from limslam_agent.config.shared import OdometryConfig
 from limslam_agent.config.smoother import RenewalConfig, SmootherConfig
 from limslam_env.interface import NominalNoise
 from limslam_env.messages import described
-
-__all__ = [
-    "ABLATIONS",
-    "ESTIMATORS",
-    "NO_GATE",
-    "PRESETS",
-    "AgentConfig",
-    "ConsistentConfig",
-    "EstimatorConfig",
-    "GraphConfig",
-    "GridConfig",
-    "HoughConfig",
-    "OdometryConfig",
-    "PolicyConfig",
-    "PublishedConfig",
-    "ablated",
-    "preset",
-    "self_calibrating",
-    "with_until",
-]
 
 UNTIL = ("seen", "walls")
 """When an exploration is over: when everything was seen, or when the walls are whole, too."""

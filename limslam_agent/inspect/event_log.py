@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from limslam_agent.config.presets import ConsistentConfig
+from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.inspect.columns import rounded
 from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.slam.core.diagnostics import AssociationRecord, CandidateTest, Closure, Comparison, Extraction

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.config.presets import ConsistentConfig
+from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.inspect.columns import Ragged, quantised, quantum_for, rounded
 from limslam_agent.inspect.event_log import Event, EventLog
 from limslam_agent.inspect.grid import GridChanges, frontiers_of

@@ -15,12 +15,12 @@ from limslam_agent.config.presets import (
     PRESETS,
     AgentConfig,
     GridConfig,
-    HoughConfig,
     PolicyConfig,
-    PublishedConfig,
     ablated,
     preset,
 )
+from limslam_agent.config.published import PublishedConfig
+from limslam_agent.config.shared import HoughConfig
 from limslam_agent.config.tables import SettingsError, read_toml, table_of, updated, write_toml
 from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.robots import ROBOTS
