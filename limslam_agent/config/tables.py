@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from limslam_agent.safe_files import read_limited
-from limslam_env.messages import described, one_line
 
 T = TypeVar("T")
 Table = Mapping[str, Any]
@@ -22,6 +21,8 @@ class SettingsError(ValueError):
     """A file of settings that cannot be used; the message names the file and the key."""
 
     def __init__(self, message: str) -> None:
+        from limslam_env.messages import one_line  # the command line imports this module, but not the simulator
+
         super().__init__(one_line(message))
 
 
@@ -111,7 +112,7 @@ def _converted(hint: Any, value: Any, where: str, current: Any) -> Any:
         return _converted_list(hint, value, where)
     if get_origin(hint) is Literal:
         if value not in (known := get_args(hint)):
-            raise SettingsError(f"{where}: must be one of {', '.join(map(str, known))}, not {described(value)}")
+            raise SettingsError(f"{where}: must be one of {', '.join(map(str, known))}, not {_described(value)}")
         return value
     return _converted_plain(hint, value, where)
 
@@ -123,9 +124,9 @@ def _converted_plain(hint: Any, value: Any, where: str) -> Any:
         try:
             return float(value)
         except OverflowError:
-            raise SettingsError(f"{where}: is too large for a number: {described(value)}") from None
+            raise SettingsError(f"{where}: is too large for a number: {_described(value)}") from None
     if type(value) is not hint:
-        raise SettingsError(f"{where}: must be {_PLAIN[hint]}, not {described(value)}")
+        raise SettingsError(f"{where}: must be {_PLAIN[hint]}, not {_described(value)}")
     return value
 
 
@@ -141,7 +142,7 @@ def _converted_union(hint: Any, value: Any, where: str) -> Any:
 
 def _converted_list(hint: Any, value: Any, where: str) -> tuple[Any, ...]:
     if not isinstance(value, list):
-        raise SettingsError(f"{where}: must be a list, not {described(value)}")
+        raise SettingsError(f"{where}: must be a list, not {_described(value)}")
     kinds = get_args(hint)
     kinds = kinds[:1] * len(value) if kinds[1:] == (Ellipsis,) else kinds
     if len(kinds) != len(value):
@@ -150,6 +151,13 @@ def _converted_list(hint: Any, value: Any, where: str) -> tuple[Any, ...]:
         _converted(kind, each, f"{where}[{number}]", None)
         for number, (kind, each) in enumerate(zip(kinds, value, strict=True))
     )
+
+
+def _described(value: Any) -> str:
+    """What a value looks like, for a message."""
+    from limslam_env.messages import described
+
+    return described(value)
 
 
 def _key(where: str, name: str) -> str:

@@ -43,13 +43,15 @@ class LogError(ValueError):
 
 @contextmanager
 def naming(path: FilePath) -> Iterator[None]:
-    """Turn a ValueError about a file into a LogError that names the file."""
+    """Turn a ValueError or an OSError about a file into a LogError that names the file."""
     try:
         yield
     except LogError:
         raise
     except ValueError as error:
         raise LogError(f"{fspath(path)}: {error}") from error
+    except OSError as error:
+        raise LogError(f"{fspath(path)}: cannot be read: {error.strerror or error}") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,11 +209,8 @@ def check_beams(count: int) -> None:
 
 def first_bytes(path: FilePath, count: int) -> bytes:
     """The first ``count`` bytes of a file, or fewer if it is shorter. Raises a LogError if it cannot be read."""
-    try:
-        with open_regular(Path(path)) as file:
-            return file.read(count)
-    except OSError as error:
-        raise _unreadable(path, error) from error
+    with naming(path), open_regular(Path(path)) as file:
+        return file.read(count)
 
 
 def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
@@ -228,11 +227,11 @@ def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
         If the file cannot be read, its gzip stream is cut short or damaged, or it is not a text file.
     """
     number = 0
-    try:
-        with naming(path), open_regular(Path(path)) as raw:
-            packed = raw.read(len(GZIP_MAGIC)) == GZIP_MAGIC
-            raw.seek(0)
-            file: IO[bytes] | gzip.GzipFile = gzip.GzipFile(fileobj=raw) if packed else raw
+    with naming(path), open_regular(Path(path)) as raw:
+        packed = raw.read(len(GZIP_MAGIC)) == GZIP_MAGIC
+        raw.seek(0)
+        file: IO[bytes] | gzip.GzipFile = gzip.GzipFile(fileobj=raw) if packed else raw
+        try:
             while line := file.readline(LONGEST_LINE):
                 number += 1
                 if number == 1 and line.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
@@ -240,12 +239,10 @@ def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
                 if b"\0" in line or len(line) == LONGEST_LINE:
                     raise ValueError(f"line {number}: this is not a text file")
                 yield number, line.removeprefix(codecs.BOM_UTF8) if number == 1 else line
-    except EOFError as error:
-        raise LogError(f"{fspath(path)}: line {number + 1}: cut short: the gzip stream ends here") from error
-    except (gzip.BadGzipFile, zlib.error) as error:
-        raise LogError(f"{fspath(path)}: line {number + 1}: the gzip stream is damaged: {error}") from error
-    except OSError as error:
-        raise _unreadable(path, error) from error
+        except EOFError as error:
+            raise ValueError(f"line {number + 1}: cut short: the gzip stream ends here") from error
+        except (gzip.BadGzipFile, zlib.error) as error:
+            raise ValueError(f"line {number + 1}: the gzip stream is damaged: {error}") from error
 
 
 def read_lines(path: FilePath, take: Callable[[bytes], None]) -> None:
@@ -296,10 +293,7 @@ _ARRAYS = ("time", "ranges", "wheels", "action", *_TRUTH, "robot", "start_pose")
 def _load_arrays(path: FilePath) -> dict[str, NDArray[Any]]:
     if first_bytes(path, len(ZIP_MAGIC)) != ZIP_MAGIC:
         raise ValueError("is not an .npz file")
-    try:
-        arrays = load_arrays(Path(path), _ARRAYS, math.inf)
-    except OSError as error:
-        raise _unreadable(path, error) from error
+    arrays = load_arrays(Path(path), _ARRAYS, math.inf)
     missing = [name for name in _ARRAYS if name not in arrays]
     # The log of a live robot has no truth at all.
     if missing and missing != list(_TRUTH):
@@ -331,7 +325,3 @@ def _check(name: str, array: NDArray[Any], shape: tuple[int, ...], *, finite: bo
     bad = ~np.isfinite(array)
     if finite and bad.any():
         raise ValueError(f"{name} holds something that is not a finite number in row {np.argwhere(bad)[0, 0]}")
-
-
-def _unreadable(path: FilePath, error: OSError) -> LogError:
-    return LogError(f"{fspath(path)}: cannot be read: {error.strerror or error}")
