@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from limslam_agent.mapping.map_snapshot import MapSnapshot as MapSnapshot
     from limslam_agent.mapping.mapper import Mapper as Mapper
     from limslam_agent.mapping.team import LimSlamTeam as LimSlamTeam
-    from limslam_agent.output.live_map import save_map as save_map
+    from limslam_agent.output.export import save_map as save_map
     from limslam_agent.policies.frontier_policy import FrontierPolicy as FrontierPolicy
     from limslam_agent.policies.learned.learned import LearnedPolicy as LearnedPolicy
     from limslam_agent.policies.policy import Policy as Policy
@@ -56,7 +56,7 @@ _MODULES = {
     "preset": "config.presets",
     "read_log": "logs.log_reader",
     "replay_log": "replay.replay",
-    "save_map": "output.live_map",
+    "save_map": "output.export",
     "with_until": "config.presets",
 }
 

@@ -114,7 +114,7 @@ AGENT = {
     "limslam_agent.live.ros2": {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid", "live", "logs", "output.formats", "policies"),
     },
-    "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output", "slam.core")},
+    "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "output", "slam.core")},
     "limslam_agent.inspect": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("config", "grid", "mapping", "output", "policies", "slam", "slam.core", "status", "video"),

@@ -1,4 +1,4 @@
-"""Settings: one module for each estimator, one for exploration, and the presets.
+"""Settings: one module for each estimator, and the presets with exploration and ablations.
 
 This file imports nothing, so that the command line starts quickly.
 """

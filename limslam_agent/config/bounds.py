@@ -20,13 +20,7 @@ class Bounds:
     high: float
 
     def check(self, name: str, value: Any) -> None:
-        """Refuse a number that is out of bounds.
-
-        Raises
-        ------
-        ValueError
-            If the number is out of bounds or not a number; the message begins with the setting's name.
-        """
+        """Raise a ValueError, which begins with the setting's name, if a number is out of bounds or not a number."""
         if not self.low <= value <= self.high:
             raise ValueError(f"{name} must be a number from {self.low:g} to {self.high:g}, not {value}")
 

@@ -5,7 +5,7 @@ Numbers that nothing sets are constants beside the code (:mod:`limslam_agent.sla
 """
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Annotated, Literal, Self
 
 import numpy as np
@@ -28,107 +28,61 @@ class PendingReadingsConfig(Bounded):
     """Which readings are collected, and how long each of them waits for an association.
 
     A pending reading is kept beside a clone of the pose that it was measured from.
-
-    Attributes
-    ----------
-    min_distance, min_turn
-        No new readings are collected before the robot has driven or turned this far, m and rad.
-    beams
-        At most this many beams of a side are used in a step.
-    batch
-        Number of new readings of a side at which lines are extracted from its pending readings.
-    max_age
-        A reading that has been pending for this long, m driven, is discarded.
-    max_clones
-        Largest number of cloned poses in the filter's state.
     """
 
+    # No new readings are collected before the robot has driven or turned this far, m and rad
     min_distance: NonNegative = 0.01
     min_turn: NonNegative = math.radians(1.0)
-    beams: Count = 8
-    batch: Count = 12
-    max_age: NonNegative = 1.5
-    max_clones: Count = 70
+    beams: Count = 8  # At most this many beams of a side are used in a step
+    batch: Count = 12  # Number of new readings of a side at which lines are extracted from its pending readings
+    max_age: NonNegative = 1.5  # A reading that has been pending for this long, m driven, is discarded
+    max_clones: Count = 70  # Largest number of cloned poses in the filter's state
 
 
 @dataclass(frozen=True)
 class WallAssociationConfig(Bounded):
-    """When the readings of one straight piece of wall belong to a known landmark.
+    """When the readings of one straight piece of wall belong to a known landmark."""
 
-    Attributes
-    ----------
-    gate
-        Largest chi-square (two degrees of freedom) of the difference between the readings and a landmark.
-    """
-
+    # Largest chi-square (two degrees of freedom) of the difference between the readings and a landmark
     gate: NonNegative = 9.0
 
 
 @dataclass(frozen=True)
 class CreationConfig(Bounded):
-    """When the readings of a piece of wall create a landmark.
+    """When the readings of a piece of wall create a landmark."""
 
-    Attributes
-    ----------
-    min_length, min_length_noisy
-        Least length of the piece, m, for ranges with a standard deviation below 1 cm, and for other ranges.
-    readings_per_std
-        Least number of readings for each metre of the ranges' standard deviation.
-    """
-
+    # Least length of the piece, m, for ranges with a standard deviation below 1 cm, and for other ranges
     min_length: NonNegative = 0.7
     min_length_noisy: NonNegative = 1.0
-    readings_per_std: NonNegative = 500.0
+    readings_per_std: NonNegative = 500.0  # Least number of readings for each metre of the ranges' standard deviation
 
 
 @dataclass(frozen=True)
 class ExtentConfig(Bounded):
-    """When a landmark is drawn.
+    """When a landmark is drawn."""
 
-    Attributes
-    ----------
-    min_readings, min_length
-        A landmark is drawn if it has this many readings and its piece of wall is this long, m.
-    """
-
+    # A landmark is drawn if it has this many readings and its piece of wall is this long, m
     min_readings: CountOrNone = 10
     min_length: NonNegative = 0.20
 
 
 @dataclass(frozen=True)
 class MergingConfig(Bounded):
-    """When two landmarks are one wall and are merged, which closes a loop.
+    """When two landmarks are one wall and are merged, which closes a loop."""
 
-    Attributes
-    ----------
-    enabled
-        False is the ablation without loop closing.
-    """
-
-    enabled: bool = True
+    enabled: bool = True  # False is the ablation without loop closing
 
 
 @dataclass(frozen=True)
 class SelfCalibrationConfig(Bounded):
-    """Estimation of the constant errors of the odometry: the sizes of the wheels and of the axle.
+    """Estimation of the constant errors of the odometry: the sizes of the wheels and of the axle."""
 
-    Attributes
-    ----------
-    calibrate
-        When these sizes are part of the filter's state: ``always``, ``never``, or ``if_needed``, which is from the
-        moment on at which the data show that the robot is not as specified.
-    size_std
-        Standard deviation of the size of both wheels together, as a share.
-    uneven_std
-        Standard deviation of the difference between the two wheels, as a share.
-    axle_std
-        Standard deviation of the length of the axle, as a share.
-    """
-
+    # When these sizes are part of the filter's state: ``always``, ``never``, or ``if_needed``, which is from the moment
+    # on at which the data show that the robot is not as specified
     calibrate: WhenToCalibrate = "if_needed"
-    size_std: _StdShare = 0.01
-    uneven_std: _StdShare = 0.02
-    axle_std: _StdShare = 0.03
+    size_std: _StdShare = 0.01  # Standard deviation of the size of both wheels together, as a share
+    uneven_std: _StdShare = 0.02  # Standard deviation of the difference between the two wheels, as a share
+    axle_std: _StdShare = 0.03  # Standard deviation of the length of the axle, as a share
 
     @property
     def covariance(self) -> FloatArray:
@@ -141,40 +95,22 @@ class SelfCalibrationConfig(Bounded):
 
 @dataclass(frozen=True)
 class RangeErrorConfig(Bounded):
-    """Estimation of the sensor's noise, its bias and the opening angle of its beams, where the data require it.
+    """Estimation of the sensor's noise, its bias and the opening angle of its beams, where the data require it."""
 
-    Attributes
-    ----------
-    enabled
-        False takes the sensor to be as specified.
-    gate
-        Twice the logarithm of the Bayes factor for another bias, opening angle or directions of the beams from which on
-        it is used.
-    noise_gate
-        Twice the logarithm of the likelihood ratio for another noise from which on it is used.
-    bias_std, cone_std
-        Standard deviations of a bias of all ranges, m, and of half the opening angle, rad.
-    delay_std
-        Standard deviation of a delay of all ranges, s.
-    turn_std
-        Standard deviation of the direction of a beam, rad.
-    least_std
-        Smaller noise is not estimated, m.
-    least_ratio
-        Noise that differs by a smaller factor is as specified.
-    further_gate, further_ratio
-        The two gates and the factor for a sensor that has already been found to differ from the specified one.
-    """
-
-    enabled: bool = True
+    enabled: bool = True  # False takes the sensor to be as specified
+    # Twice the logarithm of the Bayes factor for another bias, opening angle or directions of the beams from which on
+    # it is used
     gate: NonNegative = 12.0
+    # Twice the logarithm of the likelihood ratio for another noise from which on it is used
     noise_gate: NonNegative = 20.0
+    # Standard deviations of a bias of all ranges, m, and of half the opening angle, rad
     bias_std: NonNegative = 0.02
     cone_std: NonNegative = 0.05
-    delay_std: NonNegative = 0.1
-    turn_std: NonNegative = 0.05
-    least_std: NonNegative = 0.005
-    least_ratio: Annotated[float, Bounds(1.01, 10.0)] = 1.25
+    delay_std: NonNegative = 0.1  # Standard deviation of a delay of all ranges, s
+    turn_std: NonNegative = 0.05  # Standard deviation of the direction of a beam, rad
+    least_std: NonNegative = 0.005  # Smaller noise is not estimated, m
+    least_ratio: Annotated[float, Bounds(1.01, 10.0)] = 1.25  # Noise that differs by a smaller factor is as specified
+    # The two gates and the factor for a sensor that has already been found to differ from the specified one
     further_gate: NonNegative = 8.0
     further_ratio: Annotated[float, Bounds(1.01, 10.0)] = 1.1
 
@@ -193,36 +129,16 @@ class RangeErrorConfig(Bounded):
 
 @dataclass(frozen=True)
 class ConsistentConfig:
-    """Settings of the consistent estimator, one group for each stage.
+    """Settings of the consistent estimator, one group for each stage."""
 
-    Attributes
-    ----------
-    pending
-        Which readings are collected, and how long they are pending.
-    hough
-        Extraction of lines from the pending readings of a side.
-    association
-        When a piece belongs to a known landmark.
-    creation
-        When a piece creates a landmark.
-    extents
-        When a landmark is drawn.
-    merging
-        When two landmarks are merged.
-    self_calibration
-        Estimation of the odometry's constant errors.
-    range_errors
-        Estimation of the sensor's noise, its bias and the opening angle of its beams.
-    """
-
-    pending: PendingReadingsConfig = field(default_factory=PendingReadingsConfig)
-    hough: HoughConfig = field(default_factory=lambda: HoughConfig(min_length=0.15))
-    association: WallAssociationConfig = field(default_factory=WallAssociationConfig)
-    creation: CreationConfig = field(default_factory=CreationConfig)
-    extents: ExtentConfig = field(default_factory=ExtentConfig)
-    merging: MergingConfig = field(default_factory=MergingConfig)
-    self_calibration: SelfCalibrationConfig = field(default_factory=SelfCalibrationConfig)
-    range_errors: RangeErrorConfig = field(default_factory=RangeErrorConfig)
+    pending: PendingReadingsConfig = PendingReadingsConfig()
+    hough: HoughConfig = HoughConfig(min_length=0.15)
+    association: WallAssociationConfig = WallAssociationConfig()
+    creation: CreationConfig = CreationConfig()
+    extents: ExtentConfig = ExtentConfig()
+    merging: MergingConfig = MergingConfig()
+    self_calibration: SelfCalibrationConfig = SelfCalibrationConfig()
+    range_errors: RangeErrorConfig = RangeErrorConfig()
 
     def for_ranges(self, std: float) -> Self:
         """These settings with the least length of a new landmark for ranges of a standard deviation (m)."""

@@ -4,7 +4,7 @@ Numbers that nothing sets are constants beside the code (:mod:`limslam_agent.sla
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 from limslam_agent.config.bounds import Angle, Bounded, Count, NonNegative, Positive
 
@@ -13,60 +13,34 @@ _DEGREE = math.pi / 180.0
 
 @dataclass(frozen=True)
 class PointConfig(Bounded):
-    """The choice of the points of a log that are used.
+    """The choice of the points of a log that are used."""
 
-    Attributes
-    ----------
-    points_per_metre
-        Largest number of points for each metre driven. Of more points, those of every k-th beam are used, of other
-        beams in each scan.
-    """
-
+    # Largest number of points for each metre driven. Of more points, those of every k-th beam are used, of other beams
+    # in each scan.
     points_per_metre: Positive = 140.0
 
 
 @dataclass(frozen=True)
 class OdometryErrorConfig(Bounded):
-    """The prior of the constant errors of odometry.
+    """The prior of the constant errors of odometry."""
 
-    Attributes
-    ----------
-    bias_std
-        Prior standard deviation of the missing heading of odometry per metre, rad/m.
-    scale_std, turn_gain_std
-        Prior standard deviations of the relative errors of distances and turns.
-    delay_std
-        Prior standard deviation of the time by which ranges are older than odometry, s.
-    direction_std
-        Prior standard deviation of the angle between the direction of driving and ahead in the frame of the beams, rad.
-    """
-
-    bias_std: Positive = 1.5 * _DEGREE
+    bias_std: Positive = 1.5 * _DEGREE  # Prior standard deviation of the missing heading of odometry per metre, rad/m
+    # Prior standard deviations of the relative errors of distances and turns
     scale_std: Positive = 0.03
     turn_gain_std: Positive = 0.03
-    delay_std: Positive = 0.1
+    delay_std: Positive = 0.1  # Prior standard deviation of the time by which ranges are older than odometry, s
+    # Prior standard deviation of the angle between the direction of driving and ahead in the frame of the beams, rad
     direction_std: Angle = 2.0 * _DEGREE
 
 
 @dataclass(frozen=True)
 class WallLineConfig(Bounded):
-    """Straight walls, found by a Hough transform in windows of distance driven.
+    """Straight walls, found by a Hough transform in windows of distance driven."""
 
-    Attributes
-    ----------
-    window
-        Length of a window, m; windows overlap by half.
-    tolerance
-        Largest distance of a point from its line, m.
-    angle_bin
-        Bin of the Hough space, rad.
-    min_points, min_length, max_gap
-        Fewest points, least length and largest gap along the line, m.
-    """
-
-    window: Positive = 10.0
-    tolerance: NonNegative = 0.12
-    angle_bin: Positive = 3.0 * _DEGREE
+    window: Positive = 10.0  # Length of a window, m; windows overlap by half
+    tolerance: NonNegative = 0.12  # Largest distance of a point from its line, m
+    angle_bin: Positive = 3.0 * _DEGREE  # Bin of the Hough space, rad
+    # Fewest points, least length and largest gap along the line, m
     min_points: Count = 10
     min_length: NonNegative = 0.8
     max_gap: NonNegative = 1.5
@@ -82,35 +56,21 @@ class SmoothingConfig(Bounded):
 
 @dataclass(frozen=True)
 class LocalMapConfig(Bounded):
-    """Local maps: chunks of driving drawn into small grids.
+    """Local maps: chunks of driving drawn into small grids."""
 
-    Attributes
-    ----------
-    half
-        Distance driven on either side of a chunk's middle, m.
-    hop
-        Distance driven between the middles of successive chunks, m.
-    cell, hit_radius
-        Side of a cell, and radius around a point in which cells are occupied, m.
-    """
-
-    half: Positive = 3.5
-    hop: Positive = 2.5
+    half: Positive = 3.5  # Distance driven on either side of a chunk's middle, m
+    hop: Positive = 2.5  # Distance driven between the middles of successive chunks, m
+    # Side of a cell, and radius around a point in which cells are occupied, m
     cell: Positive = 0.1
     hit_radius: NonNegative = 0.15
 
 
 @dataclass(frozen=True)
 class ReversingConfig(Bounded):
-    """The search for stretches that were driven backwards although odometry never says so.
+    """The search for stretches that were driven backwards although odometry never says so."""
 
-    Attributes
-    ----------
-    contradicted, fewest
-        Odometry has no sign if at least ``fewest`` stretches contradict that they were driven ahead: at least
-        this share of their points would lie where only free space was seen before.
-    """
-
+    # Odometry has no sign if at least ``fewest`` stretches contradict that they were driven ahead: at least this share
+    # of their points would lie where only free space was seen before
     contradicted: NonNegative = 0.03
     fewest: Count = 2
 
@@ -119,9 +79,9 @@ class ReversingConfig(Bounded):
 class GraphConfig(Bounded):
     """All settings of the graph of local maps."""
 
-    reversing: ReversingConfig = field(default_factory=ReversingConfig)
-    keys: PointConfig = field(default_factory=PointConfig)
-    motion: OdometryErrorConfig = field(default_factory=OdometryErrorConfig)
-    lines: WallLineConfig = field(default_factory=WallLineConfig)
-    smoothing: SmoothingConfig = field(default_factory=SmoothingConfig)
-    maps: LocalMapConfig = field(default_factory=LocalMapConfig)
+    reversing: ReversingConfig = ReversingConfig()
+    keys: PointConfig = PointConfig()
+    motion: OdometryErrorConfig = OdometryErrorConfig()
+    lines: WallLineConfig = WallLineConfig()
+    smoothing: SmoothingConfig = SmoothingConfig()
+    maps: LocalMapConfig = LocalMapConfig()

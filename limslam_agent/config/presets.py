@@ -1,34 +1,50 @@
-"""Settings of the agent, and the presets: named settings that the command line knows."""
+"""Settings of the agent, the presets (named settings that the command line knows), and the ablations of them."""
 
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Annotated
 
 from limslam_agent.config import DEFAULT_PRESET
-from limslam_agent.config.bounds import Bounded, Positive
+from limslam_agent.config.bounds import Bounded, Bounds, Count, CountOrNone, Positive
 from limslam_agent.config.consistent import ConsistentConfig, WhenToCalibrate
-from limslam_agent.config.exploration import GridConfig, PolicyConfig
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.config.published import FilterConfig, PublishedConfig
-from limslam_agent.config.shared import HoughConfig, OdometryConfig
+from limslam_agent.config.shared import OdometryConfig
 from limslam_agent.config.smoother import RenewalConfig, SmootherConfig
 from limslam_env.interface import NominalNoise
 from limslam_env.messages import described
 
-__all__ = [
-    "ESTIMATORS",
-    "PRESETS",
-    "AgentConfig",
-    "ConsistentConfig",
-    "EstimatorConfig",
-    "GraphConfig",
-    "GridConfig",
-    "HoughConfig",
-    "OdometryConfig",
-    "PolicyConfig",
-    "PublishedConfig",
-    "preset",
-    "self_calibrating",
-    "with_until",
-]
+UNTIL = ("seen", "walls")
+"""When an exploration is over: when everything was seen, or when the walls are whole, too."""
+
+
+@dataclass(frozen=True)
+class GridConfig(Bounded):
+    """The low-resolution occupancy grid."""
+
+    cell: Positive = 0.10  # Side of a cell, m
+    # What a beam adds to the cells that it crosses, and what it subtracts from the cell in which it ends
+    seen_through: CountOrNone = 1
+    hit: CountOrNone = 4
+    limit: Annotated[int, Bounds(1, 10_000)] = 20  # A cell's value stays between minus and plus this
+
+
+@dataclass(frozen=True)
+class PolicyConfig(Bounded):
+    """Exploration: when it is over, how fast the robot is, and which frontiers count."""
+
+    # When exploration is over: when everything was ``seen``, so that there is no frontier left, or when the ``walls``
+    # are whole, so that the robot has also looked at every stretch where free ground ends and the map has no wall
+    until: str = "seen"
+    # Cruising speed while exploring, m/s. A slower robot measures more points on each metre of wall.
+    speed: Positive = 0.20
+    min_frontier: Count = 3  # Least number of cells of a frontier: smaller ones are mostly gaps between beams
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.until not in UNTIL:
+            raise ValueError(f"until must be {' or '.join(UNTIL)}, not {self.until!r}")
+
 
 EstimatorConfig = PublishedConfig | ConsistentConfig
 """Settings of an estimator. Their type says which estimator is used."""
@@ -82,17 +98,17 @@ class AgentConfig(Bounded):
     """
 
     preset: str = DEFAULT_PRESET
-    estimator: EstimatorConfig = field(default_factory=lambda: ESTIMATORS[DEFAULT_PRESET])
-    noise: NominalNoise = field(default_factory=NominalNoise)
+    estimator: EstimatorConfig = ESTIMATORS[DEFAULT_PRESET]
+    noise: NominalNoise = NominalNoise()
     min_range_std: Positive = 0.005
-    odometry: OdometryConfig = field(default_factory=OdometryConfig)
-    grid: GridConfig = field(default_factory=GridConfig)
-    policy: PolicyConfig = field(default_factory=PolicyConfig)
+    odometry: OdometryConfig = OdometryConfig()
+    grid: GridConfig = GridConfig()
+    policy: PolicyConfig = PolicyConfig()
     free_space_counts: bool = True
     finds_places: bool = True
-    smoothing: GraphConfig | None = field(default_factory=GraphConfig)
+    smoothing: GraphConfig | None = GraphConfig()
     smooths_runs: bool = True
-    renewal: RenewalConfig | None = field(default_factory=RenewalConfig)
+    renewal: RenewalConfig | None = RenewalConfig()
 
     @property
     def run_smoothing(self) -> SmootherConfig | None:
@@ -156,14 +172,37 @@ def with_until(config: AgentConfig, until: str) -> AgentConfig:
 
 
 def self_calibrating(config: AgentConfig, calibrate: WhenToCalibrate = "always") -> AgentConfig:
-    """The same settings, with an estimator that estimates the constant errors of the odometry then.
-
-    Raises
-    ------
-    ValueError
-        If the estimator cannot do that.
+    """The same settings, with an estimator that estimates the constant errors of the odometry then. Raises a ValueError
+    if the estimator cannot do that.
     """
     if not isinstance(config.estimator, ConsistentConfig):
         raise ValueError("only the consistent estimator can calibrate odometry by itself")  # noqa: TRY004 (a setting)
     calibration = replace(config.estimator.self_calibration, calibrate=calibrate)
     return replace(config, estimator=replace(config.estimator, self_calibration=calibration))
+
+
+NO_GATE = 1e6
+"""A gap that is longer than any gap between end points, m. It is finite, since settings are written as JSON."""
+
+_ABLATED: dict[str, Callable[[PublishedConfig], PublishedConfig]] = {
+    "no-ekf": lambda config: replace(config, filter=replace(config.filter, correct=False)),
+    "no-loop-closing": lambda config: replace(config, closing=replace(config.closing, enabled=False)),
+    "no-end-gate": lambda config: replace(config, association=replace(config.association, max_end_gap=NO_GATE)),
+    "only-best-line": lambda config: replace(config, hough=replace(config.hough, only_best=True)),
+}
+
+ABLATIONS = tuple(_ABLATED)
+
+
+def ablated(config: AgentConfig, ablation: str) -> AgentConfig:
+    """The same settings with one part of the method switched off, which shows what that part contributes. Raises a
+    ValueError if there is no such ablation, or the estimator has no such part.
+    """
+    estimator = config.estimator
+    if ablation not in ABLATIONS:
+        raise ValueError(f"no ablation is called {ablation!r}; there are {', '.join(ABLATIONS)}")
+    if isinstance(estimator, PublishedConfig):
+        return replace(config, estimator=_ABLATED[ablation](estimator))
+    if ablation == "no-loop-closing":
+        return replace(config, estimator=replace(estimator, merging=replace(estimator.merging, enabled=False)))
+    raise ValueError(f"{ablation} switches off a part of the published method: it needs the preset paper")

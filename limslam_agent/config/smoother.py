@@ -8,25 +8,14 @@ from limslam_agent.config.bounds import Bounded, NonNegative
 
 @dataclass(frozen=True)
 class SmootherConfig(Bounded):
-    """All settings of the line smoother.
+    """All settings of the line smoother."""
 
-    Attributes
-    ----------
-    calibrate
-        Whether constant errors of wheels, axle and ranges are estimated: ``always``, ``never``, or ``if_needed``.
-    """
-
+    # Whether constant errors of wheels, axle and ranges are estimated: ``always``, ``never``, or ``if_needed``
     calibrate: Literal["always", "if_needed", "never"] = "if_needed"
 
 
 @dataclass(frozen=True)
 class RenewalConfig(Bounded):
-    """When the last minutes of a drive are smoothed while the robot drives on, and the online estimate is renewed.
+    """When the last minutes of a drive are smoothed while the robot drives on, and the online estimate is renewed."""
 
-    Attributes
-    ----------
-    period
-        Longest time between two renewals, s.
-    """
-
-    period: NonNegative = 900.0
+    period: NonNegative = 900.0  # Longest time between two renewals, s

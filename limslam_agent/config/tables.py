@@ -21,19 +21,13 @@ class SettingsError(ValueError):
     """A file of settings that cannot be used; the message names the file and the key."""
 
     def __init__(self, message: str) -> None:
-        from limslam_env.messages import one_line
+        from limslam_env.messages import one_line  # the command line imports this module, but not the simulator
 
         super().__init__(one_line(message))
 
 
 def read_toml(path: Path) -> dict[str, Any]:
-    """The content of a TOML file.
-
-    Raises
-    ------
-    SettingsError
-        If there is no such file, or it is not TOML.
-    """
+    """The content of a TOML file. Raises a SettingsError if there is no such file, or it is not TOML."""
     try:
         return tomllib.loads(read_limited(path, MAX_FILE_BYTES).decode("utf-8-sig").replace("\r\n", "\n"))
     except OSError as error:
@@ -73,24 +67,19 @@ def updated(settings: T, table: Any, where: str, fixed: Collection[str] = ()) ->
     SettingsError
         If a key is unknown, or a value has a wrong type or is impossible.
     """
-    known = [name for name in _hints(type(settings)) if name not in fixed]
-    current = {name: getattr(settings, name) for name in known}
-    changes = _converted_table(type(settings), table, where, current)
-    return _made(type(settings), {name: getattr(settings, name) for name in _hints(type(settings))} | changes, where)
+    every = {name: getattr(settings, name) for name in _hints(type(settings))}
+    current = {name: value for name, value in every.items() if name not in fixed}
+    return _made(type(settings), every | _converted_table(type(settings), table, where, current), where)
 
 
 def built(kind: type[T], table: Any, where: str) -> T:
-    """A dataclass from a table that has at least the values without defaults.
-
-    Raises
-    ------
-    SettingsError
-        If a key is unknown or missing, or a value has a wrong type or is impossible; ``where`` is the file and the key.
+    """A dataclass from a table that has at least the values without defaults. Raises a SettingsError if a key is
+    unknown or missing, or a value has a wrong type or is impossible; ``where`` is the file and the key.
     """
     values = _converted_table(kind, table, where, dict.fromkeys(_hints(kind)))
-    missing = [field.name for field in _fields(kind) if _is_required(field) and field.name not in values]
-    if missing:
-        raise SettingsError(f"{_key(where, missing[0])}: is missing")
+    for field in _fields(kind):
+        if field.name not in values and field.default is MISSING and field.default_factory is MISSING:
+            raise SettingsError(f"{_key(where, field.name)}: is missing")
     return _made(kind, values, where)
 
 
@@ -122,10 +111,8 @@ def _converted(hint: Any, value: Any, where: str, current: Any) -> Any:
     if get_origin(hint) is tuple:
         return _converted_list(hint, value, where)
     if get_origin(hint) is Literal:
-        if value not in get_args(hint):
-            raise SettingsError(
-                f"{where}: must be one of {', '.join(map(str, get_args(hint)))}, not {_described(value)}"
-            )
+        if value not in (known := get_args(hint)):
+            raise SettingsError(f"{where}: must be one of {', '.join(map(str, known))}, not {_described(value)}")
         return value
     return _converted_plain(hint, value, where)
 
@@ -185,10 +172,6 @@ def _hints(kind: type[Any]) -> dict[str, Any]:
 
 def _fields(kind: type[Any]) -> tuple[Field[Any], ...]:
     return tuple(field for field in fields(kind) if field.init)
-
-
-def _is_required(field: Field[Any]) -> bool:
-    return field.default is MISSING and field.default_factory is MISSING
 
 
 def _without_none(value: Any) -> Any:

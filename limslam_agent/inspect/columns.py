@@ -3,6 +3,7 @@
 import base64
 import gzip
 import json
+import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
@@ -42,6 +43,15 @@ class Ragged:
         """Where each row begins, and where the last one ends (rows + 1,)."""
         counts = [len(row) for row in self._rows]
         return np.concatenate(([0], np.cumsum(counts, dtype=np.int64))).astype(np.uint32)
+
+
+def rounded(values: Any, digits: int = 4) -> Any:
+    """Numbers or nested lists of numbers for JSON, with a few digits. What is not finite becomes None."""
+    if isinstance(values, np.ndarray):
+        values = values.tolist()
+    if isinstance(values, list | tuple):
+        return [rounded(value, digits) for value in values]
+    return round(float(values), digits) if math.isfinite(values) else None
 
 
 def quantum_for(groups: Iterable[FloatArray]) -> float:

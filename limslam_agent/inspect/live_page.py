@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.inspect.columns import packed
-from limslam_agent.inspect.page import empty_page, told_to_page
+from limslam_agent.inspect.page import page as page_of
+from limslam_agent.inspect.page import told_to_page
 from limslam_agent.inspect.recorder import Recorder
 from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.policies.policy import Policy
@@ -48,7 +49,6 @@ class LivePage:
         self._changed = threading.Condition()
         # Each is replaced as a whole, so that the run does not wait while a state is packed for a page.
         self._state: tuple[int, dict[str, NDArray[Any]], dict[str, Any]] = 0, {}, {}
-        self._text = 0, ""
         self._due = 0.0
 
     def update(self, recorder: Recorder) -> None:
@@ -82,24 +82,14 @@ class LivePage:
         with self._changed:
             self._changed.wait_for(lambda: self._state[0] not in {0, version} or self.is_over, _PATIENCE)
             number, arrays, meta = self._state
-        if number in {0, version}:
-            return number, ""
-        packed_number, text = self._text
-        if packed_number != number:
-            text = packed(arrays, told_to_page(self.title, meta), level=1)
-            self._text = number, text
-        return number, text
+        is_new = number not in {0, version}
+        return number, packed(arrays, told_to_page(self.title, meta), level=1) if is_new else ""
 
 
 class Follower:
-    """Records a mapper while it runs, from its first step that is noted.
+    """Records a mapper while it runs, from its first step that is noted, for a page if there is one.
 
-    Parameters
-    ----------
-    page
-        Gets the states of the recording; None where no page shows it.
-    steps
-        Largest number of steps that will come.
+    ``steps`` is the largest number of steps that will come.
     """
 
     def __init__(self, page: LivePage | None, steps: int) -> None:
@@ -109,12 +99,8 @@ class Follower:
     def note(
         self, mapper: Mapper, policies: Sequence[Policy], seconds: float, true: FloatArray | None = None
     ) -> Recorder:
-        """Note a step, after the policies have decided, with the true poses (n, 3) where they are known.
-
-        Returns
-        -------
-        Recorder
-            The recording so far.
+        """Note a step, after the policies have decided, with the true poses (n, 3) where they are known. Returns the
+        recording so far.
         """
         if self._recorder is None:
             self._recorder = Recorder(mapper, self._steps)
@@ -136,15 +122,7 @@ class Follower:
 
 @contextmanager
 def live_page(title: str, edges: FloatArray | None = None) -> Iterator[LivePage]:
-    """A page that is served on a free port while the context lasts.
-
-    Parameters
-    ----------
-    title
-        What the page shows, in one line.
-    edges
-        True walls (k, 4), m, where they are known.
-    """
+    """A page that is served on a free port while the context lasts, with the true walls (k, 4), m, if known."""
     with ThreadingHTTPServer((HOST, 0), _Handler) as server:
         server.daemon_threads = True
         server.page = page = LivePage(title, f"http://{HOST}:{server.server_port}/", edges)  # type: ignore[attr-defined]
@@ -168,7 +146,7 @@ class _Handler(BaseHTTPRequestHandler):
         if f"http://{self.headers.get('Host', '')}/" != page.address:  # a name of somebody else that leads here
             self.send_error(403)
         elif path == "/":
-            self._send(empty_page(page.title), "text/html; charset=utf-8")
+            self._send(page_of(page.title), "text/html; charset=utf-8")
         elif path == "/recording":
             is_over = page.is_over  # asked before the state: what comes after the last one is nothing
             version, text = page.newest(int(known) if known.isdecimal() else 0)

@@ -56,22 +56,15 @@ def parts_of_pages(style: str) -> dict[str, str]:
     }
 
 
-def page(title: str, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> str:
-    """The text of the HTML file.
-
-    Parameters
-    ----------
-    title
-        What was run, in one line.
-    arrays, meta
-        The recording, as in ``page/data.js``.
+def page(title: str, recording: str = "") -> str:
+    """The text of the HTML file, from what was run, in one line, and the recording as text. Without one, the page asks
+    the server it comes from for it, again and again.
     """
-    return _assembled(title, packed(arrays, told_to_page(title, meta)))
-
-
-def empty_page(title: str) -> str:
-    """The text of an HTML file that asks the server it comes from for the recording, again and again."""
-    return _assembled(title, "")
+    own = {
+        "TITLE": html.escape(title, quote=False), "SCRIPT": "\n".join(_part("page", name) for name in SCRIPTS),
+        "DATA": recording,
+    }  # fmt: skip
+    return filled(_part("page", "page.html"), parts_of_pages(_part("page", "style.css")) | own)
 
 
 def told_to_page(title: str, meta: Mapping[str, Any]) -> dict[str, Any]:
@@ -81,28 +74,16 @@ def told_to_page(title: str, meta: Mapping[str, Any]) -> dict[str, Any]:
     return {**meta, "title": title, "lessons": lessons}
 
 
-def _assembled(title: str, content: str) -> str:
-    own = {
-        "TITLE": html.escape(title, quote=False), "SCRIPT": "\n".join(_part("page", name) for name in SCRIPTS),
-        "DATA": content,
-    }  # fmt: skip
-    return filled(_part("page", "page.html"), parts_of_pages(_part("page", "style.css")) | own)
-
-
 def filled(template: str, parts: Mapping[str, str]) -> str:
     """A template with a part in place of each ``@@NAME@@``. The parts themselves stay as they are."""
     return re.sub("@@([A-Z]+)@@", lambda found: parts[found[1]], template)
 
 
 def write_page(path: Path, title: str, arrays: Mapping[str, NDArray[Any]], meta: Mapping[str, Any]) -> int:
-    """Write the HTML file, which appears only when it is complete. Returns its size in bytes.
-
-    Raises
-    ------
-    OSError
-        If it cannot be written there.
+    """Write the HTML file, which appears only when it is complete. Returns its size in bytes. Raises an OSError if it
+    cannot be written there.
     """
-    content = page(title, arrays, meta).encode()
+    content = page(title, packed(arrays, told_to_page(title, meta))).encode()
     with atomic_write(path) as beside:
         beside.write_bytes(content)
     return len(content)

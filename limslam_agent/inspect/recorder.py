@@ -1,22 +1,22 @@
 """Watches a mapper step by step and keeps what the page shows."""
 
+from collections import defaultdict
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from limslam_agent.config.presets import ConsistentConfig
-from limslam_agent.inspect.columns import Ragged, quantised, quantum_for
-from limslam_agent.inspect.event_log import EventLog
-from limslam_agent.inspect.events import Event, rounded
-from limslam_agent.inspect.frontiers import frontiers_of
-from limslam_agent.inspect.grid_changes import GridChanges
+from limslam_agent.config.consistent import ConsistentConfig
+from limslam_agent.inspect.columns import Ragged, quantised, quantum_for, rounded
+from limslam_agent.inspect.event_log import Event, EventLog
+from limslam_agent.inspect.grid import GridChanges, frontiers_of
 from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.policies.policy import Policy, checked_plan
+from limslam_agent.slam.core.diagnostics import PendingPoints
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.status import LEVELS, Status
-from limslam_env.geometry import FloatArray
+from limslam_agent.status.status import LEVELS
+from limslam_env.geometry import FloatArray, no_rows
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import Side
 
@@ -40,17 +40,8 @@ class Recorder:
 
     Call :meth:`note` after each step of the mapper. Nothing that the recorder does changes the mapper.
 
-    Parameters
-    ----------
-    mapper
-        The mapper. Of steps that it has made before, nothing is known.
-    steps
-        Number of steps that will come, or at least their largest number.
-
-    Attributes
-    ----------
-    log
-        What has happened so far.
+    ``steps`` is the number of steps that will come, or at least their largest number. Of steps that the mapper has made
+    before, nothing is known. ``frame_rows`` has the step of each frame.
     """
 
     def __init__(self, mapper: Mapper, steps: int) -> None:
@@ -59,10 +50,8 @@ class Recorder:
         self._stride = -(-steps // MOST_FRAMES)
         beams = len(mapper.robot.beams)
         self._beams = np.unique(np.linspace(0, beams - 1, min(beams, MOST_BEAMS)).round().astype(int))
-        self._row, self._frame_rows = 0, list[int]()
-        self._columns: dict[str, list[Any]] = {
-            name: [] for name in ("pose", "cov", "odometry", "level", "reason", "ranges", "landmarks", "buffers")
-        } | {name: [] for name in ("map_index", "plan_index", "frontier_index", "goal")}
+        self._row, self.frame_rows = 0, list[int]()
+        self._columns = defaultdict[str, list[Any]](list)
         self._reasons: dict[str, int] = {"": 0}
         self._pending, self._plans, self._cells = Ragged(2), Ragged(2), Ragged(2)
         self._walls, self._marks, self._grid = Ragged(5), Ragged(11), Ragged(4)
@@ -78,18 +67,10 @@ class Recorder:
         policies: Sequence[Policy] | None = None,
         true: FloatArray | None = None,
     ) -> None:
-        """Keep a step that the mapper has made.
+        """Keep a step that the mapper has made, after the policy of each robot has decided, if there are policies.
 
-        Parameters
-        ----------
-        time
-            Time of the step, s.
-        ranges
-            The readings of the step (n, n_beams), m. NaN where a beam has measured nothing new.
-        policies
-            The policy of each robot, after it has decided; None if nothing decides.
-        true
-            True poses (n, 3), m and rad; None where they are unknown.
+        The readings (n, n_beams), m, are NaN where a beam has measured nothing new. True poses (n, 3), m and rad, are
+        kept where they are known.
         """
         self._time.append(float(time))
         self._slam_steps.append(self._mapper.slam.robots[0].step)
@@ -102,7 +83,7 @@ class Recorder:
 
     def finish(self) -> None:
         """Note what the mapper has done with the pending readings at the end of the run."""
-        if self.log.is_in_another_frame and self._frame_rows and self._frame_rows[-1] == self._row - 1:
+        if self.log.is_in_another_frame and self.frame_rows and self.frame_rows[-1] == self._row - 1:
             # The last row of a run is in the frame in which the run has ended.
             for name, column in self._estimates().items():
                 self._columns[name][-1] = column
@@ -113,7 +94,7 @@ class Recorder:
         walls, marks = self._walls.values(), self._marks.values()
         pending, plans, cells = (each.values() for each in (self._pending, self._plans, self._cells))
         self.quantum = quantum_for([walls[:, :4], marks[:, 7:11], pending, plans, cells])
-        rows, columns = np.array(self._frame_rows), self._columns
+        rows, columns = np.array(self.frame_rows), self._columns
         found: dict[str, NDArray[Any]] = {
             "time": np.array(self._time)[rows],
             **{name: np.array(columns[name], dtype=np.float32) for name in ("pose", "cov", "odometry")},
@@ -168,14 +149,9 @@ class Recorder:
         """Estimated poses (f, n, 3) of the frames, m and rad."""
         return np.array(self._columns["pose"])
 
-    @property
-    def frame_rows(self) -> list[int]:
-        """The step of each frame."""
-        return self._frame_rows
-
     def _keep(self, ranges: FloatArray, policies: Sequence[Policy] | None, goals: FloatArray) -> None:
         mapper, columns = self._mapper, self._columns
-        self._frame_rows.append(self._row)
+        self.frame_rows.append(self._row)
         for name, column in self._estimates().items():
             columns[name].append(column)
         columns["ranges"].append(self._millimetres(ranges))
@@ -198,11 +174,8 @@ class Recorder:
             "cov": mapper.covariances[:, *np.triu_indices(3)],
             "odometry": mapper.odometry,
             "level": [LEVELS.index(status.level) for status in statuses],
-            "reason": [self._reason_index(status) for status in statuses],
+            "reason": [self._reasons.setdefault(status.reason, len(self._reasons)) for status in statuses],
         }
-
-    def _reason_index(self, status: Status) -> int:
-        return self._reasons.setdefault(status.reason, len(self._reasons))
 
     def _millimetres(self, ranges: FloatArray) -> NDArray[np.uint16]:
         """Readings (n, b) in mm; 0 where there is none, and the largest number where nothing was seen."""
@@ -213,21 +186,13 @@ class Recorder:
 
     def _keep_buffers(self, slam: LineSlam) -> None:
         """Keep the pending points, and of each buffer: its robot, its side, its points, new ones, and its size."""
-        counts = []
-        robots = len(self._mapper.poses)
         found = {(each.robot, each.side): each for each in slam.pending_points}
-        points = []
-        for robot in range(robots):
-            for side in SIDES:
-                each = found.get((robot, side))
-                if each is None:
-                    counts.append((0, 0, 0))
-                    continue
-                new = len(each.points) if each.new is None else each.new
-                counts.append((len(each.points), new, each.enough))
-                points.append(each.points.reshape(-1, 2))
-        self._columns["buffers"].append(counts)
-        self._pending.add(np.concatenate([*points, np.zeros((0, 2))]))
+        nothing = PendingPoints(0, "none", no_rows(2), 0, 0)
+        buffers = [found.get((robot, side), nothing) for robot in range(len(self._mapper.poses)) for side in SIDES]
+        self._columns["buffers"].append(
+            [(len(each.points), len(each.points) if each.new is None else each.new, each.enough) for each in buffers]
+        )
+        self._pending.add(np.concatenate([each.points.reshape(-1, 2) for each in buffers]))
 
     def _keep_map(self, slam: LineSlam) -> None:
         """Keep walls and landmarks where they have changed since the last frame."""

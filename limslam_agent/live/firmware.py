@@ -12,7 +12,6 @@ from limslam_agent.live.protocol import (
     NOTHING_SEEN,
     BadLineError,
     Greeting,
-    Heartbeat,
     Hello,
     Speeds,
     Stop,
@@ -39,19 +38,12 @@ _SPAN = 1 << 32
 class Firmware:
     """The robot's side of the protocol.
 
-    Parameters
-    ----------
-    hello
-        What the robot says about itself.
-
-    Attributes
-    ----------
-    has_host
-        Whether the robot has been greeted, and has heard the host since.
+    ``has_host``: it has been greeted, and has heard the host since. ``awaits_answer``: the host has not yet answered
+    its latest telemetry.
     """
 
     def __init__(self, hello: Hello) -> None:
-        self.hello, self.has_host = hello, False
+        self.hello, self.has_host, self.awaits_answer = hello, False, False
         self._seq = self._ack = self._heard = 0
         self._left = self._right = 0
         self._is_stopped, self._owes_hello, self._next_hello = False, True, 0
@@ -72,9 +64,12 @@ class Firmware:
         is_new = self.has_host and difference(message.seq, self._ack) > 0
         if isinstance(message, Stop):
             self._left = self._right = 0
+        if isinstance(message, Stop) or (isinstance(message, Speeds) and difference(message.answers, self._seq) >= -1):
+            self.awaits_answer = False
         if is_new:
             self._ack, self._heard = message.seq, now
-            self._obey(message)
+            if isinstance(message, Speeds):
+                self._left, self._right, self._is_stopped = message.left, message.right, False
         return True
 
     def speeds(self, now: int) -> tuple[int, int]:
@@ -98,11 +93,8 @@ class Firmware:
             measured = Telemetry(self._seq, now % _SPAN, left, right, self._ack, int(self._is_stopped), ranges)
             lines.append(encode(measured))
             self._seq = (self._seq + 1) % _SPAN
+        self.awaits_answer = self.has_host
         return lines
-
-    def _obey(self, command: Speeds | Heartbeat | Stop) -> None:
-        if isinstance(command, Speeds):
-            self._left, self._right, self._is_stopped = command.left, command.right, False
 
 
 def ticks(travel: FloatArray) -> tuple[int, int]:

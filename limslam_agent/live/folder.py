@@ -10,23 +10,11 @@ from limslam_agent.replay.replay import replay_log, write_replay
 
 
 def write_session(folder: Path, session: Session, title: str, reason: str, versions: dict[str, str]) -> dict[str, Any]:
-    """Write log, map, trajectories, picture and result of a session. Returns the content of ``result.json``.
+    """Write log, map, trajectories, picture and result of a session that has ended for a reason, into an existing
+    folder. Returns the content of ``result.json``.
 
     The log is replayed, because lines that came late are in their places in it. What is written is therefore what
     ``limslam replay`` makes of the log.
-
-    Parameters
-    ----------
-    folder
-        An existing folder.
-    session
-        A session that has ended.
-    title
-        What the picture is called.
-    reason
-        Why the session has ended.
-    versions
-        Versions of the libraries.
     """
     session.recording.save(folder / LOG)
     replay = replay_log(session.recording.log(), session.agent.config)

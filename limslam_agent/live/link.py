@@ -2,8 +2,8 @@
 
 import math
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
-from typing import Protocol
 
 from limslam_agent.live.protocol import VERSION, BadLineError, Command, Greeting, Hello, Message, decode, encode
 from limslam_agent.live.transports import Transport
@@ -18,7 +18,7 @@ class NoRobotError(ValueError):
     """No robot that can be driven has answered."""
 
 
-class Connection(Protocol):
+class Connection(ABC):
     """A connection to a robot, for a session.
 
     Attributes
@@ -27,62 +27,46 @@ class Connection(Protocol):
         The host's clock, s.
     bad_lines
         Number of lines, or messages, that could not be read.
-    late
-        Number of measurements that the connection itself has left out, because they came after a later one, or twice.
     """
 
-    clock: Callable[[], float]
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self.clock, self.bad_lines, self._seq = clock, 0, 0
 
     @property
-    def bad_lines(self) -> int: ...  # noqa: D102 (the class describes it)
+    def late(self) -> int:
+        """Number of measurements that the connection itself has left out, because they came late or twice. Those of
+        lines are found by their sequence numbers, in the recording.
+        """
+        return 0
 
-    @property
-    def late(self) -> int: ...  # noqa: D102
-
+    @abstractmethod
     def first_hello(self, patience: float) -> Hello:
         """Wait for the robot. Raises a :class:`NoRobotError` if there is none after ``patience`` s."""
-        ...
 
+    @abstractmethod
     def receive(self, timeout: float) -> list[Message]:
         """The messages that have arrived. Waits for the first one, at most ``timeout`` s."""
-        ...
 
     def next_seq(self) -> int:
         """A sequence number for the next command."""
-        ...
+        self._seq = (self._seq + 1) % (1 << 32)
+        return self._seq
 
+    @abstractmethod
     def send(self, command: Command) -> None:
         """Send a command. It is lost if there is no connection."""
-        ...
 
+    @abstractmethod
     def greet(self) -> None:
         """Ask the robot to say hello."""
-        ...
 
 
-class Link:
-    """Messages instead of lines, over a transport.
-
-    Parameters
-    ----------
-    transport
-        Where lines come from and go to.
-    clock
-        The host's clock, s.
-
-    Attributes
-    ----------
-    bad_lines
-        Number of lines that were no messages.
-    late
-        Always 0. Such lines are found by their sequence numbers, in the recording.
-    """
-
-    late = 0
+class Link(Connection):
+    """A connection of lines over a transport."""
 
     def __init__(self, transport: Transport, clock: Callable[[], float] = time.monotonic) -> None:
-        self.transport, self.clock, self.bad_lines = transport, clock, 0
-        self._seq, self._greeted = 0, -math.inf
+        super().__init__(clock)
+        self.transport, self._greeted = transport, -math.inf
 
     def receive(self, timeout: float) -> list[Message]:
         """The messages that have arrived. Lines that are no messages are counted."""
@@ -93,11 +77,6 @@ class Link:
             except BadLineError:
                 self.bad_lines += 1
         return messages
-
-    def next_seq(self) -> int:
-        """A sequence number for the next command."""
-        self._seq = (self._seq + 1) % (1 << 32)
-        return self._seq
 
     def send(self, command: Command) -> None:
         """Send a command."""
@@ -110,12 +89,8 @@ class Link:
             self.send(Greeting(VERSION, self._seq))
 
     def first_hello(self, patience: float) -> Hello:
-        """Wait for the robot.
-
-        Raises
-        ------
-        NoRobotError
-            If none has said hello after ``patience`` s, or if it speaks another version of the protocol.
+        """Wait for the robot. Raises a NoRobotError if none has said hello after ``patience`` s, or if it speaks
+        another version of the protocol.
         """
         begin = self.clock()
         while self.clock() - begin <= patience:

@@ -13,12 +13,10 @@ import numpy as np
 
 from limslam_agent.live.protocol import NOTHING_SEEN, Hello, Telemetry, difference
 from limslam_agent.logs.recorded_log import RecordedLog, write_npz
+from limslam_agent.logs.table_options import TOO_FAST
 from limslam_agent.output.atomic_write import atomic_write
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import Observation, RobotSpec
-
-TOO_FAST = 10.0
-"""Telemetry by which a wheel is this many times faster than the robot's largest wheel speed is not believed."""
 
 MM = 1e-3
 
@@ -27,42 +25,25 @@ SAVED_EVERY = 30.0
 
 
 class Row(NamedTuple):
-    """One telemetry line in a frame that also holds after counters have overflowed and after the robot was restarted.
+    """One telemetry line in a frame that still holds when counters overflow and when the robot was restarted."""
 
-    Attributes
-    ----------
-    number
-        Place in the log. Lost lines leave gaps.
-    time
-        Time of the measurement since the first row, s, by the robot's clock.
-    left, right
-        Wheel travel since the first row, m.
-    ranges
-        Readings (n_beams,), m. NaN where there is no new reading, and infinity where nothing was seen.
-    is_late
-        Whether a later measurement had already arrived.
-    """
-
-    number: int
-    time: float
+    number: int  # Place in the log. Lost lines leave gaps.
+    time: float  # Time of the measurement since the first row, s, by the robot's clock
+    # Wheel travel since the first row, m
     left: float
     right: float
+    # Readings (n_beams,), m. NaN where there is no new reading, and infinity where nothing was seen.
     ranges: FloatArray
-    is_late: bool = False
+    is_late: bool = False  # Whether a later measurement had already arrived
 
 
 class Recording:
     """The telemetry of a session.
 
-    Parameters
-    ----------
-    robot
-        Description of the robot.
-    hello
-        What the robot has said about itself.
-
     Attributes
     ----------
+    newest
+        The latest measurement. None at the start.
     doubled, late, implausible
         Numbers of telemetry lines that came twice, that came after a later one, and that no such robot can have sent:
         a wheel was far too fast, the clock stood still, or there is another number of beams.
@@ -76,16 +57,11 @@ class Recording:
         self._metres = 1e-9 * hello.nm_per_tick
         self._rows: dict[int, Row] = {}
         self._actions: dict[int, FloatArray] = {}
-        self._newest: Row | None = None
+        self.newest: Row | None = None
         self._origin: tuple[Telemetry, Row] | None = None
 
     def __len__(self) -> int:
         return len(self._rows)
-
-    @property
-    def newest(self) -> Row | None:
-        """The latest measurement. None at the start."""
-        return self._newest
 
     @property
     def newest_seq(self) -> int:
@@ -127,7 +103,7 @@ class Recording:
             self.late += 1
         else:
             # Counters of 32 bits are compared with the newest ones, so that they may overflow.
-            self._newest, self._origin = row, (packet, row)
+            self.newest, self._origin = row, (packet, row)
         return row
 
     def observation(self, row: Row, before: Row | None) -> Observation:
@@ -140,33 +116,18 @@ class Recording:
         self._actions[row.number] = action
 
     def log(self) -> RecordedLog:
-        """All rows as a log, in the order of measurement, with those that came late in their places.
-
-        Raises
-        ------
-        ValueError
-            If there are no rows.
+        """All rows as a log, in the order of measurement, with those that came late in their places. Raises a
+        ValueError if there are no rows.
         """
         rows = self._sorted()
         travel = np.array([(row.left, row.right) for row in rows]).reshape(-1, 2)
-        return RecordedLog(
-            robot=self.robot,
-            time=np.array([row.time - rows[0].time for row in rows]),
-            ranges=np.array([row.ranges for row in rows], dtype=np.float32),
-            has_scan=np.ones(len(rows), dtype=np.bool_),
-            start_pose=np.zeros(3),
-            wheels=np.diff(travel, axis=0, prepend=travel[:1]),
-        )
+        times, ranges = np.array([row.time - rows[0].time for row in rows]), np.array([row.ranges for row in rows])
+        wheels = np.diff(travel, axis=0, prepend=travel[:1])
+        return RecordedLog(self.robot, times, ranges, np.ones(len(rows), dtype=np.bool_), wheels=wheels)
 
     def save(self, path: Path) -> None:
-        """Write the rows as ``log.npz``, which ``limslam replay`` reads.
-
-        Raises
-        ------
-        ValueError
-            If there are no rows.
-        OSError
-            If the file cannot be written.
+        """Write the rows as ``log.npz``, which ``limslam replay`` reads. Raises a ValueError if there are none, and an
+        OSError if the file cannot be written.
         """
         log = self.log()
         nothing = np.zeros(2)
@@ -187,7 +148,7 @@ class Recording:
             return None
         ranges = np.array([_metres(each) for each in packet.ranges])
         if self._origin is None:
-            last = self._newest
+            last = self.newest
             if last is None:
                 return Row(0, 0.0, 0.0, 0.0, ranges)
             after = last.time + max(gap, self.robot.control_period)
@@ -205,7 +166,7 @@ class Recording:
 
     def _is_plausible(self, row: Row) -> bool:
         """Whether the robot can have driven from the newest row to this one, or back to it."""
-        last = self._newest
+        last = self.newest
         if last is None or self._origin is None:
             return True
         elapsed = (row.time - last.time) * (-1.0 if row.is_late else 1.0)

@@ -32,49 +32,24 @@ _STOP_WAIT = 0.05  # s, between two attempts to stop the wheels
 
 @dataclass(frozen=True)
 class Wired:
-    """A robot that is connected.
-
-    Attributes
-    ----------
-    link
-        The connection.
-    place
-        Where the robot is, in words.
-    robot
-        The description of the robot that has said hello. Raises a ValueError if it cannot be driven.
-    policy
-        The policy that drives, from the one that was asked for; None is that of the agent itself.
-    watch
-        Called with the session after each decision.
-    obey
-        Called with the session before each decision, and again and again while the robot is silent.
-    """
+    """A robot that is connected."""
 
     link: Connection
-    place: str
+    place: str  # Where the robot is, in words
+    # The description of the robot that has said hello. Raises a ValueError if it cannot be driven.
     robot: Callable[[Hello], RobotSpec]
+    # The policy that drives, from the one that was asked for; None is that of the agent itself
     policy: Callable[[Policy | None, AgentConfig, RobotSpec], Policy | None] = lambda policy, _config, _robot: policy
-    watch: Callable[["Session"], None] = lambda _: None
+    watch: Callable[["Session"], None] = lambda _: None  # Called with the session after each decision
+    # Called with the session before each decision, and again and again while the robot is silent
     obey: Callable[["Session"], None] = lambda _: None
 
 
 class Session:
     """Drives a robot, and records what it sends.
 
-    Parameters
-    ----------
-    link
-        Connection to the robot.
-    hello
-        What the robot has said about itself.
-    agent
-        Maps and decides. It is made for ``recording.robot``.
-    recording
-        Takes everything that the robot has measured.
-    watch
-        Called after each decision.
-    obey
-        Called before each decision, and again and again while the robot is silent. It may set the attributes below.
+    The agent is made for ``recording.robot``. ``watch`` and ``obey`` are as in :class:`Wired`, and ``obey`` may set the
+    attributes below.
 
     Attributes
     ----------
@@ -111,11 +86,7 @@ class Session:
     def drive(self, max_time: float, patience: float) -> str:
         """Drive until the agent is done, ``max_time`` (s, by the robot's clock) is over, the robot has sent no new
         telemetry for ``patience`` s, or Ctrl-C is pressed. The wheels are stopped in any case, before anything else.
-
-        Returns
-        -------
-        str
-            Why the session has ended.
+        Returns why the session has ended.
         """
         self._last_new = self.link.clock()
         reason: str | None = None

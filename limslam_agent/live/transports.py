@@ -35,23 +35,24 @@ class LineBuffer:
         return [line.rstrip(b"\r") for line in lines if line.strip()]
 
 
+def datagrams(source: socket.socket, timeout: float) -> list[tuple[bytes, tuple[str, int]]]:
+    """The datagrams that have arrived, each ended as a line, and their senders. Waits at most ``timeout`` s."""
+    select.select([source], [], [], timeout)
+    found = []
+    # On Windows, a datagram that could not be delivered is reported by the next read.
+    with suppress(BlockingIOError, ConnectionError):
+        while True:
+            data, sender = source.recvfrom(_MOST_BYTES)
+            found.append((data + b"\n", sender))
+    return found
+
+
 class UdpTransport:
     """A UDP socket on which the host listens. The robot finds the host, and says hello.
 
     The first robot that says hello is the one that is driven. Datagrams of other senders are ignored until that robot
-    has been silent for a second.
-
-    Parameters
-    ----------
-    port
-        Port on which the host listens, on all of its addresses. 0 chooses a free one.
-
-    Raises
-    ------
-    ValueError
-        If it is no number of a port.
-    OSError
-        If the port cannot be used.
+    has been silent for a second. The host listens on all of its addresses; the port 0 chooses a free one. Raises a
+    ValueError if it is no number of a port, and an OSError if the port cannot be used.
     """
 
     def __init__(self, port: int) -> None:
@@ -70,15 +71,8 @@ class UdpTransport:
 
     def receive(self, timeout: float) -> list[bytes]:
         """The lines of all datagrams that have arrived."""
-        select.select([self._socket], [], [], timeout)
-        lines: list[bytes] = []
-        # On Windows, a datagram that could not be delivered is reported by the next read.
-        with suppress(BlockingIOError, ConnectionError):
-            while True:
-                data, sender = self._socket.recvfrom(_MOST_BYTES)
-                if self._is_robot(data, sender):
-                    lines += LineBuffer().add(data + b"\n")
-        return lines
+        arrived = [data for data, sender in datagrams(self._socket, timeout) if self._is_robot(data, sender)]
+        return [line for data in arrived for line in LineBuffer().add(data)]
 
     def _is_robot(self, data: bytes, sender: tuple[str, int]) -> bool:
         now = time.monotonic()
@@ -102,19 +96,8 @@ class UdpTransport:
 
 
 class SerialTransport:
-    """A serial port. If it is unplugged, it is opened again as soon as it is back.
-
-    Parameters
-    ----------
-    port
-        Name of the port, like ``/dev/ttyUSB0`` or ``COM3``.
-    baud
-        Bits per second.
-
-    Raises
-    ------
-    ValueError
-        If pyserial is not installed, or the port cannot be opened.
+    """A serial port, like ``/dev/ttyUSB0`` or ``COM3``. If it is unplugged, it is opened again as soon as it is back.
+    Raises a ValueError if pyserial is not installed, or the port cannot be opened.
     """
 
     def __init__(self, port: str, baud: int) -> None:

@@ -21,7 +21,6 @@ from limslam_agent.logs.recorded_log import (
     parse_range,
     read_lines,
 )
-from limslam_agent.readings import as_readings
 from limslam_env.geometry import FloatArray, se2
 from limslam_env.interface import RobotSpec, SensorSpec, side_of
 
@@ -48,13 +47,9 @@ def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) ->
 
     There is one event for each line, in the order of the file, at the line's ``ipc_time``. The frame of the estimate is
     the robot's first pose, because the origin of odometry is arbitrary and may be far away. Times that begin below 0
-    and go on from there are moved so that the first one is 0. Other lines with a negative time are left out.
-
-    Raises
-    ------
-    LogError
-        If the file cannot be read, is cut short, has something other than a number where one is needed, has no scan or
-        no odometry, or has no beam within 1 degree of a given angle.
+    and go on from there are moved so that the first one is 0. Other lines with a negative time are left out. Raises a
+    LogError if the file cannot be read, is cut short, has something other than a number where one is needed, has no
+    scan or no odometry, or has no beam within 1 degree of a given angle.
     """
     with naming(path):
         check_max_range(max_range)
@@ -74,12 +69,7 @@ def read_carmen(path: FilePath, beams_deg: Sequence[float], max_range: float) ->
 def beam_angles_deg(count: int) -> FloatArray:
     """Directions of a scan's beams (count,), deg, from -90 on the right to the left.
 
-    A scan with an even count has no beam at +90.
-
-    Raises
-    ------
-    ValueError
-        If the layout of this number of beams is unknown.
+    A scan with an even count has no beam at +90. Raises a ValueError if the layout of this number of beams is unknown.
     """
     if count not in (180, 181, 360, 361):
         raise ValueError(f"a scan of {count} beams: only 180, 181, 360 and 361 beams are known")
@@ -167,18 +157,10 @@ def _as_log(events: _Events, max_range: float) -> RecordedLog:
     odometry[:, 2] = se2.wrap_angle(odometry[:, 2])
     angles = np.radians(beam_angles_deg(events.beam_count)[np.array(events.columns) - 2])
     mount = _laser_mount(odometry[has_scan], np.array(events.laser).reshape(-1, 3)[scans])
-    ranges = np.full((len(time), len(angles)), max_range, dtype=np.float32)
-    ranges[has_scan] = _as_readings(np.array(events.ranges).reshape(-1, len(angles))[scans], max_range)
-    return RecordedLog(
-        robot=_robot(angles, mount, max_range, time),
-        time=time,
-        ranges=ranges,
-        has_scan=has_scan,
-        start_pose=np.zeros(3),
-        odometry=odometry,
-        shifted=shifted,
-        untimed=int((~kept).sum()),
-    )
+    ranges = np.full((len(time), len(angles)), np.nan)
+    ranges[has_scan] = _without_codes(np.array(events.ranges).reshape(-1, len(angles))[scans])
+    robot, untimed = _robot(angles, mount, max_range, time), int((~kept).sum())
+    return RecordedLog(robot, time, ranges, has_scan, odometry=odometry, shifted=shifted, untimed=untimed)
 
 
 def _begins_below_zero(time: FloatArray) -> bool:
@@ -187,14 +169,14 @@ def _begins_below_zero(time: FloatArray) -> bool:
     return bool(time[0] < 0.0 and len(steps) and (np.abs(steps) < _LONGEST_STEP).all())
 
 
-def _as_readings(ranges: FloatArray, max_range: float) -> FloatArray:
-    """Ranges (k, n_beams), m, as `limslam_agent.readings` defines. The laser's code for "no return" is the maximum."""
+def _without_codes(ranges: FloatArray) -> FloatArray:
+    """Ranges (k, n_beams), m, with infinity in place of the laser's codes for "no return"."""
     seen, largest = ranges.copy(), float(ranges.max(where=np.isfinite(ranges), initial=0.0))
     for unit in _SICK_UNITS:
         lowest, highest = _SICK_TOP_COUNTS[0] * unit, _SICK_TOP_COUNTS[1] * unit
         if lowest <= largest <= highest:
             seen[ranges >= lowest] = np.inf
-    return as_readings(seen, MIN_RANGE, max_range)
+    return seen
 
 
 def _laser_mount(odometry: FloatArray, laser: FloatArray) -> FloatArray:

@@ -46,8 +46,7 @@ from limslam_agent.logs.recorded_log import (
     parse_range,
     read_lines,
 )
-from limslam_agent.logs.table_options import CLOCK_COUNTS, TableOptions, check_travel
-from limslam_env.geometry import BoolArray, FloatArray
+from limslam_agent.logs.table_options import CLOCK_COUNTS, LONGEST_PAUSE, TableOptions, check_travel
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec, SensorSpec
 
@@ -72,12 +71,8 @@ NO_ROW = "delete the line if it is no row of the table, or begin it with #"
 
 
 def is_csv(path: FilePath) -> bool:
-    """Whether a text file, plain or gzip, begins with such a header.
-
-    Raises
-    ------
-    LogError
-        If the file cannot be read or is not a text file.
+    """Whether a text file, plain or gzip, begins with such a header. Raises a LogError if the file cannot be read or is
+    not a text file.
     """
     for number, line in numbered_lines(path):
         if number > _HEADER_WITHIN:
@@ -96,14 +91,11 @@ def read_csv(
 ) -> RecordedLog:
     """Read a text file with the header ``t,x,y,theta,r_<deg>,...`` or ``t,left,right,r_<deg>,...``, plain or gzip.
 
-    The parameters are those of `limslam_agent.logs.log_reader.read_log`. There is one event for each row.
-
-    Raises
-    ------
-    LogError
-        If the file cannot be read, is cut short, has another header, has a row whose columns do not match the header or
-        that holds something other than numbers, or has no row with ranges; if a table of wheel travel comes without a
-        robot, the robot has no beam in a direction of the header, or a wheel travels farther than the robot can drive.
+    The parameters are those of `limslam_agent.logs.log_reader.read_log`. There is one event for each row. Raises a
+    LogError if the file cannot be read, is cut short, has another header, has a row whose columns do not match the
+    header or that holds something other than numbers, or has no row with ranges; if a table of wheel travel comes
+    without a robot, the robot has no beam in a direction of the header, or a wheel travels farther than the robot can
+    drive.
     """
     rows = _Rows(beams_deg, max_range, options or TableOptions())
     read_lines(path, rows.add)
@@ -210,18 +202,14 @@ class _Rows:
     def _take_time(self, time: float) -> float:
         """The time of a row, s, on the clock of the log.
 
-        A clock that is full begins again. A late row after that is still from before.
-
-        Raises
-        ------
-        ValueError
-            If the time steps back for another reason.
+        A clock that is full begins again. A late row after that is still from before. Raises a ValueError if the time
+        steps back for another reason.
         """
         time *= self.options.seconds
         before = self.moves[-self.leading] - self.time_before if self.moves else time
         turn = CLOCK_COUNTS * self.options.seconds
         if time < before - LARGEST_STEP_BACK:
-            if not self.options.is_clock_full(time, before):
+            if not 0.0 <= time - before + turn < LONGEST_PAUSE:  # a clock that was full begins again at 0
                 back = f"the time steps back by {before - time:.1f} s"
                 raise ValueError(f"{back}: if the robot was switched on again, replay the parts as logs of their own")
             self.time_before += turn
@@ -241,29 +229,15 @@ class _Rows:
         robot = self.options.robot
         if robot is None or self.leading == len(_POSE):
             return pose_log(self.beams, moves[:, 0], moves[:, 1:], ranges, has_scan, robot)
-        return self._wheel_log(robot, moves, ranges, has_scan)
-
-    def _wheel_log(self, robot: RobotSpec, moves: FloatArray, ranges: FloatArray, has_scan: BoolArray) -> RecordedLog:
         robot = replace(robot, beams=tuple(self.beams), control_period=median_spacing(moves[:, 0]))
         wheels = self.options.wheel_travel(moves[:, 1:], robot)
         check_travel(wheels, moves[:, 0], robot, self.options)
-        return RecordedLog(
-            robot=robot,
-            time=moves[:, 0],
-            ranges=np.where(has_scan[:, None], ranges, robot.max_ranges).astype(np.float32),
-            has_scan=has_scan,
-            start_pose=np.zeros(3),
-            wheels=wheels,
-        )
+        return RecordedLog(robot, moves[:, 0], ranges, has_scan, wheels=wheels)
 
 
 def _mounted(robot: RobotSpec, degrees: float, max_range: float | None, source: str) -> SensorSpec:
     """The robot's beam in a direction that ``source`` names. A reading of a table is a new measurement in each row.
-
-    Raises
-    ------
-    ValueError
-        If the robot has no such beam.
+    Raises a ValueError if the robot has no such beam.
     """
     apart = np.abs(np.degrees(wrap_angle(robot.beam_angles - math.radians(degrees))))
     nearest = int(np.argmin(apart))

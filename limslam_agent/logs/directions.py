@@ -36,12 +36,8 @@ def direction_of(name: str) -> float | None:
 
 
 def degrees_of(text: str) -> float:
-    """Direction that a text gives, deg, left positive: a number of degrees, or a word like ``left``.
-
-    Raises
-    ------
-    ValueError
-        If it gives none, or is not within 360 deg.
+    """Direction that a text gives, deg, left positive: a number of degrees, or a word like ``left``. Raises a
+    ValueError if it gives none, or is not within 360 deg.
     """
     try:
         degrees = float(text)

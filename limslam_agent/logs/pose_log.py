@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 
 from limslam_agent.logs.recorded_log import RecordedLog
-from limslam_agent.readings import as_readings
 from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.interface import LARGEST_RANGE, RobotSpec, SensorSpec
 
@@ -32,8 +31,8 @@ FARTHEST = 1e9
 """Largest coordinate (m) of an odometry pose. Maps of the whole Earth have coordinates of about 1e7 m."""
 
 LARGEST_STEP_BACK = 1.0
-"""Times may step back by this much (s), for example if two threads write one log. A larger step means another run or a
-clock that was set.
+"""Times may step back by this much (s), for example if two threads write one log. A larger step means another run, a
+clock that was set, or a bag that begins again.
 """
 
 
@@ -43,19 +42,8 @@ def beam(angle: float, max_range: float, *, x: float = 0.0, y: float = 0.0, min_
 
 
 def choose_beams(beams: Sequence[SensorSpec], beams_deg: Sequence[float] | None) -> list[int]:
-    """Indices of the beams nearest to the given directions.
-
-    Parameters
-    ----------
-    beams
-        All beams of the log.
-    beams_deg
-        Wanted directions, deg. None takes all beams of a sparse robot, and six beams of another robot.
-
-    Raises
-    ------
-    ValueError
-        If no direction is given, no beam lies within 1 degree of a direction, or one beam is nearest to two directions.
+    """Indices of the beams of a log nearest to the wanted directions, deg, as :func:`nearest_beams` chooses them. None
+    takes all beams of a sparse robot, and six beams of another robot.
     """
     if beams_deg is None:
         if len(beams) <= SPARSE_BEAMS:
@@ -65,12 +53,8 @@ def choose_beams(beams: Sequence[SensorSpec], beams_deg: Sequence[float] | None)
 
 
 def nearest_beams(angles: FloatArray, beams_deg: Sequence[float]) -> list[int]:
-    """Indices of the angles (n,), deg, nearest to the given directions, deg.
-
-    Raises
-    ------
-    ValueError
-        As for :func:`choose_beams`.
+    """Indices of the angles (n,), deg, nearest to the given directions, deg. Raises a ValueError if no direction is
+    given, no beam lies within 1 degree of a direction, or one beam is nearest to two directions.
     """
     if not len(beams_deg):
         raise ValueError("at least one beam must be chosen")
@@ -93,58 +77,23 @@ def pose_log(
     has_scan: BoolArray,
     robot: RobotSpec | None = None,
 ) -> RecordedLog:
-    """The log of a robot that recorded poses.
+    """The log of a robot that recorded poses. Its arrays are as in a :class:`RecordedLog`.
 
-    Parameters
-    ----------
-    beams
-        Beams of the robot.
-    time
-        (n,), s.
-    odometry
-        (n, 3), m, m, rad. Headings may include full turns.
-    ranges
-        Whatever the sensors report (n, n_beams), m. `limslam_agent.readings` defines what it means.
-    has_scan
-        Whether ranges were measured (n,).
-    robot
-        The robot without its beams. By default only a radius of 0.2 m is assumed.
-
-    Returns
-    -------
-    RecordedLog
-        The frame of the estimate is the robot's first pose, because the origin of odometry is arbitrary.
-
-    Raises
-    ------
-    ValueError
-        If a number is not finite, or the odometry jumps or has impossible coordinates.
+    The headings of ``odometry`` may include full turns. Of a robot that is not described only a radius of 0.2 m is
+    assumed. The frame of the estimate is the robot's first pose, because the origin of odometry is arbitrary. Raises a
+    ValueError if a number is not finite, or the odometry jumps or has impossible coordinates.
     """
     if np.any(np.abs(odometry) > FARTHEST):
         row = int(np.argmax(np.any(np.abs(odometry) > FARTHEST, axis=1)))
         raise ValueError(f"the odometry in row {row} is not a pose: {', '.join(f'{v:g}' for v in odometry[row])}")
     body = robot or RobotSpec(radius=BODY_RADIUS)
     robot = replace(body, control_period=median_spacing(time), beams=tuple(beams))
-    # Negative ranges stay, so that the log can count them.
-    readings = np.where(ranges < 0.0, ranges, as_readings(ranges, robot.min_ranges, robot.max_ranges))
-    return RecordedLog(
-        robot=robot,
-        time=time,
-        ranges=np.where(has_scan[:, None], readings, robot.max_ranges).astype(np.float32),
-        has_scan=has_scan,
-        start_pose=np.zeros(3),
-        odometry=np.column_stack((odometry[:, :2], se2.wrap_angle(odometry[:, 2]))),
-    )
+    odometry = np.column_stack((odometry[:, :2], se2.wrap_angle(odometry[:, 2])))
+    return RecordedLog(robot, time, ranges, has_scan, odometry=odometry)
 
 
 def check_max_range(max_range: float) -> None:
-    """Refuse a largest range that is not a length above ``MIN_RANGE`` and up to ``LARGEST_RANGE``.
-
-    Raises
-    ------
-    ValueError
-        If it is not.
-    """
+    """Raise a ValueError if a largest range is not a length above ``MIN_RANGE`` and up to ``LARGEST_RANGE``."""
     if not (math.isfinite(max_range) and max_range > MIN_RANGE):
         raise ValueError(f"the largest range must be above {MIN_RANGE} m, not {max_range}")
     if max_range > LARGEST_RANGE:

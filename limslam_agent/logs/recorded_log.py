@@ -43,13 +43,15 @@ class LogError(ValueError):
 
 @contextmanager
 def naming(path: FilePath) -> Iterator[None]:
-    """Turn a ValueError about a file into a LogError that names the file."""
+    """Turn a ValueError or an OSError about a file into a LogError that names the file."""
     try:
         yield
     except LogError:
         raise
     except ValueError as error:
         raise LogError(f"{fspath(path)}: {error}") from error
+    except OSError as error:
+        raise LogError(f"{fspath(path)}: cannot be read: {error.strerror or error}") from error
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,11 +66,12 @@ class RecordedLog:
         Times of the log (n,), s. They may step back a little.
     ranges
         (n, n_beams) float32, m, as `limslam_agent.readings` defines them: a beam's maximum where nothing was seen, and
-        NaN where there is no reading.
+        NaN where there is no reading. They are given as the sensors report them.
     has_scan
         (n,) bool. Where False, the event has odometry only, and its ranges are the maxima.
     start_pose
-        Pose of the robot at the first event (3,), m, m, rad, in the frame of the estimate.
+        Pose of the robot at the first event (3,), m, m, rad, in the frame of the estimate, which is that pose itself
+        where no other is given.
     odometry
         Absolute odometry poses (n, 3), m, m, rad, in a frame of their own, or None.
     wheels
@@ -89,9 +92,9 @@ class RecordedLog:
 
     robot: RobotSpec
     time: FloatArray
-    ranges: NDArray[np.float32]
+    ranges: NDArray[Any]
     has_scan: BoolArray
-    start_pose: FloatArray
+    start_pose: FloatArray = field(default_factory=lambda: np.zeros(3))
     odometry: FloatArray | None = None
     wheels: FloatArray | None = None
     true_pose: FloatArray | None = None
@@ -107,10 +110,11 @@ class RecordedLog:
             raise ValueError("needs either odometry or wheels")
         _check("time", self.time, (count,))
         _check("ranges", self.ranges, (count, beams), finite=False)
+        _check("has_scan", self.has_scan, (count,))
         object.__setattr__(self, "negative", int((self.ranges < 0.0).sum()))
         readings = as_readings(self.ranges, self.robot.min_ranges, self.robot.max_ranges)
+        readings[~self.has_scan] = self.robot.max_ranges
         object.__setattr__(self, "ranges", readings.astype(np.float32))
-        _check("has_scan", self.has_scan, (count,))
         _check("start_pose", self.start_pose, (3,))
         for name, array, width in (("odometry", self.odometry, 3), ("wheels", self.wheels, 2)):
             if array is not None:
@@ -184,7 +188,7 @@ def read_npz(path: FilePath) -> RecordedLog:
         return RecordedLog(
             robot=robot,
             time=_floats("time", arrays),
-            ranges=_floats("ranges", arrays).astype(np.float32),
+            ranges=_floats("ranges", arrays),
             has_scan=np.ones(count, dtype=np.bool_),
             start_pose=_floats("start_pose", arrays),
             wheels=_floats("wheels", arrays),
@@ -198,30 +202,15 @@ def write_npz(path: Path, robot: RobotSpec, **arrays: Any) -> None:
 
 
 def check_beams(count: int) -> None:
-    """Refuse too many beams.
-
-    Raises
-    ------
-    ValueError
-        If there are more than ``MOST_BEAMS``.
-    """
+    """Raise a ValueError if there are more beams than ``MOST_BEAMS``."""
     if count > MOST_BEAMS:
         raise ValueError(f"a scan has {count} beams, more than {MOST_BEAMS}")
 
 
 def first_bytes(path: FilePath, count: int) -> bytes:
-    """The first ``count`` bytes of a file. Fewer if the file is shorter.
-
-    Raises
-    ------
-    LogError
-        If the file cannot be read.
-    """
-    try:
-        with open_regular(Path(path)) as file:
-            return file.read(count)
-    except OSError as error:
-        raise _unreadable(path, error) from error
+    """The first ``count`` bytes of a file, or fewer if it is shorter. Raises a LogError if it cannot be read."""
+    with naming(path), open_regular(Path(path)) as file:
+        return file.read(count)
 
 
 def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
@@ -238,11 +227,11 @@ def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
         If the file cannot be read, its gzip stream is cut short or damaged, or it is not a text file.
     """
     number = 0
-    try:
-        with naming(path), open_regular(Path(path)) as raw:
-            packed = raw.read(len(GZIP_MAGIC)) == GZIP_MAGIC
-            raw.seek(0)
-            file: IO[bytes] | gzip.GzipFile = gzip.GzipFile(fileobj=raw) if packed else raw
+    with naming(path), open_regular(Path(path)) as raw:
+        packed = raw.read(len(GZIP_MAGIC)) == GZIP_MAGIC
+        raw.seek(0)
+        file: IO[bytes] | gzip.GzipFile = gzip.GzipFile(fileobj=raw) if packed else raw
+        try:
             while line := file.readline(LONGEST_LINE):
                 number += 1
                 if number == 1 and line.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
@@ -250,22 +239,15 @@ def numbered_lines(path: FilePath) -> Iterator[tuple[int, bytes]]:
                 if b"\0" in line or len(line) == LONGEST_LINE:
                     raise ValueError(f"line {number}: this is not a text file")
                 yield number, line.removeprefix(codecs.BOM_UTF8) if number == 1 else line
-    except EOFError as error:
-        raise LogError(f"{fspath(path)}: line {number + 1}: cut short: the gzip stream ends here") from error
-    except (gzip.BadGzipFile, zlib.error) as error:
-        raise LogError(f"{fspath(path)}: line {number + 1}: the gzip stream is damaged: {error}") from error
-    except OSError as error:
-        raise _unreadable(path, error) from error
+        except EOFError as error:
+            raise ValueError(f"line {number + 1}: cut short: the gzip stream ends here") from error
+        except (gzip.BadGzipFile, zlib.error) as error:
+            raise ValueError(f"line {number + 1}: the gzip stream is damaged: {error}") from error
 
 
 def read_lines(path: FilePath, take: Callable[[bytes], None]) -> None:
-    """Hand the lines of a text file to a function, one after the other.
-
-    Raises
-    ------
-    LogError
-        As :func:`numbered_lines` does; and where the function raises a ValueError, with the number of the line, and
-        whether the file ends within it.
+    """Hand the lines of a text file to a function, one after the other. Raises a LogError as :func:`numbered_lines`
+    does; and where the function raises a ValueError, with the number of the line, and whether the file ends within it.
     """
     for number, line in numbered_lines(path):
         try:
@@ -276,12 +258,8 @@ def read_lines(path: FilePath, take: Callable[[bytes], None]) -> None:
 
 
 def parse_range(field: bytes, what: str) -> float:
-    """A range from a field of a text. It may be infinite, NaN or negative, as `limslam_agent.readings` defines.
-
-    Raises
-    ------
-    ValueError
-        If the field is not a number. The message begins with ``what``.
+    """A range from a field of a text. It may be infinite, NaN or negative, as `limslam_agent.readings` defines. Raises
+    a ValueError if the field is not a number. The message begins with ``what``.
     """
     try:
         return float(field)
@@ -299,12 +277,8 @@ def is_number(field: str | bytes) -> bool:
 
 
 def parse_number(field: bytes, what: str) -> float:
-    """A finite number from a field of a text.
-
-    Raises
-    ------
-    ValueError
-        If the field is not a finite number. The message begins with ``what``.
+    """A finite number from a field of a text. Raises a ValueError if the field is not a finite number. The message
+    begins with ``what``.
     """
     value = parse_range(field, what)
     if not math.isfinite(value):
@@ -319,10 +293,7 @@ _ARRAYS = ("time", "ranges", "wheels", "action", *_TRUTH, "robot", "start_pose")
 def _load_arrays(path: FilePath) -> dict[str, NDArray[Any]]:
     if first_bytes(path, len(ZIP_MAGIC)) != ZIP_MAGIC:
         raise ValueError("is not an .npz file")
-    try:
-        arrays = load_arrays(Path(path), _ARRAYS, math.inf)
-    except OSError as error:
-        raise _unreadable(path, error) from error
+    arrays = load_arrays(Path(path), _ARRAYS, math.inf)
     missing = [name for name in _ARRAYS if name not in arrays]
     # The log of a live robot has no truth at all.
     if missing and missing != list(_TRUTH):
@@ -353,12 +324,4 @@ def _check(name: str, array: NDArray[Any], shape: tuple[int, ...], *, finite: bo
         raise ValueError(f"{name} does not hold numbers")
     bad = ~np.isfinite(array)
     if finite and bad.any():
-        raise ValueError(f"{name} holds something that is not a finite number in row {_first_row(bad)}")
-
-
-def _first_row(marked: NDArray[np.bool_]) -> int:
-    return int(np.argwhere(marked)[0, 0])
-
-
-def _unreadable(path: FilePath, error: OSError) -> LogError:
-    return LogError(f"{fspath(path)}: cannot be read: {error.strerror or error}")
+        raise ValueError(f"{name} holds something that is not a finite number in row {np.argwhere(bad)[0, 0]}")

@@ -46,33 +46,17 @@ class Relations:
 
 @dataclass(frozen=True, eq=False)
 class RelationErrors:
-    """Errors of a trajectory's motions, for the ``k`` relations within the time of the log.
+    """Errors of a trajectory's motions, for the ``k`` relations within the time of the log."""
 
-    Attributes
-    ----------
-    translation
-        Length of the translation error (k,), m.
-    rotation
-        Size of the rotation error (k,), rad, 0 to pi.
-    is_loop
-        Whether the relation is over more than 60 s (k,), bool.
-    unmatched
-        Number of relations that were left out because they lie outside of the log.
-    """
-
-    translation: FloatArray
-    rotation: FloatArray
-    is_loop: BoolArray
-    unmatched: int
+    translation: FloatArray  # Length of the translation error (k,), m
+    rotation: FloatArray  # Size of the rotation error (k,), rad, 0 to pi
+    is_loop: BoolArray  # Whether the relation is over more than 60 s (k,), bool
+    unmatched: int  # Number of relations that were left out because they lie outside of the log
 
 
 def read_relations(path: FilePath) -> Relations:
     """Read relations, plain or gzip: lines ``t1 t2 x y z roll pitch yaw`` (s, m, rad), with comments after ``#``.
-
-    Raises
-    ------
-    LogError
-        If the file cannot be read, is cut short, has a line with other fields, or has no relations.
+    Raises a LogError if the file cannot be read, is cut short, has a line with other fields, or has no relations.
     """
     rows: list[list[float]] = []
 

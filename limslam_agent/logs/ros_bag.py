@@ -34,11 +34,7 @@ class Message:
 
 def is_bag(path: FilePath) -> bool:
     """Whether a path can only be a bag, by a file's first bytes or suffix. Of all logs, only ROS 2 bags are folders.
-
-    Raises
-    ------
-    LogError
-        If the file cannot be read.
+    Raises a LogError if the file cannot be read.
     """
     place = Path(path)
     return place.is_dir() or place.suffix in _MAGIC.values() or _ending_by_content(path) is not None
@@ -66,12 +62,8 @@ class Bag:
             self.counts[connection.topic] = self.counts.get(connection.topic, 0) + connection.msgcount
 
     def messages(self, topics: Collection[str]) -> Iterator[Message]:
-        """The messages of some topics in the order in which the bag received them.
-
-        Raises
-        ------
-        LogError
-            If the bag is cut short or damaged.
+        """The messages of some topics in the order in which the bag received them. Raises a LogError if the bag is cut
+        short or damaged.
         """
         connections = [each for each in self._reader.connections if each.topic in topics]
         if not connections:
@@ -94,13 +86,8 @@ class Bag:
 
 @contextmanager
 def open_bag(path: FilePath) -> Iterator[Bag]:
-    """Open a ROS 1 bag, a ROS 2 bag (a folder), or a single ``.mcap`` or ``.db3`` file.
-
-    Raises
-    ------
-    LogError
-        If it is another kind of file, is cut short or damaged, has a suffix that does not match its content, or rosbags
-        is missing.
+    """Open a ROS 1 bag, a ROS 2 bag (a folder), or a single ``.mcap`` or ``.db3`` file. Raises a LogError if it is
+    another kind of file, is cut short or damaged, has a suffix that does not match its content, or rosbags is missing.
     """
     _check_ending(path)
     try:

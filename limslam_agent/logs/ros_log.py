@@ -1,7 +1,6 @@
 """Reads ROS 1 bags, ROS 2 bags and MCAP files, and synchronises ranges and odometry by time."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from os import fspath
 from typing import Any
 
@@ -18,16 +17,6 @@ from limslam_env.geometry import FloatArray
 _MISSHAPEN = (ValueError, TypeError, AttributeError, IndexError, OverflowError)
 
 
-@dataclass(frozen=True, eq=False)
-class Stream:
-    """The data of one reader: ``values`` (n, k) at times (n,), s, by the stamps of the messages and by the bag."""
-
-    topic: str
-    stamps: FloatArray
-    bag_times: FloatArray
-    values: FloatArray
-
-
 def read_ros(
     path: FilePath,
     beams_deg: Sequence[float] | None,
@@ -41,68 +30,56 @@ def read_ros(
 
     The times are those of the message headers. They are those of the bag if a header has no time or the clocks of the
     topics differ. Odometry is interpolated. Sensors with different periods are combined at the times of the slowest
-    sensor.
-
-    Raises
-    ------
-    LogError
-        If the bag cannot be read, is cut short or damaged; if it is unclear which topics to
-        use; if a topic holds something other than a number where one is needed, its times step back, or the times of
-        the topics do not overlap.
+    sensor. Raises a LogError if the bag cannot be read, is cut short or damaged; if it is unclear which topics to use;
+    if a topic holds something other than a number where one is needed, its times step back, or the times of the topics
+    do not overlap.
     """
     with open_bag(path) as bag:
         try:
             check_max_range(max_range)
             plan = plan_for(bag, topics or {}, beams_deg, max_range)
-            streams = _read(bag, [*plan.scans, *plan.moves])
-            return _merge(plan, _on_one_clock(streams))
+            readers = [*plan.scans, *plan.moves]
+            return _merge(plan, _on_one_clock(readers, _read(bag, readers)))
         except LogError:
             raise
         except _MISSHAPEN as error:
             raise LogError(f"{fspath(path)}: {error}") from error
 
 
-def _read(bag: Bag, readers: list[Reader]) -> list[Stream]:
+def _read(bag: Bag, readers: list[Reader]) -> list[FloatArray]:
+    """A table for each reader: the stamps of the messages and the times of the bag, s, and what the reader reads."""
     rows: list[list[Any]] = [[] for _ in readers]
-    times: list[list[tuple[float, float]]] = [[] for _ in readers]
     for message in bag.messages({reader.topic for reader in readers}):
-        for reader, row, time in zip(readers, rows, times, strict=True):
+        for reader, row in zip(readers, rows, strict=True):
             if reader.topic == message.topic:
-                row.append(_values(reader, message, len(row)))
-                time.append((stamp_of(message.content), message.bag_time))
+                row.append((stamp_of(message.content), message.bag_time, *_values(reader, message, len(row))))
     for reader, row in zip(readers, rows, strict=True):
         if not row:
             raise ValueError(f"the topic {reader.topic} is empty")
-    tables = [np.array(time, dtype=np.float64) for time in times]
-    return [
-        Stream(reader.topic, table[:, 0], table[:, 1], np.array(row, dtype=np.float64))
-        for reader, row, table in zip(readers, rows, tables, strict=True)
-    ]
+    return [np.array(row, dtype=np.float64) for row in rows]
 
 
-def _values(reader: Reader, message: Message, number: int) -> Any:
+def _values(reader: Reader, message: Message, number: int) -> list[float]:
     try:
-        return reader.read(message.content)
+        return [float(value) for value in reader.read(message.content)]
     except _MISSHAPEN as error:
         raise ValueError(f"{reader.topic}: message {number + 1}: {error}") from error
 
 
-def _on_one_clock(streams: list[Stream]) -> list[tuple[FloatArray, FloatArray]]:
-    """Times (n,) and values (n, k) of each stream, sorted by time."""
-    stamped = all((stream.stamps > 0.0).all() for stream in streams)
-    first = max(stream.stamps.min() for stream in streams)
-    last = min(stream.stamps.max() for stream in streams)
+def _on_one_clock(readers: list[Reader], tables: list[FloatArray]) -> list[tuple[FloatArray, FloatArray]]:
+    """Times (n,) and values (n, k) of each reader, sorted by time."""
+    stamped = all((table[:, 0] > 0.0).all() for table in tables)
+    first, last = max(table[:, 0].min() for table in tables), min(table[:, 0].max() for table in tables)
     # Stamps of two machines, or of a clock that began at zero, cannot be compared.
-    by_stamp = stamped and first <= last
+    clock = 0 if stamped and first <= last else 1
     ordered = []
-    for stream in streams:
-        times = stream.stamps if by_stamp else stream.bag_times
-        steps = np.diff(times)
+    for reader, table in zip(readers, tables, strict=True):
+        steps = np.diff(table[:, clock])
         if len(steps) and steps.min() < -LARGEST_STEP_BACK:
             row = int(np.argmin(steps)) + 2
-            raise ValueError(f"{stream.topic}: message {row}: the time steps back by {-steps.min():.1f} s")
-        order = np.argsort(times, kind="stable")
-        ordered.append((times[order], stream.values[order]))
+            raise ValueError(f"{reader.topic}: message {row}: the time steps back by {-steps.min():.1f} s")
+        order = np.argsort(table[:, clock], kind="stable")
+        ordered.append((table[order, clock], table[order, 2:]))
     return ordered
 
 

@@ -33,12 +33,8 @@ def stamp_of(message: Any) -> float:
 
 
 def pose_of(message: Any) -> tuple[float, float, float]:
-    """Pose (m, m, rad) in an Odometry, PoseStamped, PoseWithCovarianceStamped or TransformStamped.
-
-    Raises
-    ------
-    ValueError
-        If the pose is not finite, or its quaternion has length zero.
+    """Pose (m, m, rad) in an Odometry, PoseStamped, PoseWithCovarianceStamped or TransformStamped. Raises a ValueError
+    if the pose is not finite, or its quaternion has length zero.
     """
     if hasattr(message, "transform"):
         place, turn = message.transform.translation, message.transform.rotation
@@ -53,24 +49,16 @@ def pose_of(message: Any) -> tuple[float, float, float]:
 
 
 def yaw_of(quaternion: Sequence[float]) -> float:
-    """Heading (rad) of a quaternion x, y, z, w, which need not have length one.
-
-    Raises
-    ------
-    ValueError
-        If the quaternion is not finite or has length zero.
+    """Heading (rad) of a quaternion x, y, z, w, which need not have length one. Raises a ValueError if the quaternion
+    is not finite or has length zero.
     """
     rotation = rotation_of(quaternion)
     return math.atan2(rotation[1, 0], rotation[0, 0])
 
 
 def rotation_of(quaternion: Sequence[float]) -> FloatArray:
-    """Rotation matrix (3, 3) of a quaternion x, y, z, w, which need not have length one.
-
-    Raises
-    ------
-    ValueError
-        If the quaternion is not finite or has length zero.
+    """Rotation matrix (3, 3) of a quaternion x, y, z, w, which need not have length one. Raises a ValueError if the
+    quaternion is not finite or has length zero.
     """
     parts = [float(part) for part in quaternion]
     length = math.hypot(*parts)
@@ -85,12 +73,8 @@ def rotation_of(quaternion: Sequence[float]) -> FloatArray:
 
 
 def scan_angles(message: Any) -> FloatArray:
-    """Directions of a LaserScan's beams (n,), rad, in the frame of the laser.
-
-    Raises
-    ------
-    ValueError
-        If the scan has no beams, or their directions are not finite.
+    """Directions of a LaserScan's beams (n,), rad, in the frame of the laser. Raises a ValueError if the scan has no
+    beams, or their directions are not finite.
     """
     count, first, step = len(message.ranges), float(message.angle_min), float(message.angle_increment)
     if not count:
@@ -101,12 +85,8 @@ def scan_angles(message: Any) -> FloatArray:
 
 
 def scan_readings(message: Any, angles: FloatArray) -> FloatArray:
-    """Ranges of a LaserScan (k,), m, in given directions (k,), rad.
-
-    Raises
-    ------
-    ValueError
-        If the scan has no beam in one of the directions.
+    """Ranges of a LaserScan (k,), m, in given directions (k,), rad. Raises a ValueError if the scan has no beam in one
+    of the directions.
     """
     there = scan_angles(message)
     step = float(message.angle_increment) or 1.0
@@ -140,13 +120,7 @@ class Mounts:
         self._parents: dict[str, tuple[str, FloatArray, FloatArray]] = {}
 
     def add(self, message: Any) -> None:
-        """Add one TFMessage.
-
-        Raises
-        ------
-        ValueError
-            If a rotation is invalid.
-        """
+        """Add one TFMessage. Raises a ValueError if a rotation is invalid."""
         for each in message.transforms:
             shift, turn = each.transform.translation, each.transform.rotation
             rotation = rotation_of((turn.x, turn.y, turn.z, turn.w))

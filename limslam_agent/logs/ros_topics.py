@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 
-from limslam_agent.logs import crazyflie
 from limslam_agent.logs.directions import direction_of, is_vertical
 from limslam_agent.logs.pose_log import beam, choose_beams
 from limslam_agent.logs.recorded_log import check_beams
@@ -23,6 +22,7 @@ from limslam_agent.logs.ros_messages import (
     scan_angles,
     scan_readings,
     sensor_limits,
+    yaw_of,
 )
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.interface import SensorSpec
@@ -30,6 +30,12 @@ from limslam_env.interface import SensorSpec
 _MOST_NAMED = 8
 _MOVES = (ODOMETRY, *POSES)
 _AT_ORIGIN = (np.eye(3), np.zeros(3))
+
+# A Crazyflie drone records its log blocks as plain arrays, and the topics' names describe their content. One holds
+# the right, front, left, back and up range (m) and the quaternion of the attitude, the other one the position (m) by
+# dead reckoning and the velocity.
+_RANGER, _POSITION = "state_ranger_qxyzw", "state_xyzv"
+_CRAZYFLIE_BEAMS_DEG, _QUATERNION = (-90.0, 0.0, 90.0, 180.0), slice(5, 9)
 
 
 Topics = Mapping[str, float | None]
@@ -48,24 +54,12 @@ class Reader:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """How a bag becomes a log.
-
-    Attributes
-    ----------
-    beams
-        Beams of the robot.
-    scans
-        Readers of ranges. Their columns side by side, in the order ``columns``, belong to the beams.
-    columns
-        (n_beams,).
-    moves
-        Readers whose columns side by side are x, y and heading.
-    """
+    """How a bag becomes a log."""
 
     beams: list[SensorSpec]
-    scans: list[Reader]
-    columns: IntArray
-    moves: list[Reader]
+    scans: list[Reader]  # Readers of ranges. Their columns side by side, in the order ``columns``, belong to the beams.
+    columns: IntArray  # (n_beams,)
+    moves: list[Reader]  # Readers whose columns side by side are x, y and heading
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,17 +72,11 @@ class Sensor:
 
 
 def plan_for(bag: Bag, topics: Topics, beams_deg: Sequence[float] | None, max_range: float) -> Plan:
-    """Choose topics and beams.
-
-    Raises
-    ------
-    ValueError
-        If there are too few or too many candidates, or a requested topic is missing, empty or of another type.
+    """Choose topics and beams. Raises a ValueError if there are too few or too many candidates, or a requested topic is
+    missing, empty or of another type.
     """
-    if not topics and (found := crazyflie.find_topics(bag.types)) is not None:
-        ranger, position = found
-        moves = [Reader(position, crazyflie.position_of), Reader(ranger, crazyflie.heading_of)]
-        return _choose([Sensor(ranger, crazyflie.beams(max_range), crazyflie.ranges_of)], moves, beams_deg)
+    if not topics and (plan := _crazyflie(bag.types, beams_deg, max_range)) is not None:
+        return plan
     chosen = {name: degrees for topic, degrees in topics.items() for name in [_given(bag, topic)]}
     directed = [topic for topic, degrees in chosen.items() if degrees is not None and bag.types[topic] != RANGE]
     if directed:
@@ -102,6 +90,20 @@ def plan_for(bag: Bag, topics: Topics, beams_deg: Sequence[float] | None, max_ra
     if not sensors:
         raise ValueError(f"all of {', '.join(ranges)} look up or down: no beam is left")
     return _choose(sensors, [Reader(odometry, pose_of)], beams_deg)
+
+
+def _crazyflie(types: Mapping[str, str], beams_deg: Sequence[float] | None, max_range: float) -> Plan | None:
+    """How to read the bag of a Crazyflie drone. None unless there is exactly one. Its fifth beam, up, is left out."""
+    found = [[topic for topic in types if topic.rpartition("/")[2] == name] for name in (_RANGER, _POSITION)]
+    if [len(topics) for topics in found] != [1, 1]:
+        return None
+    (ranger,), (position,) = found
+    moves = [
+        Reader(position, lambda message: message.raw[:2]),
+        Reader(ranger, lambda message: [yaw_of(message.raw[_QUATERNION])]),
+    ]
+    beams = [beam(np.radians(degrees), max_range) for degrees in _CRAZYFLIE_BEAMS_DEG]
+    return _choose([Sensor(ranger, beams, lambda message, columns: message.raw[columns])], moves, beams_deg)
 
 
 def _choose(sensors: list[Sensor], moves: list[Reader], beams_deg: Sequence[float] | None) -> Plan:

@@ -32,7 +32,9 @@ allows.
 """
 
 TOO_FAST = 10.0
-"""A wheel cannot travel farther than this many times its largest speed allows. A longer travel has another unit."""
+"""A wheel cannot travel farther than this many times its largest speed allows. A longer travel has another unit, or its
+counters are wrong.
+"""
 
 
 @dataclass(frozen=True)
@@ -94,11 +96,6 @@ class TableOptions:
             raise ValueError(f"--zone-axes must be directions in degrees, not {self.zone_axes}")
 
     @property
-    def metres(self) -> float:
-        """Metres for each 1 in a range column."""
-        return LENGTHS[self.range_unit]
-
-    @property
     def seconds(self) -> float:
         """Seconds for each 1 in the time column."""
         return TIMES[self.time_unit]
@@ -107,38 +104,24 @@ class TableOptions:
         """Metres along a beam in the direction ``degrees`` for each 1 in its range column.
 
         A multi-zone sensor reports the distance d along its optical axis. At an angle a from this axis, the distance
-        along the zone's own direction is d / cos(a).
-
-        Raises
-        ------
-        ValueError
-            If no axis of ``zone_axes`` is near this direction.
+        along the zone's own direction is d / cos(a). Raises a ValueError if no axis of ``zone_axes`` is near this
+        direction.
         """
         if not self.zone_axes:
-            return self.metres
+            return LENGTHS[self.range_unit]
         apart = np.abs(se2.wrap_angle(np.radians(np.array(self.zone_axes) - degrees))).min()
         if apart > math.radians(LARGEST_OFF_AXIS_DEG):
             raise ValueError(
                 f"--zone-axes: no axis lies within {LARGEST_OFF_AXIS_DEG:g} deg of the column at {degrees:g} deg"
             )
-        return self.metres / math.cos(apart)
-
-    def is_clock_full(self, time: float, before: float) -> bool:
-        """Whether a clock that steps back between two rows of time, s, was full, and so began again at 0."""
-        return 0.0 <= time - before + CLOCK_COUNTS * self.seconds < LONGEST_PAUSE
+        return LENGTHS[self.range_unit] / math.cos(apart)
 
     def wheel_travel(self, columns: FloatArray, robot: RobotSpec) -> FloatArray:
         """Travel of both wheels (n, 2), m, since the row before, from the columns ``left`` and ``right`` (n, 2).
 
         The first row has no row before it. The robot counts as standing there, wherever it drove earlier. Counters of
-        any number of bits, with or without a sign, are continued where they begin again.
-
-        Parameters
-        ----------
-        columns
-            The columns (n, 2).
-        robot
-            The robot, with the usual time between two rows as its control period.
+        any number of bits, with or without a sign, are continued where they begin again. The control period of
+        ``robot`` is the usual time between two rows.
         """
         travel = np.diff(columns, axis=0, prepend=columns[:1]) if self.accumulated else columns.copy()
         travel[0] = 0.0
@@ -167,12 +150,8 @@ def _continued(travel: FloatArray, columns: FloatArray, farthest: float) -> Floa
 def check_travel(wheels: FloatArray, time: FloatArray, robot: RobotSpec, options: TableOptions) -> None:
     """Refuse wheel travel (n, 2), m, that the robot cannot drive between two rows with the times (n,), s.
 
-    The message asks about what the options have not said.
-
-    Raises
-    ------
-    ValueError
-        If a wheel travels more than ten times as far as the robot's largest wheel speed allows.
+    The message asks about what the options have not said. Raises a ValueError if a wheel travels more than ten times as
+    far as the robot's largest wheel speed allows.
     """
     lasted = np.maximum(np.diff(time, prepend=time[0]), robot.control_period)
     farthest = np.abs(wheels).max(axis=1)

@@ -15,20 +15,9 @@ from limslam_agent.output.claims import OutputError, claimed, hidden
 def atomic_write(path: Path) -> Iterator[Path]:
     """Write a file beside its final place, and move it to ``path`` when the context ends without an error.
 
-    Missing folders are made. After an error nothing is left; what a killed process leaves is removed by the next one
-    that writes to the same folder.
-
-    Yields
-    ------
-    Path
-        An empty file with the same suffix, beside ``path``.
-
-    Raises
-    ------
-    OutputError
-        If another process is writing this file.
-    OSError
-        If the file cannot be written there.
+    The context gets an empty file with the same suffix. Missing folders are made. After an error nothing is left; what
+    a killed process leaves is removed by the next one that writes to the same folder. Raises an OutputError if another
+    process is writing this file, and an OSError if it cannot be written there.
     """
     path = path.absolute()
     beside = hidden(path, "new", path.suffix.lower())
@@ -42,12 +31,8 @@ def atomic_write(path: Path) -> Iterator[Path]:
 
 
 def check_target(path: Path, kind: str = "a file", endings: Collection[str] = (), *, force: bool) -> None:
-    """Refuse a file of another kind than its ending says, and one that would be replaced by accident.
-
-    Raises
-    ------
-    OutputError
-        If the path ends in none of the endings, is a folder, or is a file that only ``force`` may replace.
+    """Refuse a file of another kind than its ending says, and one that would be replaced by accident. Raises an
+    OutputError if the path ends in none of the endings, is a folder, or is a file that only ``force`` may replace.
     """
     if endings and path.suffix.lower() not in endings:
         raise OutputError(f"{path}: {kind} ends in {', '.join(endings)}")
@@ -58,12 +43,8 @@ def check_target(path: Path, kind: str = "a file", endings: Collection[str] = ()
 
 
 def append_line(path: Path, line: bytes) -> None:
-    """Append a line durably: once this function has returned, a kill cannot lose the line.
-
-    Raises
-    ------
-    OSError
-        If the line cannot be written as a whole.
+    """Append a line durably: once this function has returned, a kill cannot lose the line. Raises an OSError if the
+    line cannot be written as a whole.
     """
     with path.open("ab", buffering=0) as file:
         written = file.write(line)

@@ -40,14 +40,8 @@ def hidden(path: Path, kind: str, suffix: str = "") -> Path:
 
 @contextmanager
 def locked(lock_file: Path, refusal: str, patience: float = PATIENCE) -> Iterator[None]:
-    """Hold a lock that no other process has, and that ends with the process.
-
-    Raises
-    ------
-    ClaimedError
-        If another process holds it. ``refusal`` is the message.
-    OSError
-        If there can be no file.
+    """Hold a lock that no other process has, and that ends with the process. Raises a ClaimedError with the message
+    ``refusal`` if another process holds it, and an OSError if there can be no file.
     """
     lock = FileLock(lock_file)
     try:
@@ -68,14 +62,8 @@ def locked(lock_file: Path, refusal: str, patience: float = PATIENCE) -> Iterato
 def claimed(path: Path) -> Iterator[None]:
     """Be the only process that writes to a place, after clearing up what dead processes left in its folder.
 
-    Missing folders are made, and removed again if they are still empty at the end.
-
-    Raises
-    ------
-    ClaimedError
-        If another process writes there.
-    OSError
-        If nothing can be written there.
+    Missing folders are made, and removed again if they are still empty at the end. Raises a ClaimedError if another
+    process writes there, and an OSError if nothing can be written there.
     """
     missing = [parent for parent in path.parents if not parent.exists()]
     try:
@@ -106,14 +94,8 @@ def clear_up(folder: Path) -> None:
 
 
 def repair(path: Path) -> None:
-    """Restore or remove what a dead process left of a place.
-
-    Raises
-    ------
-    ClaimedError
-        If a live process writes there.
-    OSError
-        If it cannot be done.
+    """Restore or remove what a dead process left of a place. Raises a ClaimedError if a live process writes there, and
+    an OSError if it cannot be done.
     """
     with locked(hidden(path, "lock"), f"{path}: another process is writing there", 0.0):
         recover(path)

@@ -4,6 +4,7 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -31,38 +32,22 @@ _AROUND = 0.1  # share of the map's size around the map, beyond which odometry i
 
 @dataclass(frozen=True, eq=False)
 class MapPicture:
-    """Content of a picture of a map. All arrays are in the world frame, m.
+    """Content of a picture of a map. All arrays are in the world frame, m."""
 
-    Attributes
-    ----------
-    title
-        Title above the picture.
-    segments
-        Walls of the map (N, 4).
-    estimated
-        Estimated positions (n, 2) of each robot that go with the map, of one robot at least.
-    odometry
-        Positions (n, 2) of each robot by odometry alone from the same start. Empty if they are unknown.
-    true_edges, true
-        True walls (k, 4), and true positions (n, 2) of each robot. None, and empty, if they are unknown.
-    grid
-        Occupancy grid, which is drawn behind everything. None draws no grid.
-    online
-        Positions (n, 2) of each robot as they were estimated while it drove, if the map is from the smoothed paths.
-        Empty if ``estimated`` are those positions.
-    remark
-        A sentence below the title, such as why the map may be wrong. Empty if there is none.
-    """
-
-    title: str
-    segments: FloatArray
+    title: str  # Title above the picture
+    segments: FloatArray  # Walls of the map (N, 4)
+    # Estimated positions (n, 2) of each robot that go with the map, of one robot at least
     estimated: Sequence[FloatArray]
+    # Positions (n, 2) of each robot by odometry alone from the same start. Empty if they are unknown.
     odometry: Sequence[FloatArray] = ()
+    # True walls (k, 4), and true positions (n, 2) of each robot. None, and empty, if they are unknown.
     true_edges: FloatArray | None = None
     true: Sequence[FloatArray] = ()
-    grid: GridView | None = None
+    grid: GridView | None = None  # Occupancy grid, which is drawn behind everything. None draws no grid.
+    # Positions (n, 2) of each robot as they were estimated while it drove, if the map is from the smoothed paths. Empty
+    # if ``estimated`` are those positions.
     online: Sequence[FloatArray] = ()
-    remark: str = ""
+    remark: str = ""  # A sentence below the title, such as why the map may be wrong. Empty if there is none.
 
 
 def draw_map(path: Path, picture: MapPicture) -> None:
@@ -132,37 +117,34 @@ def path_colours(robots: int) -> list[tuple[str, str]]:
 
 def legend(picture: MapPicture) -> list[Line2D]:
     """The entries of the legend."""
-    robots = len(picture.estimated)
-    several, (estimated, odometry) = robots > 1, path_colours(robots)[0]
-    handles = [
-        Line2D([], [], color=WALLS, marker="o", markersize=3, label="walls of the map, end points"),
-    ]
-    if several:
-        colours = path_colours(robots)
-        handles += [Line2D([], [], color=colours[number][0], label=f"robot {number + 1}") for number in range(robots)]
-        estimated = odometry = "0.45"
-    is_smoothed = bool(picture.online)
-    handles.append(Line2D([], [], color=estimated, label="smoothed path" if is_smoothed else "estimated path"))
-    if is_smoothed:
-        online = Line2D(
-            [], [], color=estimated, linestyle=_DOTS, linewidth=_ONLINE_WIDTH, label="path as estimated online"
-        )
-        handles.append(online)
-    handles += [
-        Line2D([], [], color=estimated, linestyle="", marker=_START, label="start"),
-        Line2D([], [], color=estimated, linestyle="", marker=_END, label="end"),
-    ]
+    handles: list[Line2D] = []
+
+    def add(label: str, **style: Any) -> None:
+        handles.append(Line2D([], [], label=label, **style))
+
+    colours = path_colours(len(picture.estimated))
+    several = len(colours) > 1
+    estimated, odometry = ("0.45", "0.45") if several else colours[0]
+    add("walls of the map, end points", color=WALLS, marker="o", markersize=3)
+    for number, (colour, _) in enumerate(colours if several else ()):
+        add(f"robot {number + 1}", color=colour)
+    add("smoothed path" if picture.online else "estimated path", color=estimated)
+    if picture.online:
+        add("path as estimated online", color=estimated, linestyle=_DOTS, linewidth=_ONLINE_WIDTH)
+    add("start", color=estimated, linestyle="", marker=_START)
+    add("end", color=estimated, linestyle="", marker=_END)
     if picture.odometry:
-        away = ", runs out of the picture" if is_cut(picture) else ""
-        handles.append(Line2D([], [], color=odometry, linestyle=_DASHES, label=f"path by odometry alone{away}"))
+        low, high = _extent(picture)
+        is_cut = any(((path < low) | (path > high)).any() for path in picture.odometry)
+        away = ", runs out of the picture" if is_cut else ""
+        add(f"path by odometry alone{away}", color=odometry, linestyle=_DASHES)
     if picture.true:
-        handles.append(Line2D([], [], color=TRUE_PATH, label="true path"))
+        add("true path", color=TRUE_PATH)
     if picture.true_edges is not None:
-        handles.append(Line2D([], [], color=TRUTH, linewidth=5.0, label="true walls"))
+        add("true walls", color=TRUTH, linewidth=5.0)
     if picture.grid is not None:
-        for colour, label in ((2, "seen free"), (0, "seen occupied")):
-            cells = Line2D([], [], linestyle="", marker="s", color=_GRID(colour), markeredgecolor="0.8", label=label)
-            handles.append(cells)
+        for kind, label in ((2, "seen free"), (0, "seen occupied")):
+            add(label, linestyle="", marker="s", color=_GRID(kind), markeredgecolor="0.8")
     return handles
 
 
@@ -208,12 +190,6 @@ def _draw_scale(axes: Axes, low: FloatArray, high: FloatArray) -> None:
         f"{length:g} m", (left + 0.5 * length, bottom), xytext=(0, 3), textcoords="offset points",
         ha="center", va="bottom", fontsize=9,
     )  # fmt: skip
-
-
-def is_cut(picture: MapPicture) -> bool:
-    """Whether odometry leaves the map so far that the picture does not follow it."""
-    low, high = _extent(picture)
-    return any(bool(((path < low) | (path > high)).any()) for path in picture.odometry)
 
 
 def _extent(picture: MapPicture) -> tuple[FloatArray, FloatArray]:

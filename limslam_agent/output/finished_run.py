@@ -4,6 +4,7 @@ import json
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
+from itertools import count, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ MOST_WALLS = 20_000
 MAP, LOG, PICTURE, WORLD = "map.json", "log.npz", "map.png", "world.toml"
 COVARIANCES = "covariance_est.npz"
 UNPLACED = "map_unplaced.json"
+_KINDS = {"estimated": "est", "odometry": "odometry", "true": "true", "smoothed": "smoothed"}
 
 
 class FolderError(ValueError):
@@ -33,38 +35,21 @@ class FolderError(ValueError):
 
 @dataclass(frozen=True, eq=False)
 class FinishedRun:
-    """The content of a folder.
-
-    Attributes
-    ----------
-    folder
-        The folder.
-    result
-        Content of ``result.json``.
-    segments
-        Walls of the map (k, 4), m.
-    time
-        (n,), s.
-    estimated
-        Estimated poses of each robot (n, 3), m and rad.
-    odometry, true, smoothed
-        Poses by odometry alone, true poses, and smoothed poses of each robot. Empty where they are unknown.
-    covariances, smoothed_covariances
-        Covariances (n, 3, 3) of the estimated and of the smoothed poses of each robot. Empty where they are unknown.
-    times
-        Times of each log, s, where ``time`` is that of the first log only. Empty where all robots have the same times.
-    """
+    """The content of a folder."""
 
     folder: Path
-    result: dict[str, Any]
-    segments: FloatArray
-    time: FloatArray
-    estimated: list[FloatArray]
+    result: dict[str, Any]  # content of ``result.json``
+    segments: FloatArray  # Walls of the map (k, 4), m
+    time: FloatArray  # (n,), s
+    estimated: list[FloatArray]  # Estimated poses of each robot (n, 3), m and rad
+    # Poses by odometry alone, true poses, and smoothed poses of each robot. Empty where they are unknown.
     odometry: list[FloatArray]
     true: list[FloatArray]
     smoothed: list[FloatArray]
+    # Covariances (n, 3, 3) of the estimated and of the smoothed poses of each robot. Empty where they are unknown.
     covariances: list[FloatArray] = field(default_factory=list)
     smoothed_covariances: list[FloatArray] = field(default_factory=list)
+    # Times of each log, s, where ``time`` is that of the first log only. Empty where all robots have the same times.
     times: list[FloatArray] = field(default_factory=list)
 
     def elapsed(self, number: int) -> FloatArray:
@@ -73,13 +58,7 @@ class FinishedRun:
         return np.asarray(time - time[0])
 
     def with_one_time(self) -> "FinishedRun":
-        """The run itself.
-
-        Raises
-        ------
-        FolderError
-            If it is of two logs, of which each has times of its own.
-        """
+        """The run itself. Raises a FolderError if it is of two logs, of which each has times of its own."""
         if self.times:
             raise FolderError(f"{self.folder}: is of two logs with times of their own; use {self.folder / 'log_0'}")
         return self
@@ -107,68 +86,44 @@ class FinishedRun:
 
 def run_title(config: Mapping[str, Any], robots: int, seed: object) -> str:
     """A run in a few words, from the ``config`` of its ``result.json``. Missing values are left out."""
-    noise = config.get("noise")
+    noise, policy = config.get("noise"), str(config.get("policy", "frontier"))
     parts = (
         str(config["world"]),
         f"{robots} robots" if robots > 1 else "",
         # A damaged file may hold a whole number that no float can hold.
         f"range noise {100.0 * noise:g} cm" if isinstance(noise, int | float) and abs(noise) < 1e6 else "",
         " ".join(filter(None, (str(config["preset"]), config.get("ablation")))),
-        policy_words(str(config["policy"])) if config.get("policy", "frontier") != "frontier" else "",
+        "" if policy == "frontier" else policy if ".py:" in policy else policy.replace("_", " "),
         counted(config["laps"], "lap") if config.get("laps") else "",
         f"seed {seed}" if seed is not None else "",
     )
     return ", ".join(filter(None, parts))
 
 
-def policy_words(policy: str) -> str:
-    """The name of a policy in words. A policy of a file keeps the name of the file."""
-    return policy if ".py:" in policy else policy.replace("_", " ")
-
-
 def read_run(folder: Path) -> FinishedRun:
     """Read a folder that ``limslam run`` or ``limslam replay`` has written.
 
-    Results that a process was killed over while it replaced them are first put back in place.
-
-    Raises
-    ------
-    FolderError
-        If the folder does not exist, or one of its files is missing, damaged or inconsistent with the others.
+    Results that a process was killed over while it replaced them are first put back in place. Raises a FolderError if
+    the folder does not exist, or one of its files is missing, damaged or inconsistent with the others.
     """
     _check_finished(folder)
     result, segments = _read_json(folder / RESULT_FILE), read_walls(folder / MAP)
-    has_own_times = "logs" in part_of(result, "config")  # of two logs that were replayed together
-    tables = _read_trajectories(folder, has_own_times=has_own_times)
-    time = tables["est"][0][:, 0]
-    times = [table[:, 0] for table in tables["est"]] if has_own_times else []
-    estimated, true, odometry, smoothed = ([table[:, 1:] for table in found] for found in tables.values())
-    covariances, smoothed_covariances = _covariances(folder / COVARIANCES, len(estimated), len(time))
-    return FinishedRun(
-        folder=folder,
-        result=result,
-        segments=segments,
-        time=time,
-        estimated=estimated,
-        odometry=odometry,
-        true=true,
-        smoothed=smoothed,
-        covariances=covariances,
-        smoothed_covariances=smoothed_covariances,
-        times=times,
-    )
-
-
-def _read_trajectories(folder: Path, *, has_own_times: bool) -> dict[str, list[FloatArray]]:
-    """The trajectories of each kind, of as many robots and rows as the estimate has, or of none."""
-    tables = {kind: _trajectories(folder, kind) for kind in ("est", "true", "odometry", "smoothed")}
-    if not tables["est"]:
+    tables = {name: _trajectories(folder, kind) for name, kind in _KINDS.items()}
+    estimated = tables["estimated"]
+    if not estimated:
         raise FolderError(f"{folder}: there is no trajectory_est.tum")
-    counts = [len(table if has_own_times else tables["est"][0]) for table in tables["est"]]
-    for kind, found in tables.items():
+    has_own_times = "logs" in part_of(result, "config")  # of two logs that were replayed together
+    counts = [len(table if has_own_times else estimated[0]) for table in estimated]
+    for name, found in tables.items():
         if found and [len(table) for table in found] != counts:
-            raise FolderError(f"{folder}: the trajectories ({kind}) have other robots or times")
-    return tables
+            raise FolderError(f"{folder}: the trajectories ({_KINDS[name]}) have other robots or times")
+    covariances, smoothed_covariances = _covariances(folder / COVARIANCES, len(estimated), len(estimated[0]))
+    return FinishedRun(
+        folder, result, segments, estimated[0][:, 0],
+        **{name: [table[:, 1:] for table in found] for name, found in tables.items()},
+        covariances=covariances, smoothed_covariances=smoothed_covariances,
+        times=[table[:, 0] for table in estimated] if has_own_times else [],
+    )  # fmt: skip
 
 
 def _check_finished(folder: Path) -> None:
@@ -203,12 +158,8 @@ def part_of(content: Mapping[str, Any], name: str) -> Mapping[str, Any]:
 
 
 def read_walls(path: Path) -> FloatArray:
-    """The walls (k, 4), m, of a ``map.json``.
-
-    Raises
-    ------
-    FolderError
-        If the file cannot be read or has no walls in that form.
+    """The walls (k, 4), m, of a ``map.json``. Raises a FolderError if the file cannot be read or has no walls in that
+    form.
     """
     listed = _read_json(path).get("segments")
     try:
@@ -223,23 +174,13 @@ def read_walls(path: Path) -> FloatArray:
 
 
 def _trajectories(folder: Path, kind: str) -> list[FloatArray]:
-    """Tables (n, 4) of time and pose for each robot. Empty if there is no file."""
+    """Tables (n, 4) of time, x, y and heading for each robot. Empty if there is no file."""
     single = folder / f"trajectory_{kind}.tum"
-    if single.is_file():
-        return [_read_table(single)]
-    tables: list[FloatArray] = []
-    while (path := folder / f"trajectory_{kind}_{len(tables)}.tum").is_file():
-        tables.append(_read_table(path))
-    return tables
-
-
-def _read_table(path: Path) -> FloatArray:
-    """A trajectory as a table (n, 4) of time, x, y and heading."""
+    several = takewhile(Path.is_file, (folder / f"trajectory_{kind}_{number}.tum" for number in count()))
     try:
-        time, poses = read_tum(path)
+        return [np.column_stack(read_tum(path)) for path in ([single] if single.is_file() else several)]
     except TrajectoryError as error:
         raise FolderError(str(error)) from error
-    return np.column_stack((time, poses))
 
 
 def _covariances(path: Path, robots: int, steps: int) -> tuple[list[FloatArray], list[FloatArray]]:

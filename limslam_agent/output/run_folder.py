@@ -13,18 +13,10 @@ RESULT_FILE = "result.json"
 
 @dataclass(frozen=True)
 class NewFolder:
-    """A folder of results in the making.
+    """A folder of results in the making."""
 
-    Attributes
-    ----------
-    beside
-        The hidden folder to write to.
-    target
-        Its final place.
-    """
-
-    beside: Path
-    target: Path
+    beside: Path  # The hidden folder to write to
+    target: Path  # Its final place
 
 
 @contextmanager

@@ -77,18 +77,8 @@ def sheet_size(count: int) -> tuple[float, float]:
 
 
 def draw_run(figure: Figure, run: FinishedRun, lines: Sequence[str], true_edges: FloatArray | None = None) -> None:
-    """Draw a finished run into an empty figure with a constrained layout.
-
-    Parameters
-    ----------
-    figure
-        The figure.
-    run
-        The run.
-    lines
-        Text about the run, line by line.
-    true_edges
-        Walls of the world (k, 4), m. None if they are unknown.
+    """Draw a finished run into an empty figure with a constrained layout: its map, with the walls of the world (k, 4),
+    m, if they are known, its errors over time, and lines of text about it.
     """
     grid = figure.add_gridspec(3, 2, width_ratios=(1.25, 1.0), height_ratios=(1.0, 1.0, 0.55))
     picture = _map_of(run, true_edges, [poses[:, :2] for poses in run.odometry])
@@ -126,16 +116,8 @@ def draw_run(figure: Figure, run: FinishedRun, lines: Sequence[str], true_edges:
 
 
 def draw_comparison(figure: Figure, runs: Sequence[FinishedRun], edges: Sequence[FloatArray | None]) -> None:
-    """Draw runs into an empty figure with a constrained layout.
-
-    Parameters
-    ----------
-    figure
-        The figure.
-    runs
-        The runs, at most ``MOST_RUNS``.
-    edges
-        The walls (k, 4), m, of the world of each run. None where they are unknown.
+    """Draw at most ``MOST_RUNS`` runs into an empty figure with a constrained layout, with the walls (k, 4), m, of the
+    world of each run where they are known.
     """
     columns = min(len(runs), _COLUMNS)
     rows = math.ceil(len(runs) / columns)

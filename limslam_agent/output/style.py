@@ -67,20 +67,10 @@ def write(
     bold: bool = False,
     anchor: Anchor = "left",
 ) -> None:
-    """Write a line of text into an RGB image. Text outside of the image is cut off.
+    """Write a line of text into an RGB image (height, width, 3), in place. Text outside of the image is cut off.
 
-    Parameters
-    ----------
-    image
-        (height, width, 3), changed in place.
-    words
-        One line of text.
-    place
-        Pixel (x, y) of the line's left end, middle or right end, on the base line.
-    size
-        Size of the letters, pixels.
-    colour, bold, anchor
-        Appearance of the text, and which point of the line ``place`` is.
+    ``place`` is the pixel (x, y) of the line's left end, middle or right end, as ``anchor`` says, on the base line. The
+    size of the letters is in pixels.
     """
     mask, above = _mask(words, size, bold)
     height, width = mask.shape

@@ -1,7 +1,9 @@
-"""A finished run or replay in a few lines of text, for the command line."""
+"""The figures of a finished run or replay for its ``result.json``, and in a few lines of text for the command line."""
 
 import math
+import sys
 from collections.abc import Mapping, Sequence
+from string import Formatter
 from typing import Any
 
 import numpy as np
@@ -37,14 +39,7 @@ def turn_records(turns: FloatArray | None) -> list[dict[str, float]]:
 def record_of(time: FloatArray, paths: Sequence[FloatArray], odometry: Sequence[FloatArray]) -> dict[str, Any]:
     """The ``record`` of a ``result.json``: how long it is, and where odometry ended.
 
-    Parameters
-    ----------
-    time
-        Times of the steps (n,), s.
-    paths
-        Poses (n, 3) of each robot along which the driven distance is measured: the true ones where they are known.
-    odometry
-        Poses (n, 3) of each robot by odometry alone.
+    The driven distance is measured along ``paths``, poses (n, 3) of each robot: the true ones where they are known.
     """
     driven = [float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum()) for poses in paths]
     ends = [[float(x), float(y), float(np.degrees(heading))] for x, y, heading in (poses[-1] for poses in odometry)]
@@ -61,6 +56,29 @@ def place_records(time: FloatArray, places: Sequence[Mapping[str, Any]]) -> list
     return [{**each, "time_s": float(time[min(each["step"], len(time) - 1)] - time[0])} for each in places]
 
 
+def run_cost(duration: float, wall_clock: float, **step_ms: FloatArray) -> dict[str, float]:
+    """Values for ``cost`` in a ``result.json``, from the time that passed in the run or in its log, s, the time that
+    computing took, s, and the times that each named part of a step took (n,), ms.
+    """
+    parts = {
+        f"{name}_ms_{label}": float(np.percentile(values, share))
+        for name, values in step_ms.items()
+        for label, share in (("median", 50.0), ("p99", 99.0))
+    }
+    return {**parts, "speed_x_real_time": duration / wall_clock, "wall_clock_s": wall_clock, **_memory()}
+
+
+def _memory() -> dict[str, float]:
+    """The most memory that this process has had, MB. Windows does not tell it in this way."""
+    if sys.platform == "win32":
+        return {}
+    import resource
+
+    # Linux counts kilobytes, macOS bytes.
+    unit = 1e6 if sys.platform == "darwin" else 1e3
+    return {"peak_rss_mb": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / unit}
+
+
 def record_summary(result: Mapping[str, Any]) -> list[str]:
     """Lines about what was done and how, from a ``result.json``. Missing values are left out."""
     config, record = part_of(result, "config"), part_of(result, "record")
@@ -73,13 +91,11 @@ def record_summary(result: Mapping[str, Any]) -> list[str]:
         f"range noise of {100.0 * noise:g} cm assumed" if isinstance(noise, int | float) else "",
     ]
     lines = [f"method      {', '.join(filter(None, method))}"] if any(method) else []
-    if _has(record, "steps", "duration_s", "driven_m"):
-        lasted = f"{record['steps']} steps, {record['duration_s']:.1f} s, {record['driven_m']:.1f} m driven"
-        is_team = _has(config, "robots") and config["robots"] > 1
-        lines.append(f"record      {lasted}{' by each robot' if is_team else ''}")
+    each = " by each robot" if _has(config, "robots") and config["robots"] > 1 else ""
+    lines += _told("record", "{steps} steps, {duration_s:.1f} s, {driven_m:.1f} m driven" + each, record)
     lines += _places(record.get("places"))
-    each = record.get("calibration")
-    lines += [_calibration_line(found) for found in each if found] if isinstance(each, list) else []
+    found = record.get("calibration")
+    lines += [_calibration_line(sizes) for sizes in found if sizes] if isinstance(found, list) else []
     if part_of(result, "metrics").get("status") != "lost":
         lines += _sensor_line(record.get("sensor"), beams) + _turned_beams(record.get("beam_turns"), beams)
     return lines
@@ -152,45 +168,25 @@ def _numbers(pose: Any) -> list[float] | None:
 def run_summary(metrics: Mapping[str, Any], cost: Mapping[str, Any]) -> list[str]:
     """Lines about a run, from the ``metrics`` and the ``cost`` of its ``result.json``. Missing values are left out."""
     lines = [f"stopped     {metrics.get('stop_reason', 'for an unknown reason')}"]
-    if _has(metrics, "exploration_time_s", "path_m"):
-        lines.append(f"            after {metrics['exploration_time_s']:.1f} s and {metrics['path_m']:.1f} m")
-    if _has(metrics, "coverage_true", "collisions"):
-        share, collisions = metrics["coverage_true"], metrics["collisions"]
-        lines.append(
-            f"covered     {share:.1%} of what can be seen, {collisions:g} collision{'' if collisions == 1 else 's'}"
-        )
+    lines += _told("", "after {exploration_time_s:.1f} s and {path_m:.1f} m", metrics)
+    collisions = "collision" if metrics.get("collisions") == 1 else "collisions"
+    lines += _told("covered", "{coverage_true:.1%} of what can be seen, {collisions:g} " + collisions, metrics)
     lines += _status(metrics) + _errors(metrics)
-    if _has(metrics, "limit_ate_m", "ate_over_limit"):
-        lines += _limit(metrics)
-    if _has(metrics, "landmarks", "wall_f1_aligned"):
-        walls, f1 = metrics["landmarks"], metrics["wall_f1_aligned"]
-        online = metrics.get("wall_f1_aligned_online")
-        before = f"; {online:.2f} before smoothing" if isinstance(online, int | float) else ""
-        lines.append(f"map         {walls} walls, F1 {f1:.2f} at 10 cm when aligned{before}")
-    if _has(cost, "speed_x_real_time"):
-        lines.append(f"speed       {cost['speed_x_real_time']:.0f} x real time")
-    return lines
-
-
-def _limit(metrics: Mapping[str, Any]) -> list[str]:
-    best, ratio = metrics["limit_ate_m"], metrics["ate_over_limit"]
-    smoothed = metrics.get("smoothed_over_limit")
-    after = f", smoothed is {smoothed:.1f} times that" if isinstance(smoothed, int | float) else ""
-    return [
-        f"limit       {best:.3f} m rms, the least-squares solution with known associations",
-        f"            the error is {ratio:.1f} times that{after}",
-    ]
+    if limit := _told("limit", "{limit_ate_m:.3f} m rms, the least-squares solution with known associations", metrics):
+        smoothed = _with(", smoothed is {smoothed_over_limit:.1f} times that", metrics)
+        lines += limit + _told("", "the error is {ate_over_limit:.1f} times that" + smoothed, metrics)
+    before = _with("; {wall_f1_aligned_online:.2f} before smoothing", metrics)
+    lines += _told("map", "{landmarks} walls, F1 {wall_f1_aligned:.2f} at 10 cm when aligned" + before, metrics)
+    return lines + _told("speed", "{speed_x_real_time:.0f} x real time", cost)
 
 
 def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
     """Lines about a replay, from the ``metrics`` of its ``result.json``. Missing values are left out."""
     lines = _status(metrics) + _smoothed_status(metrics) + _reversing(metrics) + _errors(metrics)
-    since = metrics.get("online_graph_from_s")
-    if isinstance(since, int | float):
-        lines.append(f"            the filter was lost after {since:.0f} s; the online graph went on")
+    lines += _told("", "the filter was lost after {online_graph_from_s:.0f} s; the online graph went on", metrics)
     trajectories = {
         "smoothed_": "smoothed, at the end", "smoothed_between_": "between the logs",
-        "": "filter, while driving" if since is None else "while driving",
+        "": "filter, while driving" if metrics.get("online_graph_from_s") is None else "while driving",
         "odometry_": "odometry, corrected", "raw_odometry_": "odometry, raw",
     }  # fmt: skip
     texts = {
@@ -202,9 +198,7 @@ def replay_summary(metrics: Mapping[str, Any]) -> list[str]:
     if texts.get("odometry_") == texts.get("raw_odometry_"):
         texts.pop("odometry_", None)
     lines += [f"relations   {trajectories[prefix]:21}{text}" for prefix, text in texts.items()]
-    if _has(metrics, "landmarks"):
-        lines.append(f"map         {metrics['landmarks']} walls")
-    return lines
+    return lines + _told("map", "{landmarks} walls", metrics)
 
 
 def _status(metrics: Mapping[str, Any]) -> list[str]:
@@ -231,10 +225,9 @@ def _smoothed_status(metrics: Mapping[str, Any]) -> list[str]:
     if not isinstance(level, str):
         return []
     lines = [f"            {level} at the end{f': {reason}' if reason else ''}"]
-    if _has(metrics, "smoothed_points_per_m") and metrics["smoothed_points_per_m"] < FEW_POINTS:
-        points = f"{metrics['smoothed_points_per_m']:.1f} readings of walls in a metre of driving"
-        lines.append(f"            {points}: with fewer than {FEW_POINTS:.0f}, paths were often wrong")
-    return lines
+    few = f"with fewer than {FEW_POINTS:.0f}, paths were often wrong"
+    points = _told("", "{smoothed_points_per_m:.1f} readings of walls in a metre of driving: " + few, metrics)
+    return lines + (points if points and metrics["smoothed_points_per_m"] < FEW_POINTS else [])
 
 
 def _reversing(metrics: Mapping[str, Any]) -> list[str]:
@@ -247,16 +240,12 @@ def _reversing(metrics: Mapping[str, Any]) -> list[str]:
 
 
 def _errors(metrics: Mapping[str, Any]) -> list[str]:
-    if not _has(metrics, "ate_m", "odometry_ate_m"):
-        aligned = _has(metrics, "ate_aligned_m")
-        return [f"error       {metrics['ate_aligned_m']:.3f} m rms when aligned"] if aligned else []
-    lines = [f"error       {metrics['ate_m']:.3f} m rms; by odometry alone {metrics['odometry_ate_m']:.3f} m"]
-    if _has(metrics, "anees"):
-        smoothed = f", smoothed {metrics['anees_smoothed']:.2g}" if _has(metrics, "anees_smoothed") else ""
-        lines.append(f"consistency NEES / 3 is {metrics['anees']:.2g}{smoothed}; 1 is right, more is overconfident")
-    if _has(metrics, "ate_smoothed_m"):
-        lines.append(f"smoothed    {metrics['ate_smoothed_m']:.3f} m rms, by all that was known at the end")
-    return lines
+    lines = _told("error", "{ate_m:.3f} m rms; by odometry alone {odometry_ate_m:.3f} m", metrics)
+    if not lines:
+        return _told("error", "{ate_aligned_m:.3f} m rms when aligned", metrics)
+    smoothed = _with(", smoothed {anees_smoothed:.2g}", metrics)
+    lines += _told("consistency", f"NEES / 3 is {{anees:.2g}}{smoothed}; 1 is right, more is overconfident", metrics)
+    return lines + _told("smoothed", "{ate_smoothed_m:.3f} m rms, by all that was known at the end", metrics)
 
 
 def _relation_text(metrics: Mapping[str, Any], prefix: str) -> str:
@@ -265,6 +254,18 @@ def _relation_text(metrics: Mapping[str, Any], prefix: str) -> str:
     if not _has(metrics, f"{loops}_m", f"{loops}_deg"):
         return text
     return text + f"   loops {metrics[loops + '_m']:7.3f} m {metrics[loops + '_deg']:6.2f} deg"
+
+
+def _told(title: str, text: str, numbers: Mapping[str, Any]) -> list[str]:
+    """A line with numbers by their names, if all of them are there."""
+    words = _with(text, numbers)
+    return [f"{title:12}{words}"] if words else []
+
+
+def _with(text: str, numbers: Mapping[str, Any]) -> str:
+    """A text with numbers by their names; empty if one of them is missing."""
+    names = [name for _, name, _, _ in Formatter().parse(text) if name]
+    return text.format_map(numbers) if _has(numbers, *names) else ""
 
 
 def _has(numbers: Mapping[str, Any], *names: str) -> bool:

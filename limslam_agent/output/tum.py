@@ -26,25 +26,25 @@ def write_tum(path: Path, time: FloatArray, poses: FloatArray) -> None:
     np.savetxt(path, table, fmt="%.6f %.6f %.6f %.0f %.0f %.0f %.9f %.9f")
 
 
+def suffix_of(robot: int, robots: int) -> str:
+    """What the names of a robot's files end in: nothing for a single robot."""
+    return f"_{robot}" if robots > 1 else ""
+
+
 def write_paths(folder: Path, time: FloatArray, paths: Mapping[str, Sequence[FloatArray]]) -> None:
     """Write the paths (n, 3) of each robot, by their kinds: ``trajectory_est.tum``, or ``trajectory_est_0.tum`` and so
     on of several robots.
     """
     for kind, each in paths.items():
         for number, poses in enumerate(each):
-            suffix = f"_{number}" if len(each) > 1 else ""
-            write_tum(folder / f"trajectory_{kind}{suffix}.tum", time, poses)
+            write_tum(folder / f"trajectory_{kind}{suffix_of(number, len(each))}.tum", time, poses)
 
 
 def read_tum(path: Path) -> tuple[FloatArray, FloatArray]:
     """Times (n,), s, and poses in the plane (n, 3), m and rad, of a TUM file. Comments begin with ``#``.
 
-    The heading of an orientation in space is its yaw, the first of the Euler angles z-y-x.
-
-    Raises
-    ------
-    TrajectoryError
-        If the file cannot be read, has a line with other fields or a quaternion of length 0, or has no poses.
+    The heading of an orientation in space is its yaw, the first of the Euler angles z-y-x. Raises a TrajectoryError if
+    the file cannot be read, has a line with other fields or a quaternion of length 0, or has no poses.
     """
     numbers, table = read_rows(path, "t x y z qx qy qz qw")
     if not len(table):
@@ -58,12 +58,8 @@ def read_tum(path: Path) -> tuple[FloatArray, FloatArray]:
 def read_rows(path: Path, form: str) -> tuple[list[int], FloatArray]:
     """Numbers of the lines (n,), counted from 1, and a table (n, k) of the finite numbers in them.
 
-    ``form`` names the k numbers of a line. Comments begin with ``#``.
-
-    Raises
-    ------
-    TrajectoryError
-        If the file cannot be read, or a line has other fields.
+    ``form`` names the k numbers of a line. Comments begin with ``#``. Raises a TrajectoryError if the file cannot be
+    read, or a line has other fields.
     """
     numbers: list[int] = []
     rows: list[list[float]] = []

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from limslam_agent.config.presets import OdometryConfig
+from limslam_agent.config.shared import OdometryConfig
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations, read_relations
 from limslam_env.geometry import FloatArray, se2

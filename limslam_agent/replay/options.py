@@ -3,7 +3,7 @@
 import math
 from dataclasses import replace
 
-from limslam_agent.config.presets import OdometryConfig
+from limslam_agent.config.shared import OdometryConfig
 from limslam_agent.logs.directions import degrees_of
 from limslam_agent.logs.ros_topics import Topics
 

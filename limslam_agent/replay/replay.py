@@ -13,10 +13,9 @@ from limslam_agent.config.presets import AgentConfig
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations, relation_errors, summary
 from limslam_agent.mapping.mapper import Mapper
-from limslam_agent.output.cost import run_cost
 from limslam_agent.output.export import map_content, write_covariances, write_json, write_map
 from limslam_agent.output.finished_run import COVARIANCES, UNPLACED
-from limslam_agent.output.summary import place_records, record_of, turn_records
+from limslam_agent.output.summary import place_records, record_of, run_cost, turn_records
 from limslam_agent.output.tum import write_paths
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.replay.filter_estimate import FilterEstimate

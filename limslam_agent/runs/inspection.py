@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.config.presets import AgentConfig
-from limslam_agent.inspect.events import rounded
+from limslam_agent.inspect.columns import rounded
 from limslam_agent.inspect.recorder import Recorder
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.mapping.mapper import Mapper

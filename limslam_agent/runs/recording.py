@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -12,13 +11,11 @@ from limslam_agent.inspect.recorder import Recorder
 from limslam_agent.mapping.team import LimSlamTeam
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.status.status import worst
-from limslam_agent.video.belief_frame import BeliefFrame, Event, HoughView, hough_view
+from limslam_agent.video.belief_frame import BeliefFrame, Event, HoughView
 from limslam_agent.video.film import FPS, HEIGHT, WIDTH, Film
 from limslam_agent.video.video import video_file
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.worlds.formats.loading import load_world
-
-_MM = 1e-3
 
 
 class FilmedRun:
@@ -52,23 +49,17 @@ class FilmedRun:
     def _frame(self, recorder: Recorder, team: LimSlamTeam, time: float) -> BeliefFrame:
         slam, snapshot = team.slam, team.snapshot()
         marks, grid = slam.all_landmarks, snapshot.grid
-        confirmed = {mark.number for mark in snapshot.landmarks}
         events, self._shown = recorder.log.events[self._shown :], len(recorder.log.events)
         for event in events:
             if event["kind"] == "hough" and event["side"] != "none":
-                self._hough = _hough(event, event["row"] * slam.robot.control_period)
+                self._hough = HoughView.of(event, event["row"] * slam.robot.control_period)
         return BeliefFrame(
             time=time,
             poses=snapshot.poses,
             covariances=snapshot.covariances,
-            segments=np.array([mark.ends.ravel() for mark in marks]).reshape(-1, 4),
-            lines=np.array([(mark.r, mark.theta) for mark in marks]).reshape(-1, 2),
-            line_covariances=np.array([mark.covariance for mark in marks]).reshape(-1, 2, 2),
-            numbers=tuple(mark.number + 1 for mark in marks),
-            unsure=frozenset(mark.number + 1 for mark in marks if mark.number not in confirmed),
-            grid_low=grid.low,
-            grid_cell=grid.cell,
-            grid_values=grid.values,
+            walls=marks,
+            unsure=frozenset(mark.number + 1 for mark in marks) - {mark.number + 1 for mark in snapshot.landmarks},
+            grid=grid,
             frontier=grid.centres(np.argwhere(frontier_cells(grid, team.config.policy.min_frontier))),
             plans=snapshot.plans,
             goals=[getattr(policy, "goal", None) for policy in team.policies],
@@ -83,15 +74,6 @@ class FilmedRun:
             ],
             warning=worst(snapshot.statuses).words if snapshot.status != "ok" else "",
         )
-
-
-def _hough(event: dict[str, Any], time: float) -> HoughView:
-    """The view of an extraction that was recorded."""
-    return hough_view(
-        _MM * np.array(event["points"], dtype=float).reshape(-1, 2), np.array(event["lines"]).reshape(-1, 2),
-        np.array(event["ends"]).reshape(-1, 2, 2), np.array(event["pose"]), time=time, side=event["side"],
-        robot=event["robot"], r_step=event["r_step"], threshold=event["threshold"],
-    )  # fmt: skip
 
 
 @contextmanager

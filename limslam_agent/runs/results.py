@@ -14,10 +14,9 @@ import numpy as np
 
 from limslam_agent.logs.recorded_log import write_npz
 from limslam_agent.mapping.joining import NOT_YET_CONFIRMED
-from limslam_agent.output.cost import run_cost
 from limslam_agent.output.export import WallsAndGrid, map_content, plain, write_covariances, write_json, write_map
 from limslam_agent.output.finished_run import COVARIANCES, UNPLACED, WORLD, run_title
-from limslam_agent.output.summary import calibration_record, place_records, record_of, turn_records
+from limslam_agent.output.summary import calibration_record, place_records, record_of, run_cost, turn_records
 from limslam_agent.output.tum import write_paths
 from limslam_agent.policies.policy import NOT_EXPLORED
 from limslam_agent.runs.optimum import offline_optimum

@@ -4,8 +4,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from limslam_agent.config import DEFAULT_PRESET
-from limslam_agent.config.ablations import ablated
-from limslam_agent.config.presets import AgentConfig, preset, with_until
+from limslam_agent.config.presets import AgentConfig, ablated, preset, with_until
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.places.saved_map import read_saved_map
 from limslam_agent.policies.frontier_policy import least_reach, short_reach

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.logs.relations import RelationErrors, Relations, relation_errors, summary
-from limslam_agent.output.cost import run_cost
 from limslam_agent.output.export import map_content, write_json, write_map
 from limslam_agent.output.finished_run import UNPLACED
+from limslam_agent.output.summary import run_cost
 from limslam_agent.output.tum import write_tum
 from limslam_agent.replay.replay import write_replay
 from limslam_agent.two_logs.joint import JointReplay

@@ -1,42 +1,33 @@
-"""The content of one video frame: what an agent believes at one moment, as plain arrays in the world frame."""
+"""The content of one video frame: what an agent believes at one moment, in the world frame."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
+from limslam_agent.grid.occupancy import GridView
 from limslam_agent.slam.core.diagnostics import PendingPoints
+from limslam_agent.slam.core.line_map import Landmark
 from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.geometry.line import direction, normal
 from limslam_env.geometry.se2 import transform_points
 
 # Limit for buffers whose points have been moved very far apart by odometry.
 _MOST_R_BINS = 240
+_MM = 1e-3
 
 
 @dataclass(frozen=True)
 class Event:
-    """The association of an observed line, or a loop closure.
+    """The association of an observed line, or a loop closure."""
 
-    Attributes
-    ----------
-    kind
-        ``"new"``: the line became a wall. ``"again"``: the line is a known wall. ``"loop"``: two walls are the same
-        wall.
-    wall
-        Number of the wall.
-    other
-        For a loop, number of the older wall that is the same as ``wall``.
-    robot
-        Robot that saw the line. A loop belongs to no robot.
-    """
-
+    # ``"new"``: the line became a wall. ``"again"``: the line is a known wall. ``"loop"``: two walls are the same wall.
     kind: Literal["new", "again", "loop"]
-    wall: int
-    other: int | None = None
-    robot: int = 0
+    wall: int  # Number of the wall
+    other: int | None = None  # For a loop, number of the older wall that is the same as ``wall``
+    robot: int = 0  # Robot that saw the line. A loop belongs to no robot.
 
     @property
     def words(self) -> str:
@@ -53,102 +44,63 @@ class Event:
 
 @dataclass(frozen=True, eq=False)
 class HoughView:
-    """The latest extraction of lines.
+    """The latest extraction of lines."""
 
-    Attributes
-    ----------
-    time
-        Time of the extraction, s.
-    robot, side
-        Robot and side of the buffer.
-    points
-        The points that voted (p, 2), m, in the world frame.
-    votes
-        Number of votes for each line (r bins, theta bins). r is measured from the mean of the points and increases with
-        the row. theta goes from 0 to pi in the robot's frame.
-    r_reach
-        The bins of r go from minus this value to plus this value, m.
-    peaks
-        The extracted lines (k, 2): r (m) and theta (rad) on the axes of ``votes``.
-    segments
-        The extracted lines (k, 4), m, in the world frame, cut to the extent of their points.
-    threshold
-        Least number of votes of a line.
-    """
-
-    time: float
+    time: float  # Time of the extraction, s
     robot: int
     side: Literal["left", "right"]
-    points: FloatArray
+    points: FloatArray  # The points that voted (p, 2), m, in the world frame
+    # Number of votes for each line (r bins, theta bins). r is measured from the mean of the points and increases with
+    # the row. theta goes from 0 to pi in the robot's frame.
     votes: IntArray
-    r_reach: float
-    peaks: FloatArray
-    segments: FloatArray
-    threshold: int = 0
+    r_reach: float  # The bins of r go from minus this value to plus this value, m
+    peaks: FloatArray  # The extracted lines (k, 2): r (m) and theta (rad) on the axes of ``votes``
+    segments: FloatArray  # The extracted lines (k, 4), m, in the world frame, cut to the extent of their points
+
+    @classmethod
+    def of(cls, extraction: Mapping[str, Any], time: float) -> "HoughView":
+        """The view of an extraction as a recording has it (``limslam_agent.inspect.event_log``), at a time, s.
+
+        The bins of r are those of the estimator, so that the votes are those that it saw.
+        """
+        points = _MM * np.array(extraction["points"], dtype=float).reshape(-1, 2)
+        lines, pose = np.array(extraction["lines"]).reshape(-1, 2), np.array(extraction["pose"])
+        # The estimator counts votes about the mean of the points, where r and theta are nearly independent.
+        centre = points.mean(axis=0) if len(points) else np.zeros(2)
+        votes, reach = hough_image(points - centre, extraction["r_step"])
+        shifted = lines - np.column_stack((normal(lines) @ centre, np.zeros(len(lines))))
+        segments = transform_points(pose, np.array(extraction["ends"]).reshape(-1, 2)).reshape(-1, 4)
+        return cls(
+            time, extraction["robot"], extraction["side"], transform_points(pose, points), votes, reach,
+            _upper_half(shifted), segments,
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
 class BeliefFrame:
-    """What is believed at one moment. Arrays are in the world frame, m and rad. There are n robots and k walls.
+    """What is believed at one moment. Arrays are in the world frame, m and rad. There are n robots."""
 
-    Attributes
-    ----------
-    time
-        Simulated time, s.
-    poses, covariances
-        (n, 3) and (n, 3, 3).
-    segments
-        Walls of the map (k, 4).
-    lines, line_covariances
-        (r, theta) of each wall (k, 2), and its covariance (k, 2, 2).
-    numbers
-        Numbers of the walls (k,), as in ``events``.
-    unsure
-        Numbers of provisional walls, which were seen too few times. They are drawn thinner.
-    grid_low, grid_cell, grid_values
-        Occupancy grid as in ``occupancy.GridView``: lower left corner (2,), side of a cell, and values (rows, columns),
-        positive for free, negative for occupied, 0 for unknown.
-    frontier
-        Centres of the frontier cells (m, 2).
-    plans, goals
-        Each robot's planned path (p, 2) and its goal (2,) or None.
-    new_goals
-        Robots that have got another goal since the previous frame.
-    paths
-        Positions (q, 2) of each robot so far, as it estimated them.
-    buffers
-        The points that wait for an extraction, two entries for each robot: the scan buffers.
-    hough
-        The latest extraction of lines. None before the first.
-    events
-        Events since the previous frame.
-    warning
-        Why the estimate cannot be trusted, in words. Empty if it can.
-    """
-
-    time: float
-    poses: FloatArray
-    covariances: FloatArray
-    segments: FloatArray = field(default_factory=lambda: no_rows(4))
-    lines: FloatArray = field(default_factory=lambda: no_rows(2))
-    line_covariances: FloatArray = field(default_factory=lambda: np.zeros((0, 2, 2)))
-    numbers: tuple[int, ...] = ()
+    time: float  # Simulated time, s
+    poses: FloatArray  # (n, 3)
+    covariances: FloatArray  # of the poses (n, 3, 3)
+    walls: Sequence[Landmark] = ()  # All landmarks. A wall is called by its number plus one, also in ``events``.
+    # Names of provisional walls, which were seen too few times. They are drawn thinner.
     unsure: frozenset[int] = frozenset()
-    grid_low: FloatArray = field(default_factory=lambda: np.zeros(2))
-    grid_cell: float = 0.10
-    grid_values: IntArray = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int16))
-    frontier: FloatArray = field(default_factory=lambda: no_rows(2))
+    grid: GridView | None = None  # Occupancy grid. None draws no grid.
+    frontier: FloatArray = field(default_factory=lambda: no_rows(2))  # Centres of the frontier cells (m, 2)
+    # Each robot's planned path (p, 2) and its goal (2,) or None
     plans: Sequence[FloatArray] = ()
     goals: Sequence[FloatArray | None] = ()
-    new_goals: Sequence[int] = ()
-    paths: Sequence[FloatArray] = ()
+    new_goals: Sequence[int] = ()  # Robots that have got another goal since the previous frame
+    paths: Sequence[FloatArray] = ()  # Positions (q, 2) of each robot so far, as it estimated them
+    # The points that wait for an extraction, two entries for each robot: the scan buffers
     buffers: Sequence[PendingPoints] = ()
-    hough: HoughView | None = None
-    events: Sequence[Event] = ()
-    warning: str = ""
+    hough: HoughView | None = None  # The latest extraction of lines. None before the first.
+    events: Sequence[Event] = ()  # Events since the previous frame
+    warning: str = ""  # Why the estimate cannot be trusted, in words. Empty if it can.
 
 
-def wall_bands(frame: BeliefFrame, sigmas: float = 2.0, samples: int = 9) -> FloatArray:
+def wall_bands(walls: Sequence[Landmark], sigmas: float = 2.0, samples: int = 9) -> FloatArray:
     """Outlines (k, 2 samples, 2), m, of the regions that contain the walls, ``sigmas`` standard deviations to each
     side.
 
@@ -156,9 +108,10 @@ def wall_bands(frame: BeliefFrame, sigmas: float = 2.0, samples: int = 9) -> Flo
     line from the foot of the origin's perpendicular. The variance there is P_rr - 2 s P_rt + s^2 P_tt. The band is
     narrow where the wall was seen and wider beyond.
     """
-    lines, covariances = frame.lines, frame.line_covariances
+    lines = np.array([(wall.r, wall.theta) for wall in walls]).reshape(-1, 2)
+    covariances = np.array([wall.covariance for wall in walls]).reshape(-1, 2, 2)
+    ends = np.array([wall.ends for wall in walls]).reshape(-1, 2, 2)
     share = np.linspace(0.0, 1.0, samples)[None, :, None]
-    ends = frame.segments.reshape(-1, 2, 2)
     places = ends[:, :1] * (1.0 - share) + ends[:, 1:] * share
     along = np.einsum("ksd,kd->ks", places, direction(lines))
     p_rr, p_rt, p_tt = (covariances[:, i, j, None] for i, j in ((0, 0), (0, 1), (1, 1)))
@@ -166,43 +119,6 @@ def wall_bands(frame: BeliefFrame, sigmas: float = 2.0, samples: int = 9) -> Flo
     half_width = sigmas * np.sqrt(np.maximum(p_rr - 2.0 * along * p_rt + along**2 * p_tt, 0.0))
     across = half_width[..., None] * normal(lines)[:, None]
     return np.concatenate((places + across, (places - across)[:, ::-1]), axis=1)
-
-
-def hough_view(
-    points: FloatArray,
-    lines: FloatArray,
-    ends: FloatArray,
-    pose: FloatArray,
-    *,
-    time: float,
-    side: Literal["left", "right"],
-    robot: int = 0,
-    r_step: float = 0.02,
-    threshold: int = 0,
-) -> HoughView:
-    """The view of an extraction of lines.
-
-    Parameters
-    ----------
-    points
-        Points of the buffer (p, 2), m, in the robot's frame.
-    lines, ends
-        Extracted lines, (r, theta) in the robot's frame (k, 2), and their end points (k, 2, 2), m.
-    pose
-        Estimated pose of the robot (3,).
-    time, side, robot, threshold
-        As in :class:`HoughView`.
-    r_step
-        Width of a bin of r, m. The width that the estimator uses shows the votes that the estimator saw.
-    """
-    # The estimator counts votes about the mean of the points, where r and theta are nearly independent.
-    centre = points.mean(axis=0) if len(points) else np.zeros(2)
-    votes, reach = hough_image(points - centre, r_step)
-    shifted = lines - np.column_stack((normal(lines) @ centre, np.zeros(len(lines))))
-    segments = transform_points(pose, ends.reshape(-1, 2)).reshape(-1, 4)
-    return HoughView(
-        time, robot, side, transform_points(pose, points), votes, reach, _upper_half(shifted), segments, threshold
-    )
 
 
 def hough_image(points: FloatArray, r_step: float = 0.02, theta_bins: int = 90) -> tuple[IntArray, float]:

@@ -55,14 +55,7 @@ def blank(width: int, height: int) -> Image:
 def draw_hough(hough: HoughView | None, width: int, height: int, *, several: bool = False) -> Image:
     """The votes of the latest extraction as a heat map, theta to the right and r upwards, with rings around the peaks.
 
-    Parameters
-    ----------
-    hough
-        None draws empty axes.
-    width, height
-        Size of the panel, pixels.
-    several
-        Whether there are several robots, so that the panel has to name one.
+    Without an extraction the axes are empty. With several robots the panel names one.
     """
     panel = blank(width, height)
     write(panel, "Hough votes of the last scan", (0, 13), 13, INK, bold=True)

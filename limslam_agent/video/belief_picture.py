@@ -45,21 +45,11 @@ _TRAIL_POINTS = 1500
 
 @dataclass(frozen=True, eq=False)
 class Sheet:
-    """A picture with world coordinates: x to the right, y upwards, m.
+    """A picture with world coordinates: x to the right, y upwards, m."""
 
-    Attributes
-    ----------
-    image
-        (height, width, 3), RGB.
-    low
-        World position of the lower left corner of the picture (2,), m.
-    scale
-        Pixels per metre.
-    """
-
-    image: Image
-    low: FloatArray
-    scale: float
+    image: Image  # (height, width, 3), RGB
+    low: FloatArray  # World position of the lower left corner of the picture (2,), m
+    scale: float  # Pixels per metre
 
     def pixels(self, points: FloatArray) -> NDArray[np.int32]:
         """Positions (n, 2), m, in the fixed-point pixel coordinates of OpenCV."""
@@ -109,27 +99,15 @@ class Sheet:
 
 
 def draw_belief(frame: BeliefFrame, size: tuple[int, int], window: tuple[FloatArray, FloatArray]) -> Image:
-    """Draw what is believed.
+    """What is believed, as an RGB image (height, width, 3) of a size (width, height). Walls of events are highlighted.
 
-    Parameters
-    ----------
-    frame
-        What is drawn. Walls of its ``events`` are highlighted.
-    size
-        Width and height, pixels.
-    window
-        Lower left and upper right corner (2,), m, of the visible region.
-
-    Returns
-    -------
-    image
-        (height, width, 3), RGB.
+    ``window`` has the lower left and the upper right corner (2,), m, of the visible region.
     """
     sheet = _sheet(size, window)
     _draw_grid(sheet, frame)
     for number, path in enumerate(frame.paths):
         sheet.path(thinned(path, _TRAIL_POINTS), mixed(robot_colour(number), FREE, 0.5), 2)
-    sheet.wash(np.clip(wall_bands(frame), *_band_limits(frame)), WALL, 0.22)
+    _draw_bands(sheet, frame)
     _draw_walls(sheet, frame)
     for buffer in frame.buffers:
         sheet.discs(buffer.points, 2.2, side_colour(buffer.side))
@@ -153,39 +131,47 @@ def _sheet(size: tuple[int, int], window: tuple[FloatArray, FloatArray]) -> Shee
 
 def _draw_grid(sheet: Sheet, frame: BeliefFrame) -> None:
     """Draw the cells: light where free, grey where occupied, with a stronger colour for a larger value."""
-    if not frame.grid_values.size:
+    grid = frame.grid
+    if grid is None or not grid.values.size:
         return
-    values = np.clip(frame.grid_values.astype(np.float32) / _SURE, -1.0, 1.0)[..., None]
+    values = np.clip(grid.values.astype(np.float32) / _SURE, -1.0, 1.0)[..., None]
     # A cell that was seen once must look different from a cell that was never seen.
     strength = np.where(values == 0.0, 0.0, 0.5 + 0.5 * np.abs(values))
     known = np.where(values > 0.0, np.array(FREE), np.array(OCCUPIED))
     cells = np.round(np.array(UNKNOWN) + strength * (known - np.array(UNKNOWN))).astype(np.uint8)
-    step = 1.0 / (sheet.scale * frame.grid_cell)
-    column, row = (sheet.low - frame.grid_low) / frame.grid_cell
+    step = 1.0 / (sheet.scale * grid.cell)
+    column, row = (sheet.low - grid.low) / grid.cell
     height, width = sheet.image.shape[:2]
     to_cells = np.array([[step, 0.0, column + 0.5 * step - 0.5], [0.0, -step, row + (height - 0.5) * step - 0.5]])
     cv2.warpAffine(
         cells, to_cells, (width, height), dst=sheet.image, flags=cv2.INTER_NEAREST | cv2.WARP_INVERSE_MAP,
         borderMode=cv2.BORDER_TRANSPARENT,
     )  # fmt: skip
-    half = 0.42 * frame.grid_cell * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
+    half = 0.42 * grid.cell * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     sheet.wash(frame.frontier[:, None] + half, FRONTIER, 0.55)
+
+
+def _draw_bands(sheet: Sheet, frame: BeliefFrame) -> None:
+    """Draw the walls' uncertainty, up to a distance from each wall."""
+    ends = np.array([wall.ends for wall in frame.walls]).reshape(-1, 2, 2)
+    low, high = ends.min(axis=1, keepdims=True), ends.max(axis=1, keepdims=True)
+    sheet.wash(np.clip(wall_bands(frame.walls), low - _WIDEST_BAND, high + _WIDEST_BAND), WALL, 0.22)
 
 
 def _draw_walls(sheet: Sheet, frame: BeliefFrame) -> None:
     glowing = {wall for event in frame.events for wall in event.walls}
-    for name, segment in zip(frame.numbers, frame.segments.reshape(-1, 2, 2), strict=True):
-        if name in glowing:
-            sheet.path(segment, GLOW, 7)
-        is_sure = name not in frame.unsure
-        sheet.path(segment, WALL if is_sure else mixed(WALL, UNKNOWN, 0.3), 2 if is_sure else 1)
+    for wall in frame.walls:
+        if wall.number + 1 in glowing:
+            sheet.path(wall.ends, GLOW, 7)
+        is_sure = wall.number + 1 not in frame.unsure
+        sheet.path(wall.ends, WALL if is_sure else mixed(WALL, UNKNOWN, 0.3), 2 if is_sure else 1)
         if is_sure:
-            sheet.discs(segment, 2.5, WALL)
+            sheet.discs(wall.ends, 2.5, WALL)
 
 
 def _draw_names(sheet: Sheet, frame: BeliefFrame) -> None:
     """Draw the walls' numbers. Walls of events are highlighted, and the two walls of a loop are connected."""
-    middles = dict(zip(frame.numbers, frame.segments.reshape(-1, 2, 2).mean(axis=1), strict=True))
+    middles = {wall.number + 1: wall.ends.mean(axis=0) for wall in frame.walls}
     glowing = {wall for event in frame.events for wall in event.walls}
     for name, middle in middles.items():
         if name not in frame.unsure and name not in glowing:
@@ -237,9 +223,3 @@ def _draw_robot(sheet: Sheet, pose: FloatArray, covariance: FloatArray, colour: 
     cos, sin = math.cos(heading), math.sin(heading)
     sheet.wash((pose[:2] + corners @ np.array([[cos, sin], [-sin, cos]]))[None], PAPER)
     sheet.path(outline, mixed(colour, INK, 0.4), 1, closed=True)
-
-
-def _band_limits(frame: BeliefFrame) -> tuple[FloatArray, FloatArray]:
-    """Corners (k, 1, 2) of the region that each wall's band is clipped to."""
-    ends = frame.segments.reshape(-1, 2, 2)
-    return ends.min(axis=1, keepdims=True) - _WIDEST_BAND, ends.max(axis=1, keepdims=True) + _WIDEST_BAND

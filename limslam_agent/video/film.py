@@ -38,30 +38,14 @@ _ADDED_MARGIN = 0.04  # share of the world's size at each side, so that a map th
 
 @dataclass(frozen=True, eq=False)
 class Scene:
-    """The content of a frame besides truth and belief.
-
-    Attributes
-    ----------
-    caption
-        Text about what is happening.
-    title
-        Title of the run.
-    log
-        Past events, with the latest first: time (s), kind and text.
-    coverage
-        True coverage, 0 to 1.
-    window
-        Corners (2,), m, of the region that the picture of the belief shows.
-    is_paused
-        Whether the video is paused for the caption.
-    """
+    """The content of a frame besides truth and belief."""
 
     caption: Caption
     title: str
-    log: Sequence[tuple[float, str, str]]
-    coverage: float
-    window: tuple[FloatArray, FloatArray]
-    is_paused: bool = False
+    log: Sequence[tuple[float, str, str]]  # Past events, with the latest first: time (s), kind and text
+    coverage: float  # True coverage, 0 to 1
+    window: tuple[FloatArray, FloatArray]  # Corners (2,), m, of the region that the picture of the belief shows
+    is_paused: bool = False  # Whether the video is paused for the caption
 
 
 @dataclass(frozen=True)
@@ -78,14 +62,7 @@ class Layout:
 class Film:
     """Makes the frames of a run and gives them to a writer.
 
-    Parameters
-    ----------
-    writer
-        Gets the frames.
-    low, high
-        Corners (2,), m, of the smallest box around all walls of the world. Both pictures show this region.
-    title
-        Title of the run.
+    Both pictures show the smallest box around all walls of the world, with the corners ``low`` and ``high`` (2,), m.
     """
 
     def __init__(self, writer: VideoWriter, low: FloatArray, high: FloatArray, title: str) -> None:
@@ -99,16 +76,8 @@ class Film:
         return time >= self._next - 1e-6
 
     def add(self, truth: Image, frame: BeliefFrame, coverage: float) -> None:
-        """Add a frame.
-
-        Parameters
-        ----------
-        truth
-            Picture of the simulation (h, w, 3), RGB, as ``limslam_env.rendering.rendering.render`` draws it.
-        frame
-            What is believed.
-        coverage
-            True coverage, 0 to 1.
+        """Add a frame: the picture (h, w, 3), RGB, that ``limslam_env.rendering.rendering.render`` draws of the
+        simulation, what is believed, and the true coverage, 0 to 1.
         """
         # The next frame is due a period after the last one was, whenever that was drawn: steps need not fit the period.
         self._next = max(self._next, frame.time - SPEED / FPS) + SPEED / FPS
@@ -139,17 +108,7 @@ class Film:
 
 
 def compose(truth: Image, frame: BeliefFrame, scene: Scene) -> Image:
-    """One frame of a video (HEIGHT, WIDTH, 3), RGB.
-
-    Parameters
-    ----------
-    truth
-        Picture of the truth (h, w, 3).
-    frame
-        What is believed, drawn at the size of the truth.
-    scene
-        Texts and other content.
-    """
+    """One frame of a video (HEIGHT, WIDTH, 3), RGB. The belief is drawn at the size of the truth (h, w, 3)."""
     page = blank(WIDTH, HEIGHT)
     height, width = truth.shape[:2]
     layout = layout_for(width / height, len(frame.poses))

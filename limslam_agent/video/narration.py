@@ -21,25 +21,14 @@ _OUTDATED = 4.0
 
 @dataclass(frozen=True)
 class Caption:
-    """A headline and an explanation.
+    """A headline and an explanation."""
 
-    Attributes
-    ----------
-    stages
-        Stages of the method that the caption is about, counted from 0.
-    headline, explanation
-        The text.
-    event
-        The event that the caption is about, if it is about walls.
-    hough
-        The votes that the caption is about. They stay in the picture as long as the caption, although newer votes may
-        follow. None shows the latest votes.
-    """
-
-    stages: tuple[int, ...]
+    stages: tuple[int, ...]  # Stages of the method that the caption is about, counted from 0
     headline: str
     explanation: str = ""
-    event: Event | None = None
+    event: Event | None = None  # The event that the caption is about, if it is about walls
+    # The votes that the caption is about. They stay in the picture as long as the caption, although newer votes may
+    # follow. None shows the latest votes.
     hough: HoughView | None = field(default=None, compare=False)
 
     @property
@@ -176,7 +165,7 @@ def _happenings(frame: BeliefFrame, last: BeliefFrame | None) -> list[str]:
     kinds = {event.kind for event in frame.events}
     found = {
         "goal": bool(frame.new_goals) and last.time > 0.0,
-        "drive": _has_moved(frame, last),
+        "drive": (np.hypot(*(frame.poses[:, :2] - last.poses[:, :2]).T) > 0.01).any(),
         "collect": is_collected,
         "hough": is_extracted and (last.hough is None or frame.hough is None or frame.hough.time > last.hough.time),
         "new": "new" in kinds,
@@ -185,10 +174,6 @@ def _happenings(frame: BeliefFrame, last: BeliefFrame | None) -> list[str]:
         "warning": frame.warning != "",
     }
     return [kind for kind, is_so in found.items() if is_so]
-
-
-def _has_moved(frame: BeliefFrame, last: BeliefFrame) -> bool:
-    return bool((np.hypot(*(frame.poses[:, :2] - last.poses[:, :2]).T) > 0.01).any())
 
 
 def _captions(frame: BeliefFrame) -> dict[str, Caption]:

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from limslam_agent import Mapper, preset
-from limslam_agent.config.exploration import GridConfig
+from limslam_agent.config.presets import GridConfig
 from limslam_agent.dropouts import Dropouts, without_dropouts
 from limslam_agent.grid.drawing import ReadingDrawer
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid, drawn_grid

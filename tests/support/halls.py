@@ -5,7 +5,7 @@ from itertools import pairwise
 import numpy as np
 from support.drives import ranges_at
 
-from limslam_agent.config.exploration import GridConfig
+from limslam_agent.config.presets import GridConfig
 from limslam_agent.grid.occupancy import drawn_grid
 from limslam_agent.places.history import LoggedStep
 from limslam_agent.places.localisation import KnownPlaces

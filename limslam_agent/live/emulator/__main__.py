@@ -1,8 +1,11 @@
 """``python -m limslam_agent.live.emulator``: a simulated robot behind a serial port, UDP or topics of ROS 2."""
 
+import os
+import select
+import socket
 import sys
 import time
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import IO, TYPE_CHECKING, Annotated
@@ -10,16 +13,13 @@ from typing import IO, TYPE_CHECKING, Annotated
 import typer
 
 from limslam_agent.cli.terminal import run_command
-from limslam_agent.live.protocol import BadLineError, Message, Speeds, Stop, Telemetry, decode
+from limslam_agent.live.transports import LineBuffer, datagrams
 
 if TYPE_CHECKING:
     from limslam_agent.live.emulator.emulator import Emulator
-    from limslam_agent.live.emulator.ports import Port
 
-ANSWER_WITHIN = 2.0
-"""Longest time for which an emulator without a fixed speed waits for the host's answer, s."""
 
-_LONELY_POLL = 0.02  # s, between two steps of a robot that nobody has greeted
+_MOST_BYTES = 65536
 
 app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
 
@@ -61,67 +61,84 @@ def emulate(
 
             serve(RosRobot(body), pace, file)
             return
-        emulator, port = Emulator(body), _port(udp, host)
+        emulator, port = Emulator(body), PtyPort() if udp is None else UdpPort(host, udp)
         sys.stdout.write(f"{port.name}\n")
         sys.stdout.flush()
         run(emulator, port, pace, file)
 
 
-def run(emulator: "Emulator", port: "Port", pace: float, truth: IO[str] | None) -> None:
+class UdpPort:
+    """A UDP socket that sends to a host's port."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.setblocking(False)  # noqa: FBT003 (the name says it)
+        self._host = (host, port)
+        self.name = f"UDP {host}:{port}"
+
+    def receive(self, timeout: float) -> list[bytes]:
+        """The lines of all datagrams that have arrived."""
+        return [line for data, _ in datagrams(self._socket, timeout) for line in LineBuffer().add(data)]
+
+    def send(self, line: bytes) -> None:
+        """Send a line to the host."""
+        with suppress(OSError):
+            self._socket.sendto(line, self._host)
+
+
+class PtyPort:
+    """A serial port of the operating system, which a program opens by its name like any other. Not on Windows. Raises a
+    ValueError if the operating system has no such ports.
+    """
+
+    def __init__(self) -> None:
+        try:
+            import pty
+            import tty
+        except ImportError:
+            raise ValueError("this operating system has no pty: use --udp") from None
+        self._robot_end, self._host_end = pty.openpty()
+        tty.setraw(self._host_end)  # nothing is echoed, and no byte is changed
+        os.set_blocking(self._robot_end, False)
+        self.name, self._lines = os.ttyname(self._host_end), LineBuffer()
+
+    def receive(self, timeout: float) -> list[bytes]:
+        """The lines that have arrived."""
+        select.select([self._robot_end], [], [], timeout)
+        try:
+            return self._lines.add(os.read(self._robot_end, _MOST_BYTES))
+        except BlockingIOError:
+            return []
+
+    def send(self, line: bytes) -> None:
+        """Send a line. It is lost if nobody reads and the buffer is full."""
+        with suppress(BlockingIOError):
+            os.write(self._robot_end, line)
+
+
+def run(emulator: "Emulator", port: UdpPort | PtyPort, pace: float, truth: IO[str] | None) -> None:
     """Emulate for ever. A control period takes ``pace`` s, or with 0 as long as the host needs to answer."""
-    due, newest = time.monotonic(), -1
+    from limslam_agent.live.emulator.emulator import ANSWER_WITHIN, LONELY_POLL
+
+    due = time.monotonic()
     while True:
-        latest = newest
-        for line in emulator.step():
+        lines = emulator.step()
+        for line in lines:
             port.send(line)
-            latest = max(latest, _number(line))
         if truth is not None:
             truth.write(emulator.truth)
         now = time.monotonic()
         if pace:
             due = max(due + pace, now - pace)  # no attempt to catch up
-            _hear(emulator, port, due)
-        elif latest > newest:
-            _hear(emulator, port, now + ANSWER_WITHIN, latest)
         else:
-            _hear(emulator, port, now + (0.0 if emulator.has_host else _LONELY_POLL))
-        newest = latest
-
-
-def _number(line: bytes) -> int:
-    """The sequence number of telemetry. -1 for other lines, which the host does not answer."""
-    message = _message(line)
-    return message.seq if isinstance(message, Telemetry) else -1
-
-
-def _message(line: bytes) -> Message | None:
-    """The message of a line. None if the connection has damaged it."""
-    try:
-        return decode(line)
-    except BadLineError:
-        return None
-
-
-def _hear(emulator: "Emulator", port: "Port", until: float, number: int | None = None) -> None:
-    """Hear the host until a time, or until it answers the telemetry with a sequence number, or stops the robot."""
-    is_done = False
-    while not is_done:
-        left = until - time.monotonic()
-        lines = port.receive(max(left, 0.0))
-        for line in lines:
-            emulator.hear(line)
-        is_done = left <= 0.0 or (number is not None and any(_is_answer(line, number) for line in lines))
-
-
-def _is_answer(line: bytes, number: int) -> bool:
-    message = _message(line)
-    return isinstance(message, Stop) or (isinstance(message, Speeds) and message.answers >= number)
-
-
-def _port(udp: int | None, host: str) -> "Port":
-    from limslam_agent.live.emulator.ports import PtyPort, UdpPort
-
-    return PtyPort() if udp is None else UdpPort(host, udp)
+            due = now + (ANSWER_WITHIN if emulator.firmware.awaits_answer else LONELY_POLL)
+        left = due - now
+        while True:
+            for line in port.receive(max(left, 0.0)):
+                emulator.hear(line)
+            left = due - time.monotonic()
+            if left <= 0.0 or not (pace or emulator.firmware.awaits_answer):
+                break
 
 
 def main() -> None:

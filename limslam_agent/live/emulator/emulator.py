@@ -12,46 +12,28 @@ from limslam_env.interface import RobotSpec
 from limslam_env.simulation.simulation import Simulation
 from limslam_env.worlds.world import World
 
+ANSWER_WITHIN = 2.0
+"""Longest time for which an emulator without a fixed speed waits for the host's answer, s."""
+
+LONELY_POLL = 0.02
+"""Time between two steps of a robot that nobody drives, s."""
+
 
 class Body(NamedTuple):
-    """The robot that is emulated, and its world.
-
-    Attributes
-    ----------
-    world, robot, noise
-        Where it drives, what it is, and its errors.
-    name
-        What it calls itself.
-    watchdog_ms
-        Time without a line from the host after which its wheels stop, ms.
-    seed
-        Seed of all random numbers.
-    """
+    """The robot that is emulated, and its world."""
 
     world: World
     robot: RobotSpec
     noise: NoiseConfig
-    name: str = "paper"
-    watchdog_ms: int = 500
-    seed: int = 0
+    name: str = "paper"  # What it calls itself
+    watchdog_ms: int = 500  # Time without a line from the host after which its wheels stop, ms
+    seed: int = 0  # Seed of all random numbers
 
 
 class SimulatedRobot:
     """A robot that drives in the simulator. Each step is one control period.
 
-    Parameters
-    ----------
-    body
-        The robot and its world.
-
-    Attributes
-    ----------
-    robot
-        The robot.
-    readings
-        What it has measured last.
-    pose
-        True pose (3,), m and rad.
+    ``readings`` are what it has measured last, and ``pose`` is its true pose (3,), m and rad.
     """
 
     begins = 0.0  # s, the time of the robot's clock at the start
@@ -82,17 +64,8 @@ class SimulatedRobot:
 
 
 class Emulator(SimulatedRobot):
-    """A simulated robot behind the line protocol. Each step is one control period.
-
-    Parameters
-    ----------
-    body
-        The robot and its world.
-
-    Raises
-    ------
-    ValueError
-        If the protocol cannot describe the robot, or the robot cannot start in the world.
+    """A simulated robot behind the line protocol. Each step is one control period. Raises a ValueError if the protocol
+    cannot describe the robot, or the robot cannot start in the world.
     """
 
     def __init__(self, body: Body) -> None:
@@ -104,24 +77,19 @@ class Emulator(SimulatedRobot):
         self._travel = np.zeros(2)
         period = round(1e3 * robot.control_period)
         number, beams = int(boot.generate_state(1)[0]), len(robot.beams)
-        self._firmware = Firmware(Hello(VERSION, number, body.name, beams, NM_PER_TICK, period, body.watchdog_ms))
-
-    @property
-    def has_host(self) -> bool:
-        """Whether a host has greeted the robot, and was heard since."""
-        return self._firmware.has_host
+        self.firmware = Firmware(Hello(VERSION, number, body.name, beams, NM_PER_TICK, period, body.watchdog_ms))
 
     def hear(self, line: bytes) -> None:
         """Take a line that the host has sent."""
-        self._firmware.hear(line, self._now)
+        self.firmware.hear(line, self._now)
 
     def step(self) -> list[bytes]:
         """Drive for a control period. The lines for the host after it."""
-        speeds = self._firmware.speeds(self._now)
+        speeds = self.firmware.speeds(self._now)
         self.drive(*(1e-3 * speed for speed in speeds))
         self._travel += self.readings.wheels[0]
         ranges = ranges_in_mm(self.readings.ranges[0], self.robot)
-        return self._firmware.say(self._now, ticks(self._travel), ranges)
+        return self.firmware.say(self._now, ticks(self._travel), ranges)
 
     @property
     def _now(self) -> int:

@@ -6,17 +6,12 @@ from typing import IO, Any, NamedTuple
 
 import numpy as np
 
-from limslam_agent.live.emulator.emulator import Body, SimulatedRobot
+from limslam_agent.live.emulator.emulator import ANSWER_WITHIN, LONELY_POLL, Body, SimulatedRobot
 from limslam_agent.live.ros2.node import check_installed, make, message_type
 from limslam_agent.output.formats.ros_builder import MessageBuilder
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc
 
-ANSWER_WITHIN = 2.0
-"""Longest time for which an emulator without a fixed speed waits for an answer, s."""
-
-_LONELY_POLL = 0.02  # s, between two steps of a robot that gets no speeds
-_BEAM_WIDTH = math.radians(2.0)
 _FRAMES = ("odom", "base_link")
 
 
@@ -30,12 +25,8 @@ class Measured(NamedTuple):
 
 
 class RosRobot(SimulatedRobot):
-    """A simulated robot that is driven by speeds, and integrates its own odometry.
-
-    Parameters
-    ----------
-    body
-        The robot and its world. Its watchdog stops the wheels without new speeds.
+    """A simulated robot that is driven by speeds, and integrates its own odometry. Its watchdog stops the wheels
+    without new speeds.
     """
 
     begins = 1.0  # a time of zero means that there is none
@@ -63,12 +54,8 @@ class RosRobot(SimulatedRobot):
 
 
 def serve(robot: RosRobot, pace: float, truth: IO[str] | None) -> None:
-    """Emulate for ever. A control period takes ``pace`` s, or with 0 as long as the host needs to answer.
-
-    Raises
-    ------
-    ValueError
-        If ROS 2 is not installed.
+    """Emulate for ever. A control period takes ``pace`` s, or with 0 as long as the host needs to answer. Raises a
+    ValueError if ROS 2 is not installed.
     """
     check_installed()
     import rclpy
@@ -82,19 +69,7 @@ def serve(robot: RosRobot, pace: float, truth: IO[str] | None) -> None:
 
 
 class Served:
-    """The topics of an emulated robot.
-
-    Parameters
-    ----------
-    robot
-        The robot.
-    node
-        The node.
-    pace
-        Time that a control period takes, s; 0: as long as the host needs to answer.
-    truth
-        File for the true poses, or None.
-    """
+    """The topics of an emulated robot."""
 
     def __init__(self, robot: RosRobot, node: Any, pace: float, truth: IO[str] | None) -> None:
         from rclpy.qos import qos_profile_sensor_data
@@ -134,7 +109,7 @@ class Served:
 
         now = time.monotonic()
         if not self._pace:
-            due = now + (ANSWER_WITHIN if now - self._answered < ANSWER_WITHIN + 1.0 else _LONELY_POLL)
+            due = now + (ANSWER_WITHIN if now - self._answered < ANSWER_WITHIN + 1.0 else LONELY_POLL)
         while (left := due - time.monotonic()) > 0.0 and (self._pace or self._answers == before):
             rclpy.spin_once(self._node, timeout_sec=left)
 
@@ -149,4 +124,4 @@ class Served:
         beams = zip(self._robot.robot.beams, measured.ranges, self._sensors, strict=True)
         for number, (beam, reading, sensor) in enumerate(beams):
             limits = beam.min_range, beam.max_range
-            sensor.publish(build.range(at, f"beam_{number}", limits, _BEAM_WIDTH, reading))
+            sensor.publish(build.range(at, f"beam_{number}", limits, reading))

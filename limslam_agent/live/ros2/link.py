@@ -7,12 +7,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from limslam_agent.live.link import POLL, NoRobotError
+from limslam_agent.live.link import POLL, Connection, NoRobotError
 from limslam_agent.live.protocol import VERSION, Command, Heartbeat, Hello, Message, Speeds, Stop, Telemetry
 from limslam_agent.live.recording import MM
-from limslam_agent.live.ros2.node import ODOMETRY, Event, RosNode
+from limslam_agent.live.ros2.node import ODOMETRY, Event, Parameters, RosNode
 from limslam_agent.live.ros2.odometer import Measurement, Odometer, Sample
-from limslam_agent.live.ros2.parameters import Parameters
 from limslam_agent.live.ros2.sensors import RangeSensors, ScanSensors
 from limslam_agent.logs.ros_messages import pose_of
 from limslam_env.geometry.se2 import wheels_to_arc
@@ -22,19 +21,10 @@ _MICROMETRE = 1e-6
 _FIRST = 5  # number of measurements that show the period
 
 
-class RosLink:
+class RosLink(Connection):
     """Makes telemetry of the messages of ROS, and speeds of commands. No message says which command was obeyed.
 
-    Parameters
-    ----------
-    ports
-        The node.
-    robot
-        Description of the robot, with the beams that are wanted.
-    parameters
-        Parameters of the node.
-    clock
-        The host's clock, s.
+    ``robot`` describes the robot, with the beams that are wanted.
 
     Attributes
     ----------
@@ -47,7 +37,7 @@ class RosLink:
     def __init__(
         self, ports: RosNode, robot: RobotSpec, parameters: Parameters, clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self.clock, self.bad_lines = clock, 0
+        super().__init__(clock)
         self.newest: Sample | None = None
         self.frames = ("odom", "base_link")
         self._ports, self._robot, self._parameters = ports, robot, parameters
@@ -55,7 +45,7 @@ class RosLink:
             RangeSensors(robot, parameters.period) if parameters.range_topics else ScanSensors(robot, parameters.mount)
         )
         self._odometer = Odometer(robot, parameters.period)
-        self._seq = self._row = self._stops = 0
+        self._row = self._stops = 0
         self._hello: Hello | None = None
         self._ready = list[Message]()
         self._heard, self._trouble = set[int](), ""
@@ -76,12 +66,8 @@ class RosLink:
         return self._sensors.robot or self._robot
 
     def first_hello(self, patience: float) -> Hello:
-        """Wait until sensors and odometry have shown the period.
-
-        Raises
-        ------
-        NoRobotError
-            If that takes more than ``patience`` s.
+        """Wait until sensors and odometry have shown the period. Raises a NoRobotError if that takes more than
+        ``patience`` s.
         """
         begin, found = self.clock(), list[Measurement]()
         while len(found) < _FIRST or self._sensors.robot is None:
@@ -105,11 +91,6 @@ class RosLink:
                 messages.append(replace(self._hello, boot=self._odometer.begun))
             messages += [self._telemetry(each) for each in measurements]
         return messages
-
-    def next_seq(self) -> int:
-        """A sequence number for the next command."""
-        self._seq += 1
-        return self._seq
 
     def send(self, command: Command) -> None:
         """Publish the speeds of a command."""

@@ -1,21 +1,25 @@
-"""The node of rclpy: its topics and parameters, a thread that listens, and a watchdog that stops the wheels."""
+"""The node of rclpy: its parameters, its topics, a thread that listens, and a watchdog that stops the wheels."""
 
 import importlib
+import math
 import queue
 import threading
 import time
 from array import array
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from importlib.util import find_spec
-from typing import Any, NamedTuple
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 
-from limslam_agent.live.ros2.parameters import Parameters
+from limslam_agent.config.bounds import Bounded, Bounds
+from limslam_agent.config.tables import updated
 from limslam_agent.logs.ros_messages import stamp_of
 from limslam_agent.output.formats.ros_builder import MessageBuilder
+from limslam_env.geometry import FloatArray
+from limslam_env.interface import RobotSpec
 
 PACKAGES = ("rclpy", "diagnostic_msgs", "geometry_msgs", "nav_msgs", "sensor_msgs", "std_msgs", "visualization_msgs")
 """What a node needs of ROS 2. ``tf2_msgs`` is used where it is installed."""
@@ -27,8 +31,56 @@ _OF_RCLPY = ("use_sim_time", "start_type_description_service", "qos_overrides.")
 _DEPTH = 50  # number of messages that wait for a busy host
 
 
+_Time = Annotated[float, Bounds(0.0, 60.0)]
+
 ODOMETRY = -1
 """Number that stands for the odometry where others stand for the topics of the sensors."""
+
+
+@dataclass(frozen=True)
+class Parameters(Bounded):
+    """Parameters of the node, as users of ROS set them: ``-p NAME:=VALUE``."""
+
+    # A topic of Range messages for each beam of the robot, in the order of the beams. None: the topic ``scan`` has
+    # LaserScans.
+    range_topics: tuple[str, ...] = ()
+    # Pose of the laser on the robot: x (m), y (m), heading (deg)
+    scan_mount: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    period: _Time = 0.1  # Time between two measurements that are used, s. Faster sensors are thinned out.
+    # Time after the latest decision after which the wheels are stopped, s
+    watchdog: Annotated[float, Bounds(0.05, 60.0)] = 0.5
+    map_period: _Time = 1.0  # Time between two publications of the map, s
+    # Names of the frames. Without a name, the frame is that of the odometry's messages.
+    map_frame: str = "map"
+    odom_frame: str = ""
+    transform_tolerance: _Time = 0.5  # By how much the transform from ``map_frame`` to ``odom_frame`` is dated ahead, s
+    publish_tf: bool = True  # Whether to publish this transform on ``/tf``
+    # Whether to explore from the start. If not, the robot maps until ``explore/resume`` says true.
+    explore: bool = True
+    return_to_init: bool = False  # Whether to drive back to the start when everything is explored
+    enable_stamped_cmd_vel: bool = False  # Whether ``cmd_vel`` has TwistStamped messages
+
+    @classmethod
+    def of(cls, values: Mapping[str, Any]) -> "Parameters":
+        """The parameters from the values of a node. Names that are missing keep their defaults. Raises a ValueError if
+        there is no such parameter, or a value cannot be used.
+        """
+        # ROS has arrays of numbers where a file of settings has lists.
+        told = {name: list(value) if isinstance(value, array) else value for name, value in values.items()}
+        return updated(cls(), told, "the parameters of the node")
+
+    @property
+    def mount(self) -> FloatArray:
+        """Pose (3,) of the laser on the robot, m, m, rad."""
+        x, y, degrees = self.scan_mount
+        return np.array([x, y, math.radians(degrees)])
+
+    def check(self, robot: RobotSpec) -> None:
+        """Raise a ValueError if there is not one topic of ranges for each beam."""
+        if self.range_topics and len(self.range_topics) != len(robot.beams):
+            raise ValueError(
+                f"range_topics has {len(self.range_topics)} topics, but the robot has {len(robot.beams)} beams"
+            )
 
 
 class Event(NamedTuple):
@@ -41,17 +93,10 @@ class Event(NamedTuple):
 
 @dataclass
 class Orders:
-    """What the topics of ``explore`` have asked for.
+    """What the topics of ``explore`` have asked for."""
 
-    Attributes
-    ----------
-    is_paused
-        Whether to map only.
-    go_home, stop
-        Whether to drive back to the start, and to end at once.
-    """
-
-    is_paused: bool = False
+    is_paused: bool = False  # Whether to map only
+    # Whether to drive back to the start, and to end at once
     go_home: bool = False
     stop: bool = False
 
@@ -62,23 +107,8 @@ class Orders:
 
 
 class RosNode:
-    """A node with the topics of a live robot. Its messages are taken by another thread than the one that listens.
-
-    Parameters
-    ----------
-    node
-        The node of rclpy.
-
-    Attributes
-    ----------
-    parameters
-        The parameters of the node.
-    orders
-        What was asked for.
-    build
-        Builds messages.
-    watchdog_stops
-        Number of times that the watchdog has stopped the wheels.
+    """A node of rclpy with the topics of a live robot. Its messages are taken by another thread than the one that
+    listens. ``watchdog_stops`` is the number of times that the watchdog has stopped the wheels.
     """
 
     def __init__(self, node: Any) -> None:
@@ -184,17 +214,8 @@ class RosNode:
 
 @contextmanager
 def ros_node(arguments: Sequence[str]) -> Iterator[RosNode]:
-    """A node that listens in a thread of its own.
-
-    Parameters
-    ----------
-    arguments
-        Arguments for ROS, which begin with ``--ros-args``; or none.
-
-    Raises
-    ------
-    ValueError
-        If ROS 2 is not installed, or an argument cannot be used.
+    """A node that listens in a thread of its own. The arguments begin with ``--ros-args`` if there are any. Raises a
+    ValueError if ROS 2 is not installed, or an argument cannot be used.
     """
     if arguments and arguments[0] != BEGIN:
         raise ValueError(f"what follows -- is for ROS 2 and begins with {BEGIN}, not with {arguments[0]}")
@@ -242,13 +263,7 @@ def _ended(error: type[Exception]) -> Iterator[None]:
 
 
 def check_installed() -> None:
-    """Refuse where packages of ROS 2 are missing.
-
-    Raises
-    ------
-    ValueError
-        If they are. It says how they are installed.
-    """
+    """Raise a ValueError, which says how they are installed, if packages of ROS 2 are missing."""
     missing = [name for name in PACKAGES if find_spec(name) is None]
     if missing:
         raise ValueError(

@@ -5,8 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from limslam_agent.live.recording import TOO_FAST
-from limslam_agent.live.ros2.sensors import CLOCK_SET, Ranges, Reading
+from limslam_agent.live.ros2.sensors import Ranges, Reading
+from limslam_agent.logs.pose_log import LARGEST_STEP_BACK
+from limslam_agent.logs.table_options import TOO_FAST
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, between, compose
 from limslam_env.interface import RobotSpec
@@ -18,22 +19,13 @@ _JITTER = 0.7  # share of the period that must at least have passed between two 
 
 
 class Sample(NamedTuple):
-    """The odometry at one moment.
+    """The odometry at one moment."""
 
-    Attributes
-    ----------
-    time
-        Time of the header, s.
-    left, right
-        Wheel travel since the first message, m.
-    pose
-        Pose (3,) in the frame of the odometry, m, m, rad.
-    """
-
-    time: float
+    time: float  # Time of the header, s
+    # Wheel travel since the first message, m
     left: float
     right: float
-    pose: FloatArray
+    pose: FloatArray  # Pose (3,) in the frame of the odometry, m, m, rad
 
 
 class Measurement(NamedTuple):
@@ -47,14 +39,8 @@ class Odometer:
     """Sums the wheel travel between the poses of ``/odom``, and gives each reading the odometry of its own time.
 
     The travel between two poses is that of the arc that connects them, so lost messages lose no travel. A motion to the
-    side is left out, since wheels cannot make it. Readings wait until a later pose has arrived.
-
-    Parameters
-    ----------
-    robot
-        Its axle and its largest wheel speed count.
-    period
-        Time between two measurements, s. Readings that follow each other faster are left out.
+    side is left out, since wheels cannot make it. Readings wait until a later pose has arrived. Those that follow each
+    other faster than the period, s, are left out.
 
     Attributes
     ----------
@@ -76,7 +62,7 @@ class Odometer:
 
     def add_pose(self, time: float, pose: FloatArray) -> list[Measurement]:
         """Take a pose (3,), m, m, rad, at a time, s. The measurements that are complete with it."""
-        if self._samples and time < self._samples[-1].time - CLOCK_SET:
+        if self._samples and time < self._samples[-1].time - LARGEST_STEP_BACK:
             self.begun += 1
             self._forget()
         if not self._samples:

@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from limslam_agent.live.protocol import NOTHING_SEEN
-from limslam_agent.logs.pose_log import nearest_beams
+from limslam_agent.logs.pose_log import LARGEST_STEP_BACK, nearest_beams
 from limslam_agent.logs.ros_messages import beam_on_body, rotation_of, scan_angles, scan_readings, sensor_limits
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
@@ -16,12 +16,6 @@ from limslam_env.interface import RobotSpec, SensorSpec
 
 Ranges = tuple[int | None, ...]
 """The reading of each beam, mm, as telemetry has it: None where there is none, ``NOTHING_SEEN`` where nothing is."""
-
-
-CLOCK_SET = 1.0
-"""A message whose time is earlier than that of the one before by more than this, s, is no late message: the clock was
-set, or a bag begins again.
-"""
 
 _TOGETHER = 0.75  # share of a period
 
@@ -36,17 +30,8 @@ class Reading(NamedTuple):
 class ScanSensors:
     """Picks the beams of a robot from LaserScans, by their directions.
 
-    Parameters
-    ----------
-    robot
-        The robot, whose beams say which directions are wanted, and how far to look.
-    mount
-        Pose (3,) of the laser on the robot, m, m, rad. The beams begin there.
-
-    Attributes
-    ----------
-    robot
-        The robot, with the beams as the messages describe them. None until there was a scan.
+    The beams of the robot say which directions are wanted, and how far to look. They begin at the laser's pose (3,) on
+    the robot, m, m, rad. ``robot`` then has the beams as the messages describe them. It is None until there was a scan.
     """
 
     def __init__(self, robot: RobotSpec, mount: FloatArray) -> None:
@@ -56,13 +41,7 @@ class ScanSensors:
         self._columns: IntArray = np.zeros(0, dtype=np.int64)
 
     def add(self, number: int, time: float, message: Any) -> list[Reading]:
-        """The readings of a scan.
-
-        Raises
-        ------
-        ValueError
-            If the scan has no beam in a wanted direction.
-        """
+        """The readings of a scan. Raises a ValueError if the scan has no beam in a wanted direction."""
         del number
         if self.robot is None:
             self.robot = self._chosen(message)
@@ -95,19 +74,8 @@ class RangeSensors:
 
     Messages belong together if their times lie within three quarters of a period. Readings are complete when each topic
     has had its message, or when a message comes that does not belong to them. Beams without a message have no reading.
-    The time of the readings is the median of those of the messages.
-
-    Parameters
-    ----------
-    robot
-        The robot. Its beams are in the order of the topics.
-    period
-        Time between two measurements, s.
-
-    Attributes
-    ----------
-    robot
-        The robot, with the beams as the messages describe them. None until each topic has had a message.
+    The time of the readings is the median of those of the messages. The robot's beams are in the order of the topics.
+    ``robot`` then has the beams as the messages describe them. It is None until each topic has had a message.
     """
 
     def __init__(self, robot: RobotSpec, period: float) -> None:
@@ -121,7 +89,7 @@ class RangeSensors:
         limits = float(message.min_range), float(message.max_range)
         self._describe(number, limits)
         before = self._latest.get(number, -math.inf)
-        if before - CLOCK_SET <= time <= before:  # late, or twice
+        if before - LARGEST_STEP_BACK <= time <= before:  # late, or twice
             return []
         self._latest[number] = time
         times = [*self._times.values(), time]

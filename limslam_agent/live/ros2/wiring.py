@@ -1,29 +1,114 @@
-"""Connects a session with the node: the connection, the policy, and what is published."""
+"""Connects a session with the node: the connection, the policy, what is published, and the orders that it gets."""
 
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from importlib.util import find_spec
+from typing import Any
 
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.live.ros2.link import RosLink
-from limslam_agent.live.ros2.node import check_installed, ros_node
-from limslam_agent.live.ros2.outputs import Outputs
-from limslam_agent.live.session import Wired
+from limslam_agent.live.ros2.node import RosNode, check_installed, ros_node
+from limslam_agent.live.ros2.odometer import map_to_odom
+from limslam_agent.live.session import Session, Wired
 from limslam_agent.policies.policy import Policy
 from limslam_agent.policies.wall_policy import explorer
 from limslam_agent.policies.way_home import WayHome
 from limslam_env.interface import RobotSpec
+
+STOPPED = "stopped: a message on explore/stop"
+
+_LEVELS = {"ok": b"\x00", "unsure": b"\x01", "lost": b"\x02"}  # of DiagnosticStatus: OK, WARN, ERROR
+
+
+class Outputs:
+    """Publishes pose, transform, map, walls and status of a session, and passes orders on to it."""
+
+    def __init__(self, node: RosNode, link: RosLink) -> None:
+        self._node, self._link = node, link
+        self._next_map, self._told = 0.0, ("", "")
+        self._pose = node.publisher("geometry_msgs/msg/PoseWithCovarianceStamped", "pose")
+        self._transform = node.publisher("geometry_msgs/msg/TransformStamped", "map_to_odom")
+        self._map = node.publisher("nav_msgs/msg/OccupancyGrid", "map", depth=1, is_kept=True)
+        self._walls = node.publisher("visualization_msgs/msg/MarkerArray", "walls", depth=1, is_kept=True)
+        self._status = node.publisher("diagnostic_msgs/msg/DiagnosticArray", "status")
+        has_tf = node.parameters.publish_tf and find_spec("tf2_msgs") is not None
+        self._tf = node.publisher("tf2_msgs/msg/TFMessage", "/tf", depth=100) if has_tf else None
+
+    def watch(self, session: Session) -> None:
+        """Publish what the session believes after a decision."""
+        self._publish_pose(session)
+        told = state_of(session), session.agent.status
+        if time.monotonic() >= self._next_map or told != self._told:
+            self._told, self._next_map = told, time.monotonic() + self._node.parameters.map_period
+            self._publish_map(session)
+
+    def obey(self, session: Session) -> None:
+        """Pass orders on to a session."""
+        orders = self._node.orders
+        session.is_paused = orders.is_paused
+        if orders.go_home:
+            policy_of(session).go_home()
+        if orders.stop:
+            session.asked_to_end = STOPPED
+
+    def _publish_pose(self, session: Session) -> None:
+        sample, mapper, names = self._link.newest, session.agent.mapper, self._node.parameters
+        assert sample is not None  # noqa: S101 (a session has decided)
+        build, pose = self._node.build, mapper.poses[0]
+        self._pose(build.uncertain_pose(sample.time, names.map_frame, pose, mapper.covariances[0]))
+        shift = map_to_odom(pose, sample.pose)
+        frame = names.odom_frame or self._link.frames[0]
+        # Other nodes look for a transform at times after the measurement.
+        transform = build.transform(sample.time + names.transform_tolerance, names.map_frame, frame, shift)
+        self._transform(transform)
+        if self._tf is not None:
+            self._tf(build.make("tf2_msgs/msg/TFMessage", transforms=[transform]))
+
+    def _publish_map(self, session: Session) -> None:
+        sample, frame, build = self._link.newest, self._node.parameters.map_frame, self._node.build
+        assert sample is not None  # noqa: S101 (a session has decided)
+        self._map(build.grid(sample.time, frame, session.agent.mapper.grid))
+        self._walls(build.walls(sample.time, frame, session.agent.slam.segments))
+        self._status(self._diagnosis(session, sample.time))
+
+    def _diagnosis(self, session: Session, at: float) -> Any:
+        make, agent, figures = self._node.build.make, session.agent, session.figures
+        told = {
+            "state": state_of(session), "walls": len(agent.slam.segments), **figures,
+            "odometry_jumps": self._link.jumps,
+        }  # fmt: skip
+        values = [make("diagnostic_msgs/msg/KeyValue", key=key, value=str(value)) for key, value in told.items()]
+        status = make(
+            "diagnostic_msgs/msg/DiagnosticStatus", level=_LEVELS[agent.status], name="limslam", hardware_id="",
+            message=f"{agent.status}: {agent.status_reason}" if agent.status_reason else agent.status, values=values,
+        )  # fmt: skip
+        header = self._node.build.header(at, self._node.parameters.map_frame)
+        return make("diagnostic_msgs/msg/DiagnosticArray", header=header, status=[status])
+
+
+def policy_of(session: Session) -> WayHome:
+    """The policy that drives a robot of ROS 2."""
+    policy = session.agent.policy
+    assert isinstance(policy, WayHome)  # noqa: S101 (as it was wired)
+    return policy
+
+
+def state_of(session: Session) -> str:
+    """What the robot is doing, in a word or a few."""
+    if session.agent.stop_reason is not None or session.asked_to_end is not None:
+        return "done"
+    if session.is_paused:
+        return "paused"
+    return "driving home" if policy_of(session).is_going_home else "exploring"
 
 
 @contextmanager
 def wired_by_ros(described: RobotSpec | None, arguments: Sequence[str]) -> Iterator[Wired]:
     """A robot of ROS 2, until the context ends.
 
-    After the policy that was asked for, it drives home, where the parameters or an order say so.
-
-    Raises
-    ------
-    ValueError
-        If ROS 2 is not installed, the robot is not described, or an argument or a parameter cannot be used.
+    After the policy that was asked for, it drives home, where the parameters or an order say so. Raises a ValueError if
+    ROS 2 is not installed, the robot is not described, or an argument or a parameter cannot be used.
     """
     check_installed()
     if described is None:

@@ -19,39 +19,19 @@ _READINGS = ("ranges", "wheels", "robot")
 
 @dataclass(frozen=True, eq=False)
 class Readings:
-    """What the robots of a run measured.
-
-    Attributes
-    ----------
-    robot
-        Description of the robots.
-    ranges
-        (n, robots, beams) float32, m. A beam's maximum where nothing was seen.
-    wheels
-        (n, robots, 2), left and right wheel travel since the previous step, m.
-    """
+    """What the robots of a run measured."""
 
     robot: RobotSpec
-    ranges: NDArray[np.float32]
-    wheels: NDArray[Any]
+    ranges: NDArray[np.float32]  # (n, robots, beams) float32, m. A beam's maximum where nothing was seen.
+    wheels: NDArray[Any]  # (n, robots, 2), left and right wheel travel since the previous step, m
 
 
 @dataclass(frozen=True, eq=False)
 class ExportedRun:
-    """A finished run with all that other programs may want of it.
-
-    Attributes
-    ----------
-    run
-        The run.
-    readings
-        Its readings, or None where the folder has none, as that of a replayed log.
-    grid
-        Its occupancy grid, or None.
-    """
+    """A finished run with all that other programs may want of it."""
 
     run: FinishedRun
-    readings: Readings | None
+    readings: Readings | None  # None where the folder has none, as that of a replayed log
     grid: GridView | None
 
     def paths(self) -> dict[str, list[FloatArray]]:
@@ -61,18 +41,9 @@ class ExportedRun:
         return {name: poses for name, poses in kinds.items() if poses}
 
 
-def suffix_of(robot: int, robots: int) -> str:
-    """What the names of a robot's files end in: nothing for a single robot."""
-    return f"_{robot}" if robots > 1 else ""
-
-
 def read_exported(folder: Path) -> ExportedRun:
-    """Read the folder of a finished run.
-
-    Raises
-    ------
-    FolderError
-        If the folder is not that of a run, or a file in it cannot be used.
+    """Read the folder of a finished run. Raises a FolderError if the folder is not that of a run, or a file in it
+    cannot be used.
     """
     run = read_run(folder).with_one_time()
     try:
@@ -83,12 +54,8 @@ def read_exported(folder: Path) -> ExportedRun:
 
 
 def read_readings(run: FinishedRun) -> Readings | None:
-    """The readings in a run's folder, or None where there are none.
-
-    Raises
-    ------
-    FolderError
-        If they cannot be read, or do not fit the run.
+    """The readings in a run's folder, or None where there are none. Raises a FolderError if they cannot be read, or do
+    not fit the run.
     """
     path = run.folder / LOG
     if not path.is_file():

@@ -1,6 +1,5 @@
 """Writes a run as messages of ROS 2: a bag, whose file Foxglove opens, too. rosbags is an extra; ROS is not needed."""
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,8 +16,6 @@ from limslam_env.interface import RobotSpec, SensorSpec
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
-_BEAM_WIDTH = math.radians(2.0)  # rad; a Range has to state one
-
 
 @dataclass(frozen=True)
 class _Told:
@@ -30,12 +27,8 @@ class _Told:
 
 
 def write_bag(folder: Path, exported: ExportedRun) -> list[Path]:
-    """Write the folder ``bag``, a ROS 2 bag in the format MCAP, whose file has the schemas of its messages.
-
-    Raises
-    ------
-    ValueError
-        If rosbags is not installed.
+    """Write the folder ``bag``, a ROS 2 bag in the format MCAP, whose file has the schemas of its messages. Raises a
+    ValueError if rosbags is not installed.
     """
     try:
         from rosbags.rosbag2 import StoragePlugin, Writer
@@ -109,7 +102,7 @@ class _Messages:
     def _ranges(self, time: float, ranges: Any, robot: RobotSpec, prefix: str) -> Iterator[_Told]:
         for number, (beam, reading) in enumerate(zip(robot.beams, ranges.tolist(), strict=True)):
             name, limits = f"{prefix}beam_{number}", (beam.min_range, beam.max_range)
-            yield _Told(time, f"/{name}", self._build.range(time, name, limits, _BEAM_WIDTH, reading))
+            yield _Told(time, f"/{name}", self._build.range(time, name, limits, reading))
 
     def _path(self, poses: FloatArray) -> Any:
         build = self._build

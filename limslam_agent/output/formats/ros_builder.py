@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 from limslam_agent.grid.occupancy import GridView
 from limslam_env.geometry import FloatArray
 
+BEAM_WIDTH = math.radians(2.0)
+"""Width of a beam, rad: a Range has to state one."""
+
 LINE_LIST = 5
 """Type of a Marker whose points are the ends of lines, two by two."""
 
@@ -20,13 +23,7 @@ def cells_of(grid: GridView) -> NDArray[np.int8]:
 
 
 class MessageBuilder:
-    """Builds messages from numbers.
-
-    Parameters
-    ----------
-    make
-        Makes a message from its type, like ``std_msgs/msg/Header``, and its fields as keywords.
-    """
+    """Builds messages from numbers. ``make`` makes one from its type, like ``std_msgs/msg/Header``, and its fields."""
 
     def __init__(self, make: Callable[..., Any]) -> None:
         self.make = make
@@ -82,15 +79,15 @@ class MessageBuilder:
             twist=self.make("geometry_msgs/msg/TwistWithCovariance", twist=twist, covariance=np.zeros(36)),
         )  # fmt: skip
 
-    def range(self, time: float, frame: str, limits: tuple[float, float], width: float, reading: float) -> Any:
-        """A Range of an infrared sensor: its limits, m, its width, rad, and its reading.
+    def range(self, time: float, frame: str, limits: tuple[float, float], reading: float) -> Any:
+        """A Range of an infrared sensor with its limits, m, and its reading.
 
         A reading at or beyond the longest range becomes infinity, as REP 117 asks.
         """
         infrared = 1
         seen = reading if reading < np.float32(limits[1]) or math.isnan(reading) else math.inf
         return self.make(
-            "sensor_msgs/msg/Range", header=self.header(time, frame), radiation_type=infrared, field_of_view=width,
+            "sensor_msgs/msg/Range", header=self.header(time, frame), radiation_type=infrared, field_of_view=BEAM_WIDTH,
             min_range=limits[0], max_range=limits[1], range=seen,
         )  # fmt: skip
 

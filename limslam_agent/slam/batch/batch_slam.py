@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from limslam_agent.config.presets import AgentConfig, ConsistentConfig, preset
+from limslam_agent.config.consistent import ConsistentConfig
+from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.kernels.tables import (
     ANGLE,
     CLONES,

@@ -7,18 +7,20 @@ from typing import get_type_hints
 import pytest
 
 from limslam_agent.cli.settings import Given, run_config, run_options
-from limslam_agent.config.ablations import ABLATIONS, NO_GATE, ablated
 from limslam_agent.config.bounds import Bounded, Bounds
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import (
+    ABLATIONS,
+    NO_GATE,
     PRESETS,
     AgentConfig,
     GridConfig,
-    HoughConfig,
     PolicyConfig,
-    PublishedConfig,
+    ablated,
     preset,
 )
+from limslam_agent.config.published import PublishedConfig
+from limslam_agent.config.shared import HoughConfig
 from limslam_agent.config.tables import SettingsError, read_toml, table_of, updated, write_toml
 from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.robots import ROBOTS

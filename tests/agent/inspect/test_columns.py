@@ -7,7 +7,7 @@ from support.inspection import unpacked
 
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.inspect.columns import packed
-from limslam_agent.inspect.grid_changes import FREE, OCCUPIED, UNKNOWN, GridChanges
+from limslam_agent.inspect.grid import FREE, OCCUPIED, UNKNOWN, GridChanges
 
 
 def test_what_is_packed_comes_out_again():

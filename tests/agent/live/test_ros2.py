@@ -17,9 +17,8 @@ from limslam_agent.live.link import NoRobotError
 from limslam_agent.live.protocol import NOTHING_SEEN, Heartbeat, Hello, Speeds, Stop
 from limslam_agent.live.recording import Recording
 from limslam_agent.live.ros2.link import RosLink
-from limslam_agent.live.ros2.node import ODOMETRY, PACKAGES, Event
+from limslam_agent.live.ros2.node import ODOMETRY, PACKAGES, Event, Parameters
 from limslam_agent.live.ros2.odometer import Odometer, wheel_travel
-from limslam_agent.live.ros2.parameters import Parameters
 from limslam_agent.live.ros2.sensors import RangeSensors, Reading, ScanSensors, in_mm
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc
 from limslam_env.interface import RobotSpec, beams_on_rim

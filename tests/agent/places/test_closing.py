@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from support.walls import wall_along
 
-from limslam_agent.config.exploration import GridConfig
+from limslam_agent.config.presets import GridConfig
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with, poses_moved_with
 from limslam_env.geometry.line import direction, normal

@@ -5,7 +5,7 @@ import pytest
 from support.drives import ranges_at
 
 from limslam_agent import AgentConfig, LineSlam, preset
-from limslam_agent.config.ablations import ablated
+from limslam_agent.config.presets import ablated
 from limslam_agent.config.published import LoopClosingConfig, PublishedConfig
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, inverse, wrap_angle
