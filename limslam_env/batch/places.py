@@ -71,8 +71,7 @@ class Places:
         self._variants: dict[tuple[int, bytes], int] = {}
         if isinstance(source, FloorPlanConfig):
             self._config = source
-            # This plan is not used: it shows at once whether the settings can be used.
-            floor_plan(source, np.random.default_rng(0), robot.radius)
+            source.check(robot.radius)
             if plans is not None:
                 self._seeds = list(dict.fromkeys(plans))
                 announce(f"{len(self._seeds)} floor plans are drawn, some 10 ms of processor time each")

@@ -1,6 +1,6 @@
 """Pictures of a batch of environments, for the adapters that draw."""
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,8 +28,8 @@ class BatchPictures:
         # Positions (n, m, 2) after each step, and for each environment the row in which its episode begins.
         self._trail: list[FloatArray] = []
         self._begins = np.zeros(simulation.num_envs, dtype=np.int64)
-        self._episodes = np.zeros(simulation.num_envs, dtype=np.int64)
-        self._places: dict[int, _Place] = {}
+        # Where environments are, until their next episodes: to draw a world takes longer than a picture.
+        self._places: dict[int, tuple[World, Background]] = {}
 
     def begin(self, results: Results) -> None:
         """Remember the state after a reset of some environments. The others are where they were."""
@@ -47,7 +47,8 @@ class BatchPictures:
         self._trail.append(self._last.poses[:, :, :2])
         has_begun = results.time == 0.0
         if has_begun.any():
-            self._episodes += has_begun
+            for env in np.flatnonzero(has_begun):
+                self._places.pop(int(env), None)
             self._begins[has_begun] = len(self._trail) - 1
             first = int(self._begins.min())
             del self._trail[:first]
@@ -58,34 +59,19 @@ class BatchPictures:
         last = self._last
         if last is None:
             return None
-        from limslam_env.rendering.rendering import RenderState, render
+        from limslam_env.rendering.rendering import RenderState, render, square_background
 
         trail, simulation = np.stack(self._trail), self._simulation
         pictures = []
         for env in range(simulation.num_envs):
-            place, grid = self._place(env), simulation.coverage_grid(env)
+            if env not in self._places:
+                world = simulation.world(env)
+                self._places[env] = world, square_background(world)
+            (world, background), grid = self._places[env], simulation.coverage_grid(env)
             paths = trail[self._begins[env] :, env].swapaxes(0, 1)
             state = RenderState(
-                place.world, simulation.robot, last.poses[env], last.wall_seen[env], last.ranges[env], list(paths),
+                world, simulation.robot, last.poses[env], last.wall_seen[env], last.ranges[env], list(paths),
                 float(last.time[env]), float(last.coverage[env]), simulation.seen(env) & grid.coverable, grid.low,
             )  # fmt: skip
-            pictures.append(render(state, background=place.background))
+            pictures.append(render(state, background=background))
         return tuple(pictures)
-
-    def _place(self, env: int) -> "_Place":
-        """Where an environment is: kept until its next episode, since drawing it takes longer than a picture."""
-        from limslam_env.rendering.rendering import square_background
-
-        place, episode = self._places.get(env), int(self._episodes[env])
-        if place is None or place.episode != episode:
-            world = self._simulation.world(env)
-            place = self._places[env] = _Place(episode, world, square_background(world))
-        return place
-
-
-class _Place(NamedTuple):
-    """The world of an environment in the episode with a number, and the background of its pictures."""
-
-    episode: int
-    world: World
-    background: "Background"

@@ -2,7 +2,6 @@
 
 import functools
 import math
-import weakref
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
@@ -146,18 +145,11 @@ class Background:
     light: Image
 
 
-_SQUARES: weakref.WeakValueDictionary[World, Background] = weakref.WeakValueDictionary()
-
-
+# Nothing else in a picture takes as long.
+@functools.lru_cache(maxsize=8)
 def square_background(world: World) -> Background:
-    """The background of a picture that is as wide as high whatever the world.
-
-    It is drawn once for equal worlds as long as a caller keeps it, since nothing else in a picture takes as long.
-    """
-    background = _SQUARES.get(world)
-    if background is None:
-        background = _SQUARES[world] = _background(world, least_width=HEIGHT, most_width=HEIGHT, least_height=HEIGHT)
-    return background
+    """The background of a picture that is as wide as high whatever the world."""
+    return _background(world, least_width=HEIGHT, most_width=HEIGHT, least_height=HEIGHT)
 
 
 def render(state: RenderState, *, background: Background | None = None) -> Image:

@@ -86,6 +86,24 @@ class FloorPlanConfig:
             raise ValueError(f"obstacle_size must be {SMALLEST_OBSTACLE:g} m or more, not {self.obstacle_size}")
         _check_rooms(self)
 
+    def check(self, radius: float) -> None:
+        """Make sure that a robot of ``radius`` (m) gets through all doors and corridors that may be drawn.
+
+        Raises
+        ------
+        ValueError
+            If it may not.
+        """
+        if not (math.isfinite(radius) and radius > 0.0):
+            raise ValueError(f"a robot's radius must be a positive length, not {radius}")
+        needed = round(2.0 * radius + DOOR_SPARE, 6)
+        for name in ("door_width", "corridor_width"):
+            narrowest = bounds_of(getattr(self, name))[0]
+            if narrowest < needed:
+                raise ValueError(
+                    f"{name} {narrowest:g} m is too narrow for a robot of {radius:g} m radius, which needs {needed:g} m"
+                )
+
 
 def floor_plan(config: FloorPlanConfig, generator: np.random.Generator, radius: float) -> World:
     """Draw a closed building in which a robot of ``radius`` (m) can get everywhere but into obstacles.
@@ -99,7 +117,7 @@ def floor_plan(config: FloorPlanConfig, generator: np.random.Generator, radius: 
     ValueError
         If doors or corridors may be too narrow for the robot.
     """
-    _check_radius(config, radius)
+    config.check(radius)
     size = _drawn_mm(config.width, generator), _drawn_mm(config.height, generator)
     measures = Measures(_mm(config.min_room), _range_mm(config.corridor_width), config.corridor)
     rooms, walls = layout(size, measures, generator)
@@ -182,18 +200,6 @@ def _check_rooms(config: FloorPlanConfig) -> None:
         raise ValueError(
             f"min_room must be {needed:g} m or more, not {config.min_room:g}: the widest door needs that much wall"
         )
-
-
-def _check_radius(config: FloorPlanConfig, radius: float) -> None:
-    if not (math.isfinite(radius) and radius > 0.0):
-        raise ValueError(f"a robot's radius must be a positive length, not {radius}")
-    needed = round(2.0 * radius + DOOR_SPARE, 6)
-    for name in ("door_width", "corridor_width"):
-        narrowest = bounds_of(getattr(config, name))[0]
-        if narrowest < needed:
-            raise ValueError(
-                f"{name} {narrowest:g} m is too narrow for a robot of {radius:g} m radius, which needs {needed:g} m"
-            )
 
 
 def _mm(length: float) -> int:
