@@ -11,16 +11,13 @@ from limslam_env.config import NoiseConfig, TaskConfig, bounds_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.batch_rays import MOST_LANES
-from limslam_env.kernels.batch_readings import BEGIN, SKIP, STEP
 from limslam_env.kernels.batch_state import Episodes, Results, Robots, Settings, Task, fan_of, lanes_for, scratch_for
-from limslam_env.kernels.batch_step import advance
-from limslam_env.kernels.coverage import BODY_MARGIN, RAY_MARGIN
+from limslam_env.kernels.batch_step import BEGIN, SKIP, STEP, advance
+from limslam_env.kernels.coverage import BODY_MARGIN, LONGEST_LOOK, RAY_MARGIN
 from limslam_env.kernels.random_numbers import Words, derive_keys, draw_rows
-from limslam_env.kernels.tables import LONGEST_RANGE, NUM_NOISES, OFFSET
-from limslam_env.kernels.tiles import LONGEST_LOOK
+from limslam_env.kernels.readings import LONGEST_RANGE, NUM_NOISES, OFFSET
 from limslam_env.simulation.coverage import CELL, CoverageGrid
-from limslam_env.simulation.noise import noise_table
-from limslam_env.simulation.sensors import beam_table
+from limslam_env.simulation.sensors import beam_table, noise_table
 from limslam_env.worlds.world import World
 
 __all__ = ["BatchSimulation", "Results"]

@@ -18,9 +18,8 @@ from limslam_env.compilation import merged
 from limslam_env.config import NoiseConfig, TaskConfig
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
-from limslam_env.kernels.batch_readings import BEGIN, STEP, hand_out
 from limslam_env.kernels.batch_state import Episodes, Results, Scratch, Settings, Starts, lanes_for
-from limslam_env.kernels.batch_step import advance_one
+from limslam_env.kernels.batch_step import BEGIN, STEP, advance_one, hand_out
 from limslam_env.kernels.random_numbers import Words, chosen, derived, draw_row, draw_start
 from limslam_env.simulation.starts import TRIES
 

@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.batch_state import Worlds
+from limslam_env.kernels.coverage import TILE
 from limslam_env.kernels.random_numbers import Words
-from limslam_env.kernels.tiles import TILE
+from limslam_env.kernels.rays import Walls
 from limslam_env.simulation.coverage import coverage_grid
-from limslam_env.simulation.sensors import WallIndex, build_wall_index, walls_around
+from limslam_env.simulation.sensors import build_wall_index, walls_around
 from limslam_env.simulation.starts import starting_places
 from limslam_env.worlds.world import World
 
@@ -66,7 +67,7 @@ class Site:
         Where robots start.
     """
 
-    walls: WallIndex
+    walls: Walls
     reach: float
     area: FloatArray
     shape: tuple[int, int]
@@ -97,7 +98,7 @@ def prepare(world: World, robot: RobotSpec, num_robots: int, start: FloatArray |
     return Site(build_wall_index(world.edges), robot.reach, grid.area, grid.coverable.shape, tiles, starts)
 
 
-def near_walls(walls: WallIndex, reach: float) -> tuple[IntArray, IntArray] | None:
+def near_walls(walls: Walls, reach: float) -> tuple[IntArray, IntArray] | None:
     """The walls within ``reach`` (m) of each cell of their list; None where these are too many."""
     # Sensors that see far across a building: going from cell to cell is faster, and such lists would be long.
     low, high = walls.edges.reshape(-1, 2).min(axis=0), walls.edges.reshape(-1, 2).max(axis=0)
@@ -198,12 +199,11 @@ class Sites:
         first_edge = self._edges.put(slot, walls.edges)
         first_item = self._items.put(slot, walls.cell_edges + first_edge)
         first_cell = self._cells.put(slot, walls.cell_starts + first_item)
-        columns, rows = walls.grid[3:].astype(int)
         starts, numbers = near or _NOWHERE
         first_item = self._near_items.put(slot, numbers)
         first_near = -1 if near is None else self._near_cells.put(slot, starts + first_item)
-        self.layout[slot] = first_edge, first_cell, columns, rows, tiles.shape[1], tiles.shape[0], first_near
-        self.grids[slot], self.areas[slot] = walls.grid[:3], site.area
+        self.layout[slot] = first_edge, first_cell, walls.columns, walls.rows, *tiles.shape[::-1], first_near
+        self.grids[slot], self.areas[slot] = (walls.low_x, walls.low_y, walls.side), site.area
         self.totals[slot], self.shapes[slot] = max(int(np.bitwise_count(tiles).sum()), 1), site.shape
         if tiles.size > self.tiles.shape[1]:
             self.tiles = np.pad(self.tiles, ((0, 0), (0, tiles.size - self.tiles.shape[1])))

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 from limslam_env.kernels.random_numbers import Words
-from limslam_env.kernels.tables import FROM_X, FROM_Y, LONGEST_RANGE, OFFSET, TOWARDS_X, TOWARDS_Y
+from limslam_env.kernels.readings import FROM_X, FROM_Y, LONGEST_RANGE, OFFSET, TOWARDS_X, TOWARDS_Y
 
 LANES = 4
 """Number of rays that the compiler processes at once."""
@@ -25,7 +25,7 @@ class Robots(NamedTuple):
     control_period
         Duration of a step, s.
     beams
-        (n_beams, 11), see :mod:`limslam_env.kernels.tables`.
+        (n_beams, 11), see :mod:`limslam_env.kernels.readings`.
     fan
         (8, lanes), as :func:`fan_of` makes it.
     is_small
@@ -51,12 +51,12 @@ class Worlds(NamedTuple):
     grids, areas
         (w, 3): lower left corner x, y and cell side of the grid of walls and of the coverage grid, m.
     edges, cell_starts, cell_edges
-        Walls sorted into cells (:class:`limslam_env.kernels.wall_cells.Walls`).
+        Walls sorted into cells (:class:`limslam_env.kernels.rays.Walls`).
     near_starts, near_edges
         The walls within the beams' reach of each cell, in worlds where these walls are few; counted from the world's
         first edge, in two bytes each, since they are most of a world's memory.
     coverable
-        (w, t): the coverable cells of each world as tiles (:mod:`limslam_env.kernels.tiles`).
+        (w, t): the coverable cells of each world as tiles (:mod:`limslam_env.kernels.coverage`).
     totals
         (w,): how many cells these are.
     """
@@ -81,7 +81,7 @@ class Episodes(NamedTuple):
     world_of
         (n,), the world of each environment.
     noise
-        (n, 14), see :mod:`limslam_env.kernels.tables`.
+        (n, 14), see :mod:`limslam_env.kernels.readings`.
     keys
         (n,), keys of the episodes' random numbers.
     steps
@@ -182,7 +182,7 @@ class Settings(NamedTuple):
     Attributes
     ----------
     lowest, spans
-        (14,): the least value of each column of :mod:`limslam_env.kernels.tables`, and how much larger it may be.
+        (14,): the least value of each column of :mod:`limslam_env.kernels.readings`, and how much larger it may be.
     places
         (14,): which of an environment's random numbers each column depends on.
     """

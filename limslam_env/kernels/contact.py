@@ -4,7 +4,7 @@ import math
 
 from limslam_env.compilation import compiled, floored, merged
 from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.kernels.wall_cells import Walls
+from limslam_env.kernels.rays import Walls
 
 TOUCH = 1e-5
 """Largest gap that counts as contact, m."""

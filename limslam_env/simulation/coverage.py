@@ -69,7 +69,7 @@ def _coverage_grid(
         reachable |= space.labels == region
     around = np.array(space.free.shape) * (space.cell / CELL) + 3.0
     look_out(
-        *walls.scene, _views(), robot.reach,
+        walls, _views(), robot.reach,
         np.array(loose).reshape(-1, 2), np.array([*space.origin, space.cell]), reachable,
         grid.area, grid.coverable,
         np.zeros(around.astype(int), dtype=bool),

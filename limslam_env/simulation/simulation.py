@@ -10,11 +10,10 @@ from limslam_env.config import NoiseConfig
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.observation import drive_and_observe
-from limslam_env.kernels.tables import SLIP_RATE, TRUE_AXLE
+from limslam_env.kernels.readings import TRUE_AXLE
 from limslam_env.simulation.coverage import CELL, CoverageGrid, coverage_grid
-from limslam_env.simulation.noise import StepDraws, ground_travel, noise_table
 from limslam_env.simulation.physics import Physics
-from limslam_env.simulation.sensors import beam_table, build_wall_index
+from limslam_env.simulation.sensors import StepDraws, beam_table, build_wall_index, noise_table
 from limslam_env.simulation.starts import drawn_starts, starting_places
 from limslam_env.worlds.world import World
 
@@ -91,7 +90,7 @@ class Simulation:
         world.check(robot.radius)
         self.world, self.robot, self.num_robots = world, robot, num_robots
         self.coverage_grid: CoverageGrid
-        self._scene = build_wall_index(world.edges).scene
+        self._walls = build_wall_index(world.edges)
         self._physics = Physics(world.edges, robot.radius, num_robots)
         self._beams = beam_table(robot)
         self._farthest = robot.max_wheel_speed * robot.control_period
@@ -138,13 +137,14 @@ class Simulation:
         self._covered = self._steps = 0
         shape = (count, len(robot.beams))
         self._hits, self._ranges = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.float32)
-        self._travel, self._reported = np.zeros((count, 2)), np.zeros((count, 2), dtype=np.float32)
-        self._unreported, self._new_cells = np.zeros((count, 2)), np.zeros(count, dtype=np.int64)
+        self._travel, self._ground, unreported = (np.zeros((count, 2)) for _ in range(3))
+        self._reported, self._new_cells = np.zeros((count, 2), dtype=np.float32), np.zeros(count, dtype=np.int64)
         self._arrays = (
-            robot.radius, self._beams, self._noise, *self._scene, self._seen, grid.coverable, grid.area,
-            self._unreported, self._hits, self._ranges, self._reported, self._new_cells,
+            self._physics.current, self._physics.motion, self._travel, self._ground, robot.radius, self._beams,
+            self._noise, self._walls, self._seen, grid.coverable, grid.area, unreported, self._hits, self._ranges,
+            self._reported, self._new_cells,
         )  # fmt: skip
-        self._measure(self._travel, self._draws.next(), is_moved=True)
+        drive_and_observe(True, 0, self._draws.next(), *self._arrays)  # noqa: FBT003 (kernels take no keywords)
         return self._results([False] * count)
 
     def carry(self, number: int, pose: FloatArray) -> None:
@@ -171,22 +171,14 @@ class Simulation:
         if len(actions) != self.num_robots:
             raise ValueError(f"there must be an action for each of {self.num_robots} robots, not {len(actions)}")
         self._steps += 1
-        draws, travel, noise = self._draws.next(), self._travel, self._noise
+        draws, travel = self._draws.next(), self._travel
         for robot, (left, right) in enumerate(actions):
             travel[robot, 0], travel[robot, 1] = _clipped(left) * self._farthest, _clipped(right) * self._farthest
-        ground = ground_travel(travel, noise, draws[:, -2:, 1]) if noise[SLIP_RATE] else travel
         contact = [False] * self.num_robots
-        if not self._measure(ground, draws, is_moved=False):
-            contact = self._physics.step(ground.tolist(), self.robot.control_period)
-            self._measure(ground, draws, is_moved=True)
+        if not drive_and_observe(False, self._steps, draws, *self._arrays):  # noqa: FBT003
+            contact = self._physics.step(self._ground.tolist(), self.robot.control_period)
+            drive_and_observe(True, self._steps, draws, *self._arrays)  # noqa: FBT003
         return self._results(contact)
-
-    def _measure(self, ground: FloatArray, draws: FloatArray, *, is_moved: bool) -> bool:
-        """Move the robots unless one of them may touch something or all are moved, and take all measurements."""
-        body = self._physics
-        return drive_and_observe(
-            is_moved, ground, body.current, body.motion, self._travel, self._steps, draws, *self._arrays
-        )
 
     def _results(self, contact: list[bool]) -> tuple[Readings, Truth]:
         new_cells = self._new_cells.tolist()

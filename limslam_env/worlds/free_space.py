@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from limslam_env.geometry import BoolArray, FloatArray, IntArray, no_rows
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 CELL = 0.025
 """Side of a cell of the reachability grid, m; coarser in worlds that would have more than MAX_CELLS of them."""
@@ -176,10 +176,12 @@ def clear(
     polygon. The grid has its lower left corner at ``origin`` (2,), and ``cell`` is the side of a cell, m.
     """
     # numba takes long to load, and worlds that are only read do without it.
-    from limslam_env.kernels.floor import mark_free
+    from limslam_env.kernels.floor import clear_inside, clear_near_walls
 
-    corners, firsts = np.vstack((no_rows(2), *polygons)), np.cumsum([0, *map(len, polygons)])
-    mark_free(np.array(edges), corners, firsts, radius, np.array([*origin, cell]), np.empty(len(corners)), free)
+    space = np.array([*origin, cell])
+    clear_near_walls(np.array(edges), space, radius, free)
+    for polygon in polygons:
+        clear_inside(np.array(polygon), space, np.empty(len(polygon)), free)
 
 
 def _grid_around(edges: FloatArray, radius: float, cell: float) -> tuple[FloatArray, tuple[int, int]]:
