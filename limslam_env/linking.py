@@ -33,7 +33,6 @@ from numba.core import (
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.environment import lookup_environment
 from numba.core.types import functions
-from numba.core.typing import context as typing_context
 from numba.extending import overload
 from numba.np import arrayobj
 
@@ -220,15 +219,6 @@ def _lifetimes(processor: Any, emit_dels: bool = False, extend_lifetimes: bool =
     code.variable_lifetime, code.generator_info = postproc.VariableLifetime(code.blocks), None
 
 
-_size_of = functools.cache(cpu.CPUContext.get_abi_sizeof)
-
-
-def _load_new(context: Any) -> None:
-    """Load new functions only: numba also imports all modules of its own functions, anew for each function."""
-    for registry in list(context._registries):  # noqa: SLF001
-        context.install_registry(registry)
-
-
 def _without_colour(scheme: Any, message: str, *colours: Any) -> str:
     """Leave an error message as it is: numba writes thousands of them while it tries which functions fit."""
     del scheme, colours
@@ -264,9 +254,7 @@ def _linking(target: Any) -> Iterator[None]:
 
     with (
         _replaced(target, create_library=create, unserialize_library=load),
-        _replaced(cpu.CPUContext, get_executable=_executable, get_abi_sizeof=_size_of),
-        _replaced(cpu.CPUContext, load_additional_registries=_load_new),
-        _replaced(typing_context.Context, load_additional_registries=_load_new),
+        _replaced(cpu.CPUContext, get_executable=_executable),
         _replaced(dispatcher.Dispatcher, add_overload=_insert),
         _replaced(lowering.Lower, create_cpython_wrapper=_wrap, create_cfunc_wrapper=_wrap_for_c),
         _replaced(functions.BaseFunction, get_call_type=_call_type),

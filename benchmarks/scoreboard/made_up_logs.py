@@ -26,11 +26,10 @@ from limslam_agent.replay.smoothing import log_data, trusted_path
 from limslam_agent.slam.graph.key_poses import integrate
 from limslam_agent.slam.graph.local_views import moves_of
 from limslam_agent.slam.graph.reversing import with_reversing
-from limslam_env.bounds.roadmap import Roadmap
-from limslam_env.bounds.tours import Speeds, poses_along
+from limslam_env.bounds import Roadmap, Speeds, poses_along
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 from limslam_env.interface import RobotSpec
-from limslam_env.metrics.metrics import trajectory_metrics
+from limslam_env.metrics import trajectory_metrics
 from limslam_env.simulation.sensors import build_wall_index, cast
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan

@@ -28,16 +28,16 @@ from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.status import status_scores, worst
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
-from limslam_env.metrics import metrics
-from limslam_env.metrics.association import (
+from limslam_env.metrics import (
     AssociationEvent,
     association_metrics,
     closure_metrics,
     dropped_beam_metrics,
+    metrics,
 )
 from limslam_env.simulation.coverage import CELL, CoverageGrid
 from limslam_env.worlds.formats.loading import load_world
-from limslam_env.worlds.formats.toml import world_toml
+from limslam_env.worlds.formats.tables import world_toml
 from limslam_env.worlds.world import World
 
 _ALIGNED_WALLS = "wall_f1_aligned", "wall_f1_aligned_5cm", "spurious_walls", "spurious_m", "duplicate_m"

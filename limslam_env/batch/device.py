@@ -15,7 +15,6 @@ from numba.core import config
 from limslam_env.batch.batch import NOISE, PLACES, BatchSimulation, no_results
 from limslam_env.batch.places import Places
 from limslam_env.compilation import merged
-from limslam_env.config import NoiseConfig, TaskConfig
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.batch_state import Episodes, Results, Scratch, Settings, Starts, lanes_for
@@ -66,20 +65,12 @@ class DeviceSimulation(BatchSimulation):
         If each episode is to have a floor plan of its own, since only a processor can generate it.
     """
 
-    def __init__(
-        self,
-        places: Places,
-        robot: RobotSpec,
-        noise: NoiseConfig,
-        task: TaskConfig,
-        max_steps: int | None = None,
-        num_threads: int | None = None,
-    ) -> None:
+    def __init__(self, places: Places, robot: RobotSpec, *arguments: Any) -> None:
         if not cuda.is_available():
             raise RuntimeError("device='cuda' needs a GPU of NVIDIA, its driver and numba-cuda (extra gpu)")
         if places.num_plans is None:
             raise ValueError("on a device, floor plans are generated once and then drawn from: plans=256, for instance")
-        super().__init__(places, robot, noise, task, max_steps, num_threads)
+        super().__init__(places, robot, *arguments)
         self._results: Results = _uploaded(no_results(self.num_envs, self.num_robots, len(robot.beams)))
         self._renewal: Renewal | None = None
         self._kernel: Any = None

@@ -226,29 +226,21 @@ def advance(
     task: Task,
     results: Results,
 ) -> None:
-    """Drive all environments, and take all measurements of them.
+    """Drive all environments, and take all measurements of them; changes ``episodes`` and sets all ``results``.
 
     Several threads may do this at the same time. Each takes the next portion when it has done one, so that a thread
     whose core is busy does not hold up the others.
 
     Parameters
     ----------
-    begun
-        (1,): how many portions have been begun; 0 at first, and shared by the threads.
-    portion
-        Number of environments that a thread takes at once.
+    begun, portion
+        How many portions have been begun (1,), 0 at first and shared by the threads; and environments in a portion.
     scratch
         Memory of its own for each thread (:func:`limslam_env.kernels.batch_state.scratch_for`).
     tasks
         (n,): ``SKIP``, ``STEP`` or ``BEGIN`` of each.
     actions
         (n, m, 2), left and right wheel speed of each robot, -1 to 1; values beyond are clipped.
-    robots, worlds, task
-        What the robots are and where, and what is asked of them.
-    episodes
-        What is kept from step to step; changed in place.
-    results
-        What is handed out, all of it set.
     """
     first = next_of(begun) * portion
     while first < len(tasks):

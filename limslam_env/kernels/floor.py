@@ -129,10 +129,8 @@ def look_out(
 
     Parameters
     ----------
-    views, reach
-        Unit vectors (v, 2) to look along, and how far robots see, m.
-    loose
-        Further places (n, 2), m, to look from.
+    views, reach, loose
+        Unit vectors (v, 2) to look along, how far robots see, m, and further places (n, 2), m, to look from.
     space, region
         The grid of free space: lower left corner x, y and cell side, m; and the cells of the region (rows, columns).
     area, coverable

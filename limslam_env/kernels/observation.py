@@ -58,6 +58,9 @@ def drive_and_observe(
 ) -> bool:
     """Move all robots if none can touch anything, take their measurements, and mark what beams and bodies cover.
 
+    If a robot may touch something, False is returned, and all stay where they are: they have to be moved with a check
+    for contact.
+
     Parameters
     ----------
     is_moved
@@ -74,19 +77,11 @@ def drive_and_observe(
         Of their bodies, m; (n_beams, 11) and (14,), see :mod:`limslam_env.kernels.readings`.
     seen, coverable, area
         The grid of what has been seen.
-    unreported
-        (n, 2), kept from step to step: travel that the encoders have not reported so far, m.
-    hits, ranges
-        (n, n_beams), kept from step to step: the wall that each beam hit, and its reading, m.
-    wheels
-        (n, 2), set to what the encoders say, m.
-    new_cells
-        (n,), set to the number of cells that each robot covered as the first.
-
-    Returns
-    -------
-    is_done
-        False if a robot may touch something, so that it has to be moved with a check for contact. It stays where it is.
+    unreported, hits, ranges
+        Kept from step to step: travel that the encoders have not reported so far (n, 2), m; and the wall that each beam
+        hit, and its reading, m, (n, n_beams).
+    wheels, new_cells
+        Set to what the encoders say (n, 2), m, and to the number of cells (n,) that each robot covered as the first.
     """
     if not is_moved:
         for robot in range(len(poses)):

@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.shapes import ellipse, thinned
 from limslam_env.interface import RobotSpec
-from limslam_env.rendering.overlay import Overlay
+from limslam_env.rendering.painter import Overlay
+from limslam_env.simulation.coverage import CELL
 from limslam_env.worlds.world import World
 
 HEIGHT = 640
@@ -49,27 +50,16 @@ class RenderState:
         What is drawn.
     poses
         (n, 3), m and rad.
-    hits
-        (n, n_beams), the wall that a beam hit, -1 for nothing and -2 for a robot.
-    ranges
-        (n, n_beams), the readings, m.
+    hits, ranges
+        (n, n_beams): the wall that a beam hit, -1 for nothing and -2 for a robot; and the readings, m.
     paths
         For each robot its past positions (k, 2), m.
     time, coverage
         s, and 0 to 1.
-    seen
-        (rows, columns), which cells have been seen, row 0 at the bottom. None shades nothing.
-    seen_low
-        Lower left corner of those cells (2,), m.
-    seen_cell
-        Their side, m.
+    seen, seen_low
+        (rows, columns), which cells of the coverage grid have been seen; and its lower left corner (2,), m.
     overlay
         The agents' estimates; each has the colour of the robot with the same number.
-
-    Raises
-    ------
-    ValueError
-        If there is ``seen`` without ``seen_low``.
     """
 
     world: World
@@ -80,14 +70,9 @@ class RenderState:
     paths: Sequence[FloatArray]
     time: float
     coverage: float
-    seen: BoolArray | None = None
-    seen_low: FloatArray | None = None
-    seen_cell: float = 0.10
+    seen: BoolArray
+    seen_low: FloatArray
     overlay: Sequence[Overlay] = ()
-
-    def __post_init__(self) -> None:
-        if self.seen is not None and self.seen_low is None:
-            raise ValueError("seen cells need seen_low, their lower left corner")
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,11 +149,8 @@ def render(state: RenderState, *, background: Background | None = None) -> Image
     """
     background = background or _fitting_background(state.world)
     canvas = background.canvas.on(background.canvas.image.copy())
-    if state.seen is not None and state.seen_low is not None:
-        mask = _seen_mask(canvas, state.seen, state.seen_low, state.seen_cell)
-        cv2.add(
-            canvas.image, cv2.multiply(background.light, cv2.merge((mask, mask, mask)), scale=1 / 255), canvas.image
-        )
+    mask = _seen_mask(canvas, state.seen, state.seen_low)
+    cv2.add(canvas.image, cv2.multiply(background.light, cv2.merge((mask, mask, mask)), scale=1 / 255), canvas.image)
     for number, path in enumerate(state.paths):
         if len(path) > 1:
             canvas.path(thinned(path, _TRAIL_POINTS), _mixed(_robot_colour(number), _SEEN, 0.45), canvas.width(0.02, 2))
@@ -239,11 +221,11 @@ def _draw_scale(canvas: _Canvas) -> None:
     _text(canvas.image, words, left - _text_width(words) - 8, 24)
 
 
-def _seen_mask(canvas: _Canvas, seen: BoolArray, low: FloatArray, cell: float) -> Image:
+def _seen_mask(canvas: _Canvas, seen: BoolArray, low: FloatArray) -> Image:
     """How far each pixel has been seen, 0 to 255: the corners of the cells are rounded off, and their edges soft."""
     # From the centre of a pixel to a column and a row; a cell's centre has a whole number.
-    step = 1.0 / (canvas.scale * cell)
-    column, row = (canvas.low - low) / cell - 0.5
+    step = 1.0 / (canvas.scale * CELL)
+    column, row = (canvas.low - low) / CELL - 0.5
     x, y = canvas.origin
     to_cells = np.array([[step, 0.0, column - x * step], [0.0, -step, row + y * step]])
     size = (canvas.image.shape[1], canvas.image.shape[0])

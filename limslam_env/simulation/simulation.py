@@ -23,12 +23,7 @@ _CELL_AREA = CELL**2
 class Readings(NamedTuple):
     """The measurements of all robots after a step, in new arrays.
 
-    Attributes
-    ----------
-    ranges
-        (n, n_beams), float32, m.
-    wheels
-        (n, 2), float32: left and right wheel travel, m.
+    ``ranges`` (n, n_beams) and ``wheels`` (n, 2), left and right wheel travel, are float32, in m.
     """
 
     ranges: ReadingArray
@@ -40,17 +35,13 @@ class Truth(NamedTuple):
 
     Attributes
     ----------
-    poses
-        (n, 3), m and rad.
-    time
-        Since the reset, s.
-    coverage
-        Share of the coverable cells that have been seen by any robot, 0 to 1.
+    poses, contact
+        (n, 3), m and rad; and which robots touched something.
+    time, coverage
+        Since the reset, s; and the share of the coverable cells that have been seen by any robot, 0 to 1.
     new_area
         Coverable area that each robot was the first to see in this step, m^2. Area that two robots see in the same
         step counts for the robot with the lower number.
-    contact
-        Which robots touched something.
     wall_seen
         (n, n_beams): index of the wall that each beam's latest measurement hit, -1 nothing, -2 a robot.
     """
@@ -64,21 +55,9 @@ class Truth(NamedTuple):
 
 
 class Simulation:
-    """Robots of one kind in a world.
+    """``num_robots`` robots of one kind in a world.
 
-    Parameters
-    ----------
-    world
-        The world.
-    robot
-        The specification of each robot.
-    num_robots
-        Number of robots.
-
-    Attributes
-    ----------
-    coverage_grid
-        The cells that count for coverage, and where they lie. Known after the first reset.
+    The attribute ``coverage_grid``, the cells that count for coverage, is known after the first reset.
 
     Raises
     ------

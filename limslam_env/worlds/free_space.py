@@ -84,7 +84,7 @@ class FreeSpace:
         for part in np.array_split(labels, labels.size // _COUNTED + 1):
             sizes += np.bincount(part.ravel(), minlength=len(sizes))
         sizes[0] = 0
-        sizes[self._border_labels] = 0
+        sizes[self.border_labels] = 0
         return np.asarray(labels == np.argmax(sizes)) if sizes.any() else np.zeros_like(self.free)
 
     def pockets(self, region: BoolArray) -> BoolArray:
@@ -105,10 +105,11 @@ class FreeSpace:
     def is_open(self, points: FloatArray) -> BoolArray:
         """Whether a disc at each point (n, 2) does not fit, or can reach the outermost cells, beyond every wall."""
         labels = self.labels_of(points)
-        return np.asarray((labels == 0) | np.isin(labels, self._border_labels))
+        return np.asarray((labels == 0) | np.isin(labels, self.border_labels))
 
     @functools.cached_property
-    def _border_labels(self) -> IntArray:
+    def border_labels(self) -> IntArray:
+        """The numbers of the regions that reach the border of the grid, and 0."""
         labels = self.labels
         return np.unique(np.concatenate((labels[0], labels[-1], labels[:, 0], labels[:, -1])))
 

@@ -59,9 +59,7 @@ class StartRegion:
 def start_region(world: World, radius: float) -> StartRegion:
     """Measure the start region of robots of a ``radius`` (m)."""
     space = world.free_space(radius)
-    labels = space.labels
-    border = np.unique(np.concatenate((labels[0], labels[-1], labels[:, 0], labels[:, -1])))
-    closed = space.free & ~np.isin(labels, border[border > 0])
+    closed = space.free & ~np.isin(space.labels, space.border_labels)
     area, floor = covered_area(starting_cells(world, space), space, radius), covered_area(closed, space, radius)
     around = float(np.prod(np.ptp(world.edges.reshape(-1, 2), axis=0)))
     is_open = floor < _OPEN_SHARE * around

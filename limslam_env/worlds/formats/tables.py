@@ -1,11 +1,13 @@
-"""Worlds as JSON, lengths in metres: wall lists, houses of HouseExpo, and the keys of a world in TOML.
+"""Worlds as tables of keys and values, lengths in metres: TOML, which keeps everything, and three kinds of JSON.
 
-A wall list is ``{"id": ..., "walls": [[x1, y1, x2, y2], ...]}``. A house is its outline, ``{"id": ..., "verts":
-[[x, y], ...]}`` (Li et al., "HouseExpo: a large-scale 2D indoor layout dataset", 2019).
+A JSON file has the keys of TOML, or it is a wall list, ``{"id": ..., "walls": [[x1, y1, x2, y2], ...]}``, or a house of
+HouseExpo, ``{"id": ..., "verts": [[x, y], ...]}``, which is its outline (Li et al., "HouseExpo: a large-scale 2D indoor
+layout dataset", 2019).
 """
 
 import json
 import os
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +16,67 @@ import numpy as np
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.segment import lengths, polygon_edges
 from limslam_env.worlds.formats.text_files import MAX_FILE_BYTES, number_array, read_text
-from limslam_env.worlds.formats.toml import keyed_world
 from limslam_env.worlds.world import MAX_SIDE, SHORTEST_EDGE, World, WorldError, named
+
+_KEYS = {"name", "size", "walls", "obstacles", "doors", "starts", "loop"}
+
+
+def parse_world(text: str, label: str) -> World:
+    """A world from the text of a TOML file; ``label`` names it in errors.
+
+    Raises
+    ------
+    WorldError
+        If the text is not a world.
+    """
+    try:
+        table = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:
+        # Besides its own error, tomllib lets through what Python says of numbers with thousands of digits.
+        raise WorldError(f"{label}: not TOML: {error}") from error
+    with named(label):
+        return keyed_world(table)
+
+
+def keyed_world(table: dict[str, Any]) -> World:
+    """The world in the table of a file; a WorldError where it cannot be used."""
+    unknown = sorted(set(table) - _KEYS)
+    if unknown:
+        raise WorldError(f"unknown key {unknown[0]!r}; a world has {', '.join(sorted(_KEYS))}")
+    missing = sorted({"name", "size", "walls"} - set(table))
+    if missing:
+        raise WorldError(f"the key {missing[0]!r} is missing")
+    if not isinstance(table.get("obstacles", []), list):
+        raise WorldError("obstacles must be a list of polygons")
+    return World(
+        name=table["name"],
+        size=tuple(number_array(table["size"], "size", 1)),
+        walls=number_array(table["walls"], "walls", 2),
+        obstacles=tuple(
+            number_array(polygon, f"obstacles[{number}]", 2)
+            for number, polygon in enumerate(table.get("obstacles", []))
+        ),
+        **{key: number_array(table[key], key, 2) for key in ("doors", "starts", "loop") if key in table},
+    )
+
+
+def world_toml(world: World) -> str:
+    """The text of a TOML file from which ``parse_world`` makes an equal world."""
+    import tomli_w
+
+    name = tomli_w.dumps({"name": world.name}).rstrip("\n")
+    lines = [name, f"size = {list(world.size)}", *_listed("walls", world.walls.tolist())]
+    if world.obstacles:
+        lines += _listed("obstacles", [polygon.tolist() for polygon in world.obstacles])
+    for key in ("doors", "starts", "loop"):
+        rows = getattr(world, key).tolist()
+        lines += _listed(key, rows) if rows else []
+    return "\n".join(lines) + "\n"
+
+
+def _listed(key: str, rows: list[Any]) -> list[str]:
+    # What Python writes of a list of floats is TOML, and the shortest that reads back as the same floats.
+    return [f"{key} = [", *(f"    {row}," for row in rows), "]"]
 
 
 def read_json(path: str | os.PathLike[str]) -> World:
