@@ -38,19 +38,7 @@ class Roadmap:
     Places stand on a grid, and besides where the only ways to some of them turn. Two that see each other are joined: a
     probabilistic roadmap without chance (Kavraki, Svestka, Latombe and Overmars 1996).
 
-    Parameters
-    ----------
-    world
-        The map.
-    radius
-        Of the robot's body, m.
-    start
-        Where it stands (2,), m.
-
-    Attributes
-    ----------
-    places
-        (n, 2), m; the first is the start.
+    The attribute ``places`` (n, 2), m, begins with the ``start`` (2,), m, of the robot, whose body has a ``radius``, m.
 
     Raises
     ------

@@ -34,10 +34,8 @@ class Places:
     ----------
     source
         One world, one world per environment, or the settings of random floor plans.
-    robot, num_robots
-        The robots' specification, and their number in each environment.
-    num_envs
-        How many environments there are.
+    robot, num_robots, num_envs
+        The robots' specification, and their number in each of so many environments.
     plans
         Seeds of the floor plans that are made beforehand; an environment gets one of them at each reset. None draws
         every environment a plan of its own at each reset.
@@ -46,10 +44,8 @@ class Places:
 
     Raises
     ------
-    WorldError
-        If a world cannot be used.
-    ValueError
-        If floor plans for such a robot cannot be drawn.
+    WorldError, ValueError
+        If a world cannot be used, or floor plans for such a robot cannot be drawn.
     """
 
     def __init__(
@@ -110,16 +106,9 @@ class Places:
         )
 
     def begin(self, envs: IntArray, keys: Words, start: FloatArray | None) -> FloatArray:
-        """Give environments (k,) their worlds, and their robots poses (k, m, 3), m and rad.
+        """Give environments (k,) their worlds, and their robots poses (k, m, 3), m and rad, by random ``keys`` (k,).
 
-        Parameters
-        ----------
-        envs
-            Their numbers.
-        keys
-            (k,), of the random numbers for it.
-        start
-            (k, s, 3), poses of the first robots.
+        ``start`` (k, s, 3) are poses of the first robots.
 
         Raises
         ------

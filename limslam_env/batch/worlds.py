@@ -33,10 +33,8 @@ class StartCells:
     ----------
     given
         Poses (g, 3) of the first robots, m and rad.
-    runs
-        (r, 2): the number of the first of some cells side by side, and how many cells come before it.
-    count
-        Number of all cells.
+    runs, count
+        (r, 2): the number of the first of some cells side by side, and how many cells come before it; and of all.
     space
         (4,): lower left corner x, y and side of the cells, m, and columns.
     """
@@ -53,18 +51,11 @@ class Site:
 
     Attributes
     ----------
-    walls
-        For rays and contact.
-    reach
-        Farthest that robots see, m.
-    area
-        (3,): lower left corner and cell side of the coverage grid, m.
-    shape
-        Rows and columns of the coverage grid.
-    tiles
-        Its coverable cells, as :func:`to_tiles` makes them.
-    starts
-        Where robots start.
+    walls, reach, starts
+        For rays and contact; farthest that robots see, m; and where they start.
+    area, shape, tiles
+        Lower left corner and cell side (3,), m, of the coverage grid, its rows and columns, and its coverable cells as
+        :func:`to_tiles` makes them.
     """
 
     walls: Walls

@@ -9,13 +9,7 @@ from numpy.typing import ArrayLike
 
 from limslam_env.envs.adapter import NamedRobots, action_space, observation_space
 from limslam_env.envs.arguments import BatchSource, check_robots
-from limslam_env.envs.batch_adapter import (
-    Batched,
-    BatchObservation,
-    checked_actions,
-    infos_of,
-    observations_of,
-)
+from limslam_env.envs.batch_adapter import Batched, BatchObservation, checked_actions, infos_of, observations_of
 from limslam_env.geometry import BoolArray, FloatArray
 
 

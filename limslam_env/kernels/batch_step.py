@@ -181,13 +181,7 @@ def begin(env: int, world: int, worlds: Worlds, episodes: Episodes, scratch: Scr
 
 @merged
 def advance_one(
-    env: int,
-    task: int,
-    actions: FloatArray,
-    robots: Robots,
-    worlds: Worlds,
-    episodes: Episodes,
-    scratch: Scratch,
+    env: int, task: int, actions: FloatArray, robots: Robots, worlds: Worlds, episodes: Episodes, scratch: Scratch
 ) -> None:
     """Drive one environment, or begin its episode, and take all its measurements."""
     world = episodes.world_of[env]

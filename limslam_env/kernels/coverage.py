@@ -93,14 +93,7 @@ def mark_disc(seen: BoolArray, coverable: BoolArray, area: FloatArray, x: float,
 
 @merged
 def unseen_nearby(
-    left: Words,
-    env: int,
-    tile_columns: int,
-    tile_rows: int,
-    low_x: float,
-    low_y: float,
-    high_x: float,
-    high_y: float,
+    left: Words, env: int, tile_columns: int, tile_rows: int, low_x: float, low_y: float, high_x: float, high_y: float
 ) -> np.uint64:
     """Which unseen cells touch a rectangle of at most ``LONGEST_LOOK`` cells a side: 0 if there is none.
 
@@ -152,15 +145,7 @@ def take(left: Words, env: int, tile_columns: int, column: int, row: int) -> int
 
 @compiled
 def walk_ray(
-    left: Words,
-    env: int,
-    tile_columns: int,
-    tile_rows: int,
-    x: float,
-    y: float,
-    dx: float,
-    dy: float,
-    end: float,
+    left: Words, env: int, tile_columns: int, tile_rows: int, x: float, y: float, dx: float, dy: float, end: float
 ) -> int:
     """Take every cell that a ray crosses out of the unseen cells; returns how many there were.
 

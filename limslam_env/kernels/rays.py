@@ -181,15 +181,7 @@ def cast_at_discs(
 
 @merged
 def measure(
-    robot: int,
-    poses: FloatArray,
-    radius: float,
-    x: float,
-    y: float,
-    dx: float,
-    dy: float,
-    reach: float,
-    walls: Walls,
+    robot: int, poses: FloatArray, radius: float, x: float, y: float, dx: float, dy: float, reach: float, walls: Walls
 ) -> tuple[float, int]:
     """Distance (m) of the first wall or other robot on a ray of one robot, and which it is."""
     distance, hit = first_wall(x, y, dx, dy, reach, walls)

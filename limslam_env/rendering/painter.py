@@ -79,10 +79,8 @@ def _frozen(value: FloatArray, name: str, shape: tuple[int, ...]) -> FloatArray:
 class Painter:
     """Pictures of a running simulation, in an array or in a window. Costs nothing while no mode is set.
 
-    Parameters
-    ----------
-    mode
-        ``"rgb_array"``, ``"human"`` or None.
+    ``mode`` is ``"rgb_array"``, ``"human"`` or None; others are refused, and so is a window that needs what is not
+    installed.
 
     Attributes
     ----------
@@ -90,13 +88,6 @@ class Painter:
         The window of the human mode, once it is open.
     overlay
         The agents' estimates, drawn on top; agents set it.
-
-    Raises
-    ------
-    ValueError
-        If there is no such mode.
-    gymnasium.error.DependencyNotInstalled
-        If the mode needs what is not installed.
     """
 
     def __init__(self, mode: str | None) -> None:

@@ -20,17 +20,8 @@ class Window:
 
     One process has one window: where several are open, the last one to show a picture has it.
 
-    Parameters
-    ----------
-    title
-        What stands on the window.
-    fps
-        Pictures a second at most: :meth:`show` waits until the next one is due.
-
-    Attributes
-    ----------
-    message
-        A line that is shown over the lower margin of the pictures; empty for none.
+    It has a ``title``, and shows at most ``fps`` pictures a second: :meth:`show` waits until the next one is due. The
+    attribute ``message`` is a line that is shown over the lower margin of the pictures; empty for none.
 
     Raises
     ------

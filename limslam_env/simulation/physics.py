@@ -28,16 +28,7 @@ _Pose: TypeAlias = tuple[float, float, float]
 
 
 class Physics:
-    """Round robots among walls.
-
-    Parameters
-    ----------
-    edges
-        Walls (k, 4), m.
-    radius
-        Of every robot, m.
-    num_robots
-        Number of robots; :meth:`place` them before the first step.
+    """Round robots of one ``radius``, m, among walls (k, 4), m; :meth:`place` them before the first step.
 
     Attributes
     ----------
@@ -74,15 +65,10 @@ class Physics:
         return self.current.copy()
 
     def step(self, travel: Sequence[Sequence[float]], period: float) -> list[bool]:
-        """Carry each robot's left and right wheel on by ``travel``, m, in ``period`` s.
+        """Carry each robot's wheels on by ``travel``, m, in ``period`` s; returns whether each robot touched something.
 
         Without contact the new pose is the end of the exact arc of constant wheel speeds:
         a body that pymunk moves gets the velocity of the arc's chord.
-
-        Returns
-        -------
-        contact
-            Whether each robot touched something.
         """
         farthest = 0.5 * max(abs(left + right) for left, right in travel)
         if farthest <= self.motion[LONGEST]:
@@ -173,12 +159,7 @@ class Physics:
         self._space.reindex_shapes_for_body(body)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {
-            "edges": self._edges,
-            "radius": self._radius,
-            "poses": self.current,
-            "motion": self.motion,
-        }
+        return {"edges": self._edges, "radius": self._radius, "poses": self.current, "motion": self.motion}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         Physics.__init__(self, state["edges"], state["radius"], len(state["poses"]))

@@ -166,12 +166,7 @@ def free_space(edges: FloatArray, radius: float, cell: float, polygons: Sequence
 
 
 def clear(
-    free: BoolArray,
-    edges: FloatArray,
-    polygons: Sequence[FloatArray],
-    radius: float,
-    origin: FloatArray,
-    cell: float,
+    free: BoolArray, edges: FloatArray, polygons: Sequence[FloatArray], radius: float, origin: FloatArray, cell: float
 ) -> None:
     """Clear the cells (rows, columns) of a grid whose centres lie less than ``radius`` (m) from an edge or inside of a
     polygon. The grid has its lower left corner at ``origin`` (2,), and ``cell`` is the side of a cell, m.

@@ -55,18 +55,9 @@ _BATCH = 100  # walls drawn in one go
 class MapInfo:
     """What the YAML says of the picture.
 
-    Attributes
-    ----------
-    image
-        File of the picture, relative to the YAML's folder.
-    resolution
-        Side of a cell, m.
-    origin
-        x, y (m) and yaw (rad, counter-clockwise) of the picture's lower left corner.
-    negate
-        Whether white is occupied, instead of black.
-    occupied_thresh
-        A cell is a wall if it is more occupied than this, 0 to 1.
+    ``image`` is relative to the YAML's folder, ``resolution`` the side of a cell, m, and ``origin`` x, y (m) and yaw
+    (rad, counter-clockwise) of the lower left corner. With ``negate`` white is occupied, instead of black. A cell is a
+    wall if it is more occupied than ``occupied_thresh``, 0 to 1.
     """
 
     image: str
@@ -215,19 +206,10 @@ def _levels(world: World, low: FloatArray, cell: float, shape: tuple[int, int]) 
 
 
 def read_levels(path: Path) -> tuple[NDArray[np.integer[Any]], int]:
-    """Read a picture. The level of a coloured pixel is the sum of its three colours; transparency is not used.
+    """The levels (rows, columns) of a picture, the uppermost row first, and the one that stands for white.
 
-    Returns
-    -------
-    samples
-        (rows, columns), the uppermost row first.
-    largest
-        The level that stands for white.
-
-    Raises
-    ------
-    WorldError
-        If it is no PGM or PNG file, is damaged, or has too many pixels.
+    The level of a coloured pixel is the sum of its three colours; transparency is not used. A WorldError says that it
+    is no PGM or PNG file, is damaged, or has too many pixels.
     """
     suffix = path.suffix.lower()
     if suffix not in _FORMATS:

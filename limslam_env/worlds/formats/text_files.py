@@ -36,13 +36,7 @@ def read_text(path: Path, largest: int) -> str:
 
 
 def number_array(value: Any, key: str, dimensions: int) -> Any:
-    """Nested lists of a file's numbers as an array; booleans, texts and ragged lists are none.
-
-    Raises
-    ------
-    WorldError
-        If it is anything else; the message calls it ``key``.
-    """
+    """Nested lists of a file's numbers as an array; a WorldError, which names the ``key``, for anything else."""
 
     def is_number_list(item: Any, depth: int) -> bool:
         if depth > 0:
@@ -60,13 +54,7 @@ def number_array(value: Any, key: str, dimensions: int) -> Any:
 
 
 def replace_file(path: Path, content: bytes) -> None:
-    """Write a file under another name in the same folder, then rename it, so that no incomplete file is ever seen.
-
-    Raises
-    ------
-    WorldError
-        If the file cannot be written.
-    """
+    """Write a file under another name in the same folder, then rename it, so that no incomplete file is ever seen."""
     beside = path.with_name(f".{secrets.token_hex(8)}.part")
     try:
         try:

@@ -34,14 +34,8 @@ def furnish(
     """Slanted walls and obstacles for a room with its doors and cut corners; objects that do not fit are left out.
 
     All keep the clearance from everything but the one wall that they may stand at. So what is free is still one
-    piece, for every robot that the clearance lets pass. Corridors stay empty.
-
-    Returns
-    -------
-    walls
-        The slanted walls, in mm.
-    obstacles
-        Convex polygons, counter-clockwise, in mm.
+    piece, for every robot that the clearance lets pass. Corridors stay empty. The polygons are convex, with
+    their corners counter-clockwise.
     """
     contents = _Contents(room, doors, cuts)
     if room.is_corridor:
@@ -74,18 +68,10 @@ class _Disc(NamedTuple):
 
 @dataclass
 class _Contents:
-    """The content of a room during generation.
+    """The content of a room during generation: its openings, the corners that are cut off, and slanted walls.
 
-    Attributes
-    ----------
-    room, doors, cuts
-        Its sides, its openings, and its corners that are cut off.
-    walls
-        Slanted walls.
-    discs, boxes
-        Circles around what stands free; lower left and upper right corners of what stands at a wall.
-    obstacles
-        The polygons within them.
+    ``discs`` are circles around what stands free, ``boxes`` lower left and upper right corners of what stands at a
+    wall, and ``obstacles`` the polygons within them.
     """
 
     room: Room

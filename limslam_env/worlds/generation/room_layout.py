@@ -29,17 +29,7 @@ _Interval: TypeAlias = tuple[int, int]
 
 
 class Span(NamedTuple):
-    """A line segment parallel to an axis.
-
-    Attributes
-    ----------
-    axis
-        0 where it runs along x, 1 along y.
-    at
-        Its place on the other axis, mm.
-    low, high
-        Where it begins and ends, mm.
-    """
+    """A line segment from ``low`` to ``high`` (mm) along an axis, 0 for x, 1 for y, ``at`` a place on the other."""
 
     axis: int
     at: int
