@@ -313,14 +313,9 @@ class KernelPipeline(InnerPipeline):
 
 
 def compile_or_retry(part: Any, compile_core: Callable[..., Any], arguments: Any, *, is_kernel: bool) -> Any:
-    """Compile a function here, or as numba does by itself if that fails.
+    """Compile a function, which Python calls or not, here, or as numba does by itself if that fails.
 
-    Parameters
-    ----------
-    part, compile_core, arguments
-        The compiler of the function, its method that compiles, and what that method is called with.
-    is_kernel
-        Whether Python calls the function.
+    ``compile_core`` is the method of ``part``, the function's compiler, that compiles with these arguments.
     """
     part.pipeline_class = KernelPipeline if is_kernel else InnerPipeline
     try:

@@ -35,14 +35,11 @@ class Renewal(NamedTuple):
 
     Attributes
     ----------
-    homes, numbers
-        (n,): keys of the environments' random numbers, and the number of the episode that each is in.
-    slots
-        (n,): the world of each environment.
+    homes, numbers, slots, over
+        (n,): keys of the environments' random numbers, the number of the episode that each is in, its world, and
+        whether its episode is over.
     num_plans
         How many floor plans there are for an episode to get one of; 0 if environments keep their worlds.
-    over
-        (n,): which episodes are over.
     """
 
     homes: Words

@@ -13,8 +13,14 @@ from limslam_env.batch.batch import Results
 from limslam_env.config import NoiseConfig, RewardConfig, Setting
 from limslam_env.envs.adapter import action_space, observation_space
 from limslam_env.envs.arguments import BatchSource, Plans
-from limslam_env.envs.batch_adapter import Batched, BatchObservation, checked_actions, infos_of, observations_of
-from limslam_env.envs.batch_pictures import BatchPictures
+from limslam_env.envs.batch_adapter import (
+    Batched,
+    BatchObservation,
+    BatchPictures,
+    checked_actions,
+    infos_of,
+    observations_of,
+)
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.messages import described

@@ -26,14 +26,10 @@ class Walls(NamedTuple):
     ----------
     edges
         (k, 4): x1, y1, x2, y2 of each wall, m.
-    cell_starts, cell_edges
-        ``cell_edges[cell_starts[c]:cell_starts[c + 1]]`` are the walls that cross cell ``first_cell + c``.
-    low_x, low_y, side
-        Lower left corner of the grid and side of a cell, m.
-    columns, rows
-        Size of the grid in cells.
-    first_cell
-        Number of the world's first cell in ``cell_starts``.
+    cell_starts, cell_edges, first_cell
+        ``cell_edges[cell_starts[c]:cell_starts[c + 1]]`` are the walls that cross cell ``c - first_cell``.
+    low_x, low_y, side, columns, rows
+        Lower left corner of the grid and side of a cell, m, and its size in cells.
     """
 
     edges: FloatArray
@@ -88,25 +84,12 @@ def list_walls(walls: Walls, border: float, taken: IntArray, cell_starts: IntArr
 
 @inlined
 def crossings(place: float, direction: float, side: float) -> tuple[int, int, float, float]:
-    """How a ray crosses the cells of a grid along one axis.
+    """How a ray crosses the cells of a grid along one axis, for the walk from cell to cell.
 
-    The walk from cell to cell is that of Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing" (1987).
-
-    Parameters
-    ----------
-    place
-        Where it starts, in cells.
-    direction
-        Its unit vector's part on this axis.
-    side
-        Of a cell, in the unit of the ray's length.
-
-    Returns
-    -------
-    cell, step
-        Where it starts, and 1 or -1.
-    first, spacing
-        How far along the ray its first crossing lies, and further ones from each other; infinite if there are none.
+    The walk is that of Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing" (1987). The ray starts at
+    ``place``, in cells, and ``direction`` is its unit vector's part on this axis. A cell's ``side`` is in the unit of
+    the ray's length. Returns the first cell and the step, 1 or -1; then how far along the ray the first crossing lies,
+    and further ones from each other, infinite if there are none.
     """
     cell = floored(place)
     if direction == 0.0:

@@ -70,14 +70,8 @@ def noise_table(values: Mapping[str, Any], robot: RobotSpec) -> FloatArray:
 class StepDraws:
     """Numbers from N(0, 1) and U(0, 1) for each beam and each wheel of all robots, generated for many steps at once.
 
-    A step takes the same numbers whatever the noise is, so that runs with equal seeds can be compared in pairs.
-
-    Parameters
-    ----------
-    ranges, wheels
-        Separate generators for beams and wheels, so that the number of beams does not change the wheels' noise.
-    num_robots, num_beams
-        How many there are.
+    A step takes the same numbers whatever the noise is, so that runs with equal seeds can be compared in pairs. Beams
+    and wheels have separate generators, so that the number of beams does not change the wheels' noise.
     """
 
     def __init__(

@@ -87,17 +87,10 @@ class Simulation:
     def reset(
         self, seeds: np.random.SeedSequence, noise: NoiseConfig, start: FloatArray | None = None
     ) -> tuple[Readings, Truth]:
-        """Begin again.
+        """Begin again at ``start``, pose (3,) of robot 0 or poses (num_robots, 3), or else at the world's starts.
 
-        Parameters
-        ----------
-        seeds
-            Start, ranges, wheels and settings get a generator each from it, so that runs with
-            other noise share their starts and their draws.
-        noise
-            Ranges in it are drawn from now.
-        start
-            Pose (3,) of robot 0, or poses (num_robots, 3); the world's starts otherwise.
+        Start, ranges, wheels and settings get a generator each from the seeds, so that runs with other noise share
+        their starts and their draws. Ranges in ``noise`` are drawn from now.
 
         Raises
         ------

@@ -31,10 +31,8 @@ class FreeSpace:
 
     Attributes
     ----------
-    origin
-        Lower left corner of the grid, (2,), m. The grid reaches past the walls on all sides.
-    cell
-        Side of a cell, m.
+    origin, cell
+        Lower left corner of the grid, (2,), m, and side of a cell, m. The grid reaches past the walls on all sides.
     free
         (rows, columns), row 0 at the bottom.
     """
@@ -146,18 +144,9 @@ def cell_for(edges: FloatArray, radius: float) -> float:
 
 
 def free_space(edges: FloatArray, radius: float, cell: float, polygons: Sequence[FloatArray] = ()) -> FreeSpace:
-    """Mark the cells where a disc fits: far enough from every edge and outside of every polygon.
+    """Mark the cells, of a side ``cell``, m, where a disc fits: ``radius``, m, from every edge and outside of polygons.
 
-    Parameters
-    ----------
-    edges
-        (k, 4), m: all that the disc must not touch, the polygons' edges among them.
-    radius
-        The disc's, m.
-    cell
-        Side of a cell of the grid, m.
-    polygons
-        Simple ones, each (k, 2), m.
+    ``edges`` (k, 4), m, are all that the disc must not touch, those of the simple polygons, each (k, 2), m, among them.
     """
     origin, shape = _grid_around(edges, radius, cell)
     free = np.ones(shape, dtype=bool)

@@ -10,8 +10,14 @@ from typing import TypeAlias
 import numpy as np
 
 from limslam_env.messages import announce
-from limslam_env.worlds.formats.tables import parse_world, read_json, world_toml
-from limslam_env.worlds.formats.text_files import MAX_FILE_BYTES, read_text, replace_file
+from limslam_env.worlds.formats.tables import (
+    MAX_FILE_BYTES,
+    parse_world,
+    read_json,
+    read_text,
+    replace_file,
+    world_toml,
+)
 from limslam_env.worlds.world import World, WorldError, named
 
 RANDOM = "random:"
@@ -109,17 +115,9 @@ def shipped_worlds() -> list[str]:
 def write_world(world: World, path: str | os.PathLike[str], resolution: float = 0.05) -> None:
     """Write a world as ``.toml``, or as ``.yaml`` for map_server with a ``.pgm`` beside it.
 
-    A map holds walls and obstacles only: doors, starts and the loop are not written. Walls are one cell thick, enclosed
-    cells are free, and cells outside are unknown.
-
-    Parameters
-    ----------
-    world
-        What to write.
-    path
-        Where to. A file that is there already is replaced, and stays as it was if the new one cannot be written.
-    resolution
-        Side of a map's cell, m.
+    A map holds walls and obstacles only: doors, starts and the loop are not written. Walls are one cell of a side
+    ``resolution``, m, thick; enclosed cells are free, and cells outside are unknown. A file that is there already is
+    replaced, and stays as it was if the new one cannot be written.
 
     Raises
     ------

@@ -21,7 +21,7 @@ from scipy import ndimage
 
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, no_rows
 from limslam_env.geometry.segment import polygon_edges, sample
-from limslam_env.worlds.formats.text_files import read_bytes, read_text, replace_file
+from limslam_env.worlds.formats.tables import read_bytes, read_text, replace_file
 from limslam_env.worlds.free_space import clear
 from limslam_env.worlds.world import World, WorldError, named
 
@@ -71,12 +71,8 @@ def read_map_server(path: str | os.PathLike[str]) -> World:
     """The world in a map of map_server: a ``.yaml`` file and the ``.pgm`` or ``.png`` picture that it names.
 
     Walls run along the outlines of the occupied cells, a quarter of a cell within them, and are straightened by up to
-    one cell. A solid patch is an obstacle. Cells that are unknown are not walls.
-
-    Raises
-    ------
-    WorldError
-        If one of the files cannot be used; the message names file and reason.
+    one cell. A solid patch is an obstacle. Cells that are unknown are not walls. A WorldError says which file cannot be
+    used, and why.
     """
     path = Path(path)
     with named(path):
@@ -161,13 +157,7 @@ def _world(name: str, occupied: BoolArray, info: MapInfo) -> World:
 
 
 def write_map(world: World, path: Path, resolution: float) -> None:
-    """Write a world as a ``.yaml`` and a ``.pgm`` beside it, with cells of ``resolution``, m.
-
-    Raises
-    ------
-    WorldError
-        If the cells are too small or too many, or a file cannot be written.
-    """
+    """Write a world as a ``.yaml`` and a ``.pgm`` beside it, with cells of ``resolution``, m."""
     if not FINEST <= resolution <= COARSEST:
         raise WorldError(f"{path}: cells must measure {FINEST:g} to {COARSEST:g} m, not {resolution:g}")
     corners = world.edges.reshape(-1, 2)
