@@ -12,7 +12,6 @@ under numba's compiler lock, and undone when the function is done. Loading code 
 
 import contextlib
 import functools
-import weakref
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -81,8 +80,6 @@ class _Later:
 
     def __init__(self, library: _Library) -> None:
         self.library = library
-        self.owner: Callable[[], Any] = lambda: None
-        self.signature: tuple[Any, ...] = ()
 
     def __call__(self, *arguments: Any) -> Any:
         return self._code(*arguments)
@@ -99,15 +96,7 @@ class _Later:
             code = _executable(context, library, description, environment)
             # Functions that are compiled from now on find this one by its machine code.
             context.insert_user_function(code, description, [self.library])
-            self._replace_in_owner(code)
         return code
-
-    def _replace_in_owner(self, code: Any) -> None:
-        """From now on the function finds its machine code itself."""
-        owner = self.owner()
-        if owner is not None:
-            made = owner.overloads[self.signature]._replace(entry_point=code)
-            _add_overload(owner, made)
 
 
 _usual_executable = cpu.CPUContext.get_executable
@@ -129,12 +118,10 @@ def _executable(context: Any, library: Any, description: Any, environment: Any) 
 
 def _insert(owner: Any, made: Any) -> None:
     """Keep what was compiled with its function. Python does not find machine code that does not exist yet."""
-    if not isinstance(made.entry_point, _Later):
+    if isinstance(made.entry_point, _Later):
+        owner.overloads[tuple(made.signature.args)] = made
+    else:
         _add_overload(owner, made)
-        return
-    made.entry_point.owner = weakref.ref(owner)
-    made.entry_point.signature = tuple(made.signature.args)
-    owner.overloads[made.entry_point.signature] = made
 
 
 def _wrap(lower: Any, release_gil: Any) -> None:

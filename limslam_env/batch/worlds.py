@@ -68,7 +68,11 @@ class Site:
     @property
     def near(self) -> tuple[IntArray, IntArray] | None:
         """The walls within the beams' reach of each cell of their list; None where these are too many."""
-        return near_walls(self.walls, self.reach)
+        # Sensors that see far across a building: going from cell to cell is faster, and such lists would be long.
+        corners, count = self.walls.edges.reshape(-1, 2), len(self.walls.edges)
+        share = min(1.0, (2.0 * self.reach) ** 2 / max(float(np.prod(np.ptp(corners, axis=0))), 1e-9))
+        too_many = share * count > _MOST_NEAR or count > _MOST_EDGES
+        return None if too_many else walls_around(self.walls, self.reach)
 
 
 def prepare(world: World, robot: RobotSpec, num_robots: int, start: FloatArray | None = None) -> Site:
@@ -87,16 +91,6 @@ def prepare(world: World, robot: RobotSpec, num_robots: int, start: FloatArray |
     starts = StartCells(places.given, runs, len(cells), places.space)
     tiles = to_tiles(grid.coverable)
     return Site(build_wall_index(world.edges), robot.reach, grid.area, grid.coverable.shape, tiles, starts)
-
-
-def near_walls(walls: Walls, reach: float) -> tuple[IntArray, IntArray] | None:
-    """The walls within ``reach`` (m) of each cell of their list; None where these are too many."""
-    # Sensors that see far across a building: going from cell to cell is faster, and such lists would be long.
-    low, high = walls.edges.reshape(-1, 2).min(axis=0), walls.edges.reshape(-1, 2).max(axis=0)
-    share = min(1.0, (2.0 * reach) ** 2 / max(float(np.prod(high - low)), 1e-9))
-    if share * len(walls.edges) > _MOST_NEAR or len(walls.edges) > _MOST_EDGES:
-        return None
-    return walls_around(walls, reach)
 
 
 def to_tiles(cells: BoolArray) -> Words:
