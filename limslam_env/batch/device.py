@@ -54,12 +54,8 @@ class DeviceSimulation(BatchSimulation):
 
     Actions and results are arrays on the device. Each step writes its results into the same arrays.
 
-    Raises
-    ------
-    RuntimeError
-        If there is no GPU that numba can use.
-    ValueError
-        If each episode is to have a floor plan of its own, since only a processor can generate it.
+    A RuntimeError says that there is no GPU that numba can use, a ValueError that each episode is to have a floor plan
+    of its own, which only a processor can generate.
     """
 
     def __init__(self, places: Places, robot: RobotSpec, *arguments: Any) -> None:
@@ -98,11 +94,6 @@ class DeviceSimulation(BatchSimulation):
 
         ``actions`` (n, 2 m) are float32 arrays on the device, or arrays of numpy. ``fresh`` is not needed: the device
         knows.
-
-        Raises
-        ------
-        ValueError
-            If they have another shape or type, or rows that do not follow each other in memory.
         """
         del fresh
         there = cuda.as_cuda_array(actions) if hasattr(actions, "__cuda_array_interface__") else self.to_device(actions)

@@ -76,13 +76,7 @@ class Site:
 
 
 def prepare(world: World, robot: RobotSpec, num_robots: int, start: FloatArray | None = None) -> Site:
-    """Make a world ready, for robots that start as :func:`limslam_env.simulation.starts.starting_places` says.
-
-    Raises
-    ------
-    WorldError
-        If a start cannot be used or there is no room.
-    """
+    """Make a world ready, for robots that start as :func:`limslam_env.simulation.starts.starting_places` says."""
     places = starting_places(world, robot, num_robots, start)
     grid = coverage_grid(world, robot, places.known)
     cells = places.cells[~places.is_pocket]

@@ -46,13 +46,7 @@ def observation_space(robot: RobotSpec) -> spaces.Dict:
 
 
 def wheel_speeds(action: Action) -> tuple[float, float]:
-    """An action as two numbers.
-
-    Raises
-    ------
-    ValueError
-        If it is not two finite numbers.
-    """
+    """An action as two numbers; a ValueError where it is not two finite numbers."""
     try:
         left, right = (action if isinstance(action, np.ndarray) else np.asarray(action, dtype=float)).tolist()
         if math.isfinite(left) and math.isfinite(right):
@@ -148,13 +142,7 @@ class NamedRobots:
 
 
 class SimulationEnv(Configured):
-    """Base of the single environments: their simulation and its pictures, and all methods but reset and step.
-
-    Attributes
-    ----------
-    render_mode
-        As Gymnasium and PettingZoo name it.
-    """
+    """Base of the single environments: their simulation and its pictures, and all methods but reset and step."""
 
     render_mode: str | None
 

@@ -28,15 +28,7 @@ from limslam_env.rendering.painter import RENDER_FPS
 
 
 def vector_env(*, device: str = "cpu", **arguments: Any) -> gym.vector.VectorEnv[Any, Any, Any]:
-    """A batch of environments on processors, ``"cpu"``, or on a GPU, ``"cuda"``; ``gym.make_vec`` calls this.
-
-    Raises
-    ------
-    ValueError
-        If the device is another.
-    RuntimeError
-        If there is no GPU that numba can use.
-    """
+    """A batch of environments on processors, ``"cpu"``, or on a GPU, ``"cuda"``; ``gym.make_vec`` calls this."""
     if device == "cpu":
         return LimSlamVectorEnv(**arguments)
     if device != "cuda":

@@ -153,10 +153,9 @@ class Settings(NamedTuple):
 
     Attributes
     ----------
-    lowest, spans
-        (14,): the least value of each column of :mod:`limslam_env.kernels.readings`, and how much larger it may be.
-    places
-        (14,): which of an environment's random numbers each column depends on.
+    lowest, spans, places
+        (14,): the least value of each column of :mod:`limslam_env.kernels.readings`, how much larger it may be, and
+        which of an environment's random numbers it depends on.
     """
 
     lowest: FloatArray
@@ -171,11 +170,9 @@ class Starts(NamedTuple):
     ----------
     given, num_given
         (w, m, 3): known poses, m and rad; and how many of them there are (w,).
-    runs, counts, spaces
+    runs, firsts, counts, spaces
         The free cells as :func:`limslam_env.kernels.random_numbers.draw_start` takes them: the runs (r, 2) of one world
-        after those of another, the number of cells (w,), and their grids (w, 4).
-    firsts
-        (w + 1,): a world's first run.
+        after those of another and a world's first run (w + 1,), the number of cells (w,), and their grids (w, 4).
     apart
         Least distance of two robots, m.
     """

@@ -75,18 +75,6 @@ def clear_inside(corners: FloatArray, space: FloatArray, crossed: FloatArray, fr
                 free[row, column] = False
 
 
-@inlined
-def is_inner(region: BoolArray, row: int, column: int) -> bool:
-    """Whether a cell and all cells around it belong to a region."""
-    rows, columns = region.shape
-    if not (0 < row < rows - 1 and 0 < column < columns - 1):
-        return False
-    is_all = True
-    for other in range(row - 1, row + 2):
-        is_all &= region[other, column - 1] & region[other, column] & region[other, column + 1]
-    return is_all
-
-
 @merged
 def look_around(
     x: float,
@@ -118,6 +106,7 @@ def look_out(
     loose: FloatArray,
     space: FloatArray,
     region: BoolArray,
+    inner: BoolArray,
     area: FloatArray,
     coverable: BoolArray,
     is_taken: BoolArray,
@@ -131,8 +120,9 @@ def look_out(
     ----------
     views, reach, loose
         Unit vectors (v, 2) to look along, how far robots see, m, and further places (n, 2), m, to look from.
-    space, region
-        The grid of free space: lower left corner x, y and cell side, m; and the cells of the region (rows, columns).
+    space, region, inner
+        The grid of free space: lower left corner x, y and cell side, m; the cells of the region (rows, columns), and
+        those with all of their neighbours in it.
     area, coverable
         The coverage grid: lower left corner and cell side, m; and its cells, changed.
     is_taken
@@ -148,7 +138,7 @@ def look_out(
                 continue
             x = low_x + (column + 0.5) * side
             coverable[math.floor((y - area[1]) / cell), math.floor((x - area[0]) / cell)] = True
-            if is_inner(region, row, column):
+            if inner[row, column]:
                 continue
             place = math.floor(y / cell) - first_y, math.floor(x / cell) - first_x
             if not is_taken[place]:

@@ -2,7 +2,7 @@
 
 import functools
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -115,6 +115,10 @@ class _Canvas:
         (x, y), size = self.pixels(centre[None])[0].tolist(), round(radius * (1 << _SHIFT))
         cv2.circle(self.image, (x, y), size, colour, width, cv2.LINE_AA, _SHIFT)
 
+    def dots(self, centres: Iterable[FloatArray], colour: Colour) -> None:
+        for centre in centres:
+            self.disc(centre, max(0.03 * self.scale, 1.5), colour)
+
     def arrow(self, pose: FloatArray, length: float, colour: Colour) -> None:
         """A small arrow head around a pose (3,), as long as a number of pixels."""
         corners = np.array([(0.55, 0.0), (-0.45, 0.4), (-0.25, 0.0), (-0.45, -0.4)]) * (length / self.scale)
@@ -130,11 +134,9 @@ class Background:
     light: Image
 
 
-# Nothing else in a picture takes as long.
-@functools.lru_cache(maxsize=8)
 def square_background(world: World) -> Background:
     """The background of a picture that is as wide as high whatever the world."""
-    return _background(world, least_width=HEIGHT, most_width=HEIGHT, least_height=HEIGHT)
+    return _background(world, HEIGHT, HEIGHT, HEIGHT)
 
 
 def render(state: RenderState, *, background: Background | None = None) -> Image:
@@ -147,7 +149,7 @@ def render(state: RenderState, *, background: Background | None = None) -> Image
     background
         Of the same world, by :func:`square_background`. None makes a picture as wide as its world needs it.
     """
-    background = background or _fitting_background(state.world)
+    background = background or _background(state.world, _NARROWEST, _WIDEST)
     canvas = background.canvas.on(background.canvas.image.copy())
     mask = _seen_mask(canvas, state.seen, state.seen_low)
     cv2.add(canvas.image, cv2.multiply(background.light, cv2.merge((mask, mask, mask)), scale=1 / 255), canvas.image)
@@ -164,14 +166,10 @@ def render(state: RenderState, *, background: Background | None = None) -> Image
     return canvas.image
 
 
-@functools.lru_cache(maxsize=8)
-def _fitting_background(world: World) -> Background:
-    """The background of a picture that is as wide as its world needs it."""
-    return _background(world, least_width=_NARROWEST, most_width=_WIDEST)
-
-
-def _background(world: World, *, least_width: int, most_width: int, least_height: int = 0) -> Background:
-    canvas = _new_canvas(world, least_width=least_width, most_width=most_width, least_height=least_height)
+# Nothing else in a picture takes as long.
+@functools.lru_cache(maxsize=16)
+def _background(world: World, least_width: int, most_width: int, least_height: int = 0) -> Background:
+    canvas = _new_canvas(world, least_width, most_width, least_height)
     everything_seen = canvas.on(canvas.image.copy())
     for layer, floor in ((canvas, _UNSEEN), (everything_seen, _SEEN)):
         _draw_floor(layer, world, floor)
@@ -181,7 +179,7 @@ def _background(world: World, *, least_width: int, most_width: int, least_height
     return Background(canvas, light)
 
 
-def _new_canvas(world: World, *, least_width: int, most_width: int, least_height: int) -> _Canvas:
+def _new_canvas(world: World, least_width: int, most_width: int, least_height: int) -> _Canvas:
     """A canvas around a world; the sizes are in pixels."""
     corners = world.edges.reshape(-1, 2)
     low, extent = corners.min(axis=0), np.maximum(np.ptp(corners, axis=0), 1e-3)
@@ -244,8 +242,7 @@ def _draw_beams(canvas: _Canvas, state: RenderState, number: int) -> None:
     for chosen, colour in ((hits == -1, _NO_HIT), (hits >= 0, _WALL_HIT), (hits == -2, _ROBOT_HIT)):
         if chosen.any():
             canvas.lines(np.hstack((origins[chosen], ends[chosen])), colour, 1)
-            for end in ends[chosen & (hits != -1)]:
-                canvas.disc(end, max(0.03 * canvas.scale, 1.5), colour)
+            canvas.dots(ends[chosen & (hits != -1)], colour)
 
 
 def _draw_robot(canvas: _Canvas, pose: FloatArray, radius: float, colour: Colour) -> None:
@@ -256,17 +253,15 @@ def _draw_robot(canvas: _Canvas, pose: FloatArray, radius: float, colour: Colour
 
 
 def _draw_overlay(canvas: _Canvas, overlay: Overlay, radius: float, colour: Colour) -> None:
-    for place in overlay.frontier:
-        canvas.disc(place, max(0.03 * canvas.scale, 1.5), _FRONTIER)
+    canvas.dots(overlay.frontier, _FRONTIER)
     if len(overlay.segments):
         canvas.lines(overlay.segments, _BELIEF, canvas.width(0.025, 2))
-        for end in overlay.segments.reshape(-1, 2):
-            canvas.disc(end, max(0.03 * canvas.scale, 1.5), _BELIEF)
+        canvas.dots(overlay.segments.reshape(-1, 2), _BELIEF)
     if len(overlay.plan):
         canvas.path(overlay.plan, colour, 1)
         goal = overlay.plan[-1]
         canvas.disc(goal, max(0.07 * canvas.scale, 4.0), colour, 1)
-        canvas.disc(goal, max(0.03 * canvas.scale, 1.5), colour)
+        canvas.dots([goal], colour)
     if overlay.pose is not None:
         _draw_ghost(canvas, overlay.pose, overlay.covariance, radius)
 

@@ -9,6 +9,7 @@ from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.floor import look_out
 from limslam_env.simulation.sensors import build_wall_index
+from limslam_env.worlds.free_space import eroded
 from limslam_env.worlds.world import World
 
 CELL = 0.10
@@ -64,6 +65,7 @@ def _coverage_grid(
     look_out(
         walls, _VIEWS, robot.reach,
         np.array(loose).reshape(-1, 2), np.array([*space.origin, space.cell]), reachable,
+        eroded(reachable),
         grid.area, grid.coverable,
         np.zeros(around.astype(int), dtype=bool),
     )  # fmt: skip

@@ -120,28 +120,14 @@ class Simulation:
         return self._results([False] * count)
 
     def carry(self, number: int, pose: FloatArray) -> None:
-        """Carry a robot to another pose (3,). Its wheels do not turn on the way. It reads its beams in the next step.
-
-        Raises
-        ------
-        WorldError
-            If the robot collides there or is outside.
-        """
+        """Carry a robot to another pose (3,), where it reads its beams in the next step. Its wheels do not turn."""
         self.world.check_poses(np.asarray(pose, dtype=float)[None], self.robot.radius)
         poses = self._physics.poses
         poses[number] = pose
         self._physics.place(poses, float(self._noise[TRUE_AXLE]))
 
     def step(self, actions: Sequence[tuple[float, float]]) -> tuple[Readings, Truth]:
-        """Drive for one control period with each robot's left and right wheel speed, fractions of the maximum.
-
-        Raises
-        ------
-        ValueError
-            If there is not one action for each robot.
-        """
-        if len(actions) != self.num_robots:
-            raise ValueError(f"there must be an action for each of {self.num_robots} robots, not {len(actions)}")
+        """Drive for one control period with each robot's left and right wheel speed, fractions of the maximum."""
         self._steps += 1
         draws, travel = self._draws.next(), self._travel
         for robot, (left, right) in enumerate(actions):

@@ -24,10 +24,9 @@ class StartRegion:
     ----------
     area
         Floor that robots can cover from the starts, m^2. In a world without starts, that of the largest closed region.
-    floor
-        All floor that is enclosed by walls, m^2; where that is little, the rectangle around all walls.
-    is_open
-        Whether so little is enclosed that the outer wall must be open.
+    floor, is_open
+        All floor that is enclosed by walls, m^2, or the rectangle around all walls, if so little is enclosed that the
+        outer wall must be open.
     """
 
     area: float

@@ -84,27 +84,17 @@ def read_json(path: str | os.PathLike[str]) -> World:
     with named(path):
         table = _read_table(Path(path))
         if "verts" in table:
-            return _house(table)
+            walls = polygon_edges(_length_rows(table, "verts", 2))
+            # A file may repeat the first corner at the end; the outline is closed either way.
+            if np.count_nonzero(lengths(walls) >= SHORTEST_EDGE) < 3:
+                raise WorldError("verts has fewer than three corners")
+            return _world_of_walls(table, walls)
+        if "walls" in table and "id" in table:
+            # Whatever else the file says is left out: here walls have no thickness.
+            return _world_of_walls(table, _length_rows(table, "walls", 4))
         if "walls" in table:
-            return _wall_list(table) if "id" in table else keyed_world(table)
+            return keyed_world(table)
         raise WorldError("holds neither 'walls', as a world or a wall list, nor 'verts', as a house of HouseExpo")
-
-
-def _house(table: dict[str, Any]) -> World:
-    """The world inside of an outline; a WorldError where the outline cannot be used."""
-    walls = polygon_edges(_length_rows(table, "verts", 2))
-    # A file may repeat the first corner at the end; the outline is closed either way.
-    if np.count_nonzero(lengths(walls) >= SHORTEST_EDGE) < 3:
-        raise WorldError("verts has fewer than three corners")
-    return _world_of_walls(table, walls)
-
-
-def _wall_list(table: dict[str, Any]) -> World:
-    """The world of a wall list; a WorldError where it cannot be used.
-
-    Walls without length are left out, as is whatever else the file says: here walls have no thickness.
-    """
-    return _world_of_walls(table, _length_rows(table, "walls", 4))
 
 
 def _read_table(path: Path) -> dict[str, Any]:

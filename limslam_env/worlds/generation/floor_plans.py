@@ -87,13 +87,7 @@ class FloorPlanConfig:
         _check_rooms(self)
 
     def check(self, radius: float) -> None:
-        """Make sure that a robot of ``radius`` (m) gets through all doors and corridors that may be drawn.
-
-        Raises
-        ------
-        ValueError
-            If it may not.
-        """
+        """Raise a ValueError if a robot of ``radius`` (m) does not get through all doors and corridors."""
         if not (math.isfinite(radius) and radius > 0.0):
             raise ValueError(f"a robot's radius must be a positive length, not {radius}")
         needed = round(2.0 * radius + DOOR_SPARE, 6)
@@ -110,12 +104,7 @@ def floor_plan(config: FloorPlanConfig, generator: np.random.Generator, radius: 
 
     The same state of the generator, for the same settings and radius, gives the same plan on every machine, to the last
     bit; coordinates are whole millimetres. ``doors`` holds every opening between two rooms. There are no starts and no
-    loop.
-
-    Raises
-    ------
-    ValueError
-        If doors or corridors may be too narrow for the robot.
+    loop. A ValueError says that doors or corridors may be too narrow for the robot.
     """
     config.check(radius)
     size = _drawn_mm(config.width, generator), _drawn_mm(config.height, generator)
