@@ -63,22 +63,10 @@ class LimSlamParallelVectorEnv(NamedRobots, Batched):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, BatchObservation], dict[str, dict[str, Any]]]:
-        """Start new episodes.
+        """Start new episodes, as ``LimSlamVectorEnv`` does, with a seed and options, and with its errors.
 
-        Parameters
-        ----------
-        seed
-            Of all random numbers from now on; without it they go on.
-        options
-            ``start``: poses (s, 3) of the first robots, m and rad, or such poses for each environment (n, s, 3).
-            ``reset_mask`` (n,): which environments are reset; the others stay as they are.
-
-        Raises
-        ------
-        ValueError
-            If an option is unknown or has another shape.
-        WorldError
-            If a start cannot be used, or there is no room for all. Then episodes go on as if nothing had been asked.
+        The option ``start`` has poses (s, 3) of the first robots, m and rad, or such poses for each environment
+        (n, s, 3).
         """
         generator = self._generator
         if seed is not None or generator is None:

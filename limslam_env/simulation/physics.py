@@ -163,4 +163,5 @@ class Physics:
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         Physics.__init__(self, state["edges"], state["radius"], len(state["poses"]))
-        self.current[:], self.motion[:] = state["poses"], state["motion"]
+        # The simulation holds the same arrays.
+        self.current, self.motion = state["poses"], state["motion"]

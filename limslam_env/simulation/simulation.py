@@ -109,11 +109,11 @@ class Simulation:
         self._covered = self._steps = 0
         shape = (count, len(robot.beams))
         self._hits, self._ranges = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.float32)
-        self._travel, self._ground, unreported = (np.zeros((count, 2)) for _ in range(3))
+        self._travel, self._ground, self._unreported = (np.zeros((count, 2)) for _ in range(3))
         self._reported, self._new_cells = np.zeros((count, 2), dtype=np.float32), np.zeros(count, dtype=np.int64)
         self._arrays = (
             self._physics.current, self._physics.motion, self._travel, self._ground, robot.radius, self._beams,
-            self._noise, self._walls, self._seen, grid.coverable, grid.area, unreported, self._hits, self._ranges,
+            self._noise, self._walls, self._seen, grid.coverable, grid.area, self._unreported, self._hits, self._ranges,
             self._reported, self._new_cells,
         )  # fmt: skip
         drive_and_observe(True, 0, self._draws.next(), *self._arrays)  # noqa: FBT003 (kernels take no keywords)
