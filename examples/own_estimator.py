@@ -13,7 +13,7 @@ from limslam_agent.output.tum import write_tum
 from limslam_env import Observation, RobotSpec
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc
-from limslam_env.metrics.metrics import trajectory_metrics
+from limslam_env.metrics import trajectory_metrics
 
 
 class DeadReckoning:

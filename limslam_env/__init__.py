@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from limslam_env.envs.parallel_env import LimSlamParallelEnv, aec_env, parallel_env
     from limslam_env.envs.vector_env import LimSlamVectorEnv
     from limslam_env.envs.vector_parallel_env import LimSlamParallelVectorEnv, parallel_vector_env
-    from limslam_env.rendering.overlay import Overlay
+    from limslam_env.rendering.painter import Overlay
     from limslam_env.worlds.formats.loading import load_world
     from limslam_env.worlds.generation.floor_plans import FloorPlanConfig
     from limslam_env.worlds.world import World
@@ -59,7 +59,7 @@ _LAZY_MODULES = {
     "LimSlamParallelEnv": "envs.parallel_env",
     "LimSlamParallelVectorEnv": "envs.vector_parallel_env",
     "LimSlamVectorEnv": "envs.vector_env",
-    "Overlay": "rendering.overlay",
+    "Overlay": "rendering.painter",
     "World": "worlds.world",
     "aec_env": "envs.parallel_env",
     "load_world": "worlds.formats.loading",

@@ -161,14 +161,9 @@ def floored(number: float) -> int:
 def entry_of(*sources: str, allocates: bool = True) -> Callable[[Kernel], Kernel]:
     """A decorator for kernels that Python calls: they are compiled at the first call, and kept on disk.
 
-    Parameters
-    ----------
-    sources
-        Dotted names of the modules and packages (without the packages inside of them) whose functions and constants
-        the kernels use, besides ``ENV_SOURCES``.
-    allocates
-        Whether the kernels, or functions that they call, make arrays. Kernels that make none run without counting
-        references to arrays, so that arrays can be handed from function to function at no cost.
+    ``sources`` are the modules and packages (without the packages inside of them) whose functions and constants the
+    kernels use, besides ``ENV_SOURCES``. Kernels that make no arrays, nor call functions that make some, run without
+    counting references to arrays, so that arrays can be handed from function to function at no cost.
     """
     options = _OPTIONS if allocates else _LEAN
 
@@ -176,7 +171,10 @@ def entry_of(*sources: str, allocates: bool = True) -> Callable[[Kernel], Kernel
         try:
             kept = _njit(kernel, is_kernel=True, cache=True, **options)
         except RuntimeError:  # numba found no folder that it may write to
-            _announce_that_nothing_is_kept()
+            _announce_once(
+                "no folder for compiled code can be written, so each start compiles anew; "
+                "set NUMBA_CACHE_DIR to a folder"
+            )
             kept = None
         # numba has no public way to add to what it compares. Without the attribute nothing can be kept safely.
         file = getattr(getattr(kept, "_cache", None), "_cache_file", None)
@@ -187,6 +185,9 @@ def entry_of(*sources: str, allocates: bool = True) -> Callable[[Kernel], Kernel
         return cast(Kernel, kept)
 
     return entry
+
+
+_announce_once = functools.cache(announce)
 
 
 def _environment(module: str, constants: list[Any], name: str) -> Any:
@@ -223,31 +224,17 @@ def _load_or_announce(kept: Any, name: str, allocates: bool) -> None:
         if found is None and name in _SECONDS:
             announce(f"compiling {name!r}, once, about {_SECONDS[name]} s")
         elif found is None:
-            _announce_the_first()
+            _announce_once(
+                "compiling small kernels, once, a few seconds; `limslam warmup` compiles all of them beforehand"
+            )
         return found
 
     cache.load_overload = load_or_announce
 
 
 @functools.cache
-def _announce_that_nothing_is_kept() -> None:
-    announce("no folder for compiled code can be written, so each start compiles anew; set NUMBA_CACHE_DIR to a folder")
-
-
-@functools.cache
-def _announce_the_first() -> None:
-    announce("compiling small kernels, once, a few seconds; `limslam warmup` compiles all of them beforehand")
-
-
-@functools.cache
 def source_stamp(*sources: str) -> str:
-    """A digest of the text of modules and packages, given by their dotted names.
-
-    Raises
-    ------
-    ModuleNotFoundError
-        If there is no such module.
-    """
+    """A digest of the text of modules and packages, given by their dotted names."""
     digest = hashlib.sha256()
     for source in sources:
         for path in _files_of(source):

@@ -133,7 +133,7 @@ class RewardConfig:
     step: float = -0.001
     collision: float = -0.05
 
-    def of_step(self, new_area: float, *, contact: bool) -> float:
+    def of_step(self, new_area: float, contact: bool) -> float:
         """The reward of a step in which ``new_area`` (m^2) was seen for the first time."""
         return self.new_area * new_area + self.step + self.collision * contact
 

@@ -12,7 +12,6 @@ under numba's compiler lock, and undone when the function is done. Loading code 
 
 import contextlib
 import functools
-import weakref
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -33,7 +32,6 @@ from numba.core import (
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.environment import lookup_environment
 from numba.core.types import functions
-from numba.core.typing import context as typing_context
 from numba.extending import overload
 from numba.np import arrayobj
 
@@ -82,8 +80,6 @@ class _Later:
 
     def __init__(self, library: _Library) -> None:
         self.library = library
-        self.owner: Callable[[], Any] = lambda: None
-        self.signature: tuple[Any, ...] = ()
 
     def __call__(self, *arguments: Any) -> Any:
         return self._code(*arguments)
@@ -100,15 +96,7 @@ class _Later:
             code = _executable(context, library, description, environment)
             # Functions that are compiled from now on find this one by its machine code.
             context.insert_user_function(code, description, [self.library])
-            self._replace_in_owner(code)
         return code
-
-    def _replace_in_owner(self, code: Any) -> None:
-        """From now on the function finds its machine code itself."""
-        owner = self.owner()
-        if owner is not None:
-            made = owner.overloads[self.signature]._replace(entry_point=code)
-            _add_overload(owner, made)
 
 
 _usual_executable = cpu.CPUContext.get_executable
@@ -130,12 +118,10 @@ def _executable(context: Any, library: Any, description: Any, environment: Any) 
 
 def _insert(owner: Any, made: Any) -> None:
     """Keep what was compiled with its function. Python does not find machine code that does not exist yet."""
-    if not isinstance(made.entry_point, _Later):
+    if isinstance(made.entry_point, _Later):
+        owner.overloads[tuple(made.signature.args)] = made
+    else:
         _add_overload(owner, made)
-        return
-    made.entry_point.owner = weakref.ref(owner)
-    made.entry_point.signature = tuple(made.signature.args)
-    owner.overloads[made.entry_point.signature] = made
 
 
 def _wrap(lower: Any, release_gil: Any) -> None:
@@ -220,15 +206,6 @@ def _lifetimes(processor: Any, emit_dels: bool = False, extend_lifetimes: bool =
     code.variable_lifetime, code.generator_info = postproc.VariableLifetime(code.blocks), None
 
 
-_size_of = functools.cache(cpu.CPUContext.get_abi_sizeof)
-
-
-def _load_new(context: Any) -> None:
-    """Load new functions only: numba also imports all modules of its own functions, anew for each function."""
-    for registry in list(context._registries):  # noqa: SLF001
-        context.install_registry(registry)
-
-
 def _without_colour(scheme: Any, message: str, *colours: Any) -> str:
     """Leave an error message as it is: numba writes thousands of them while it tries which functions fit."""
     del scheme, colours
@@ -264,9 +241,7 @@ def _linking(target: Any) -> Iterator[None]:
 
     with (
         _replaced(target, create_library=create, unserialize_library=load),
-        _replaced(cpu.CPUContext, get_executable=_executable, get_abi_sizeof=_size_of),
-        _replaced(cpu.CPUContext, load_additional_registries=_load_new),
-        _replaced(typing_context.Context, load_additional_registries=_load_new),
+        _replaced(cpu.CPUContext, get_executable=_executable),
         _replaced(dispatcher.Dispatcher, add_overload=_insert),
         _replaced(lowering.Lower, create_cpython_wrapper=_wrap, create_cfunc_wrapper=_wrap_for_c),
         _replaced(functions.BaseFunction, get_call_type=_call_type),
@@ -325,14 +300,9 @@ class KernelPipeline(InnerPipeline):
 
 
 def compile_or_retry(part: Any, compile_core: Callable[..., Any], arguments: Any, *, is_kernel: bool) -> Any:
-    """Compile a function here, or as numba does by itself if that fails.
+    """Compile a function, which Python calls or not, here, or as numba does by itself if that fails.
 
-    Parameters
-    ----------
-    part, compile_core, arguments
-        The compiler of the function, its method that compiles, and what that method is called with.
-    is_kernel
-        Whether Python calls the function.
+    ``compile_core`` is the method of ``part``, the function's compiler, that compiles with these arguments.
     """
     part.pipeline_class = KernelPipeline if is_kernel else InnerPipeline
     try:

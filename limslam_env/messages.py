@@ -17,7 +17,10 @@ _CUT = " ... "
 
 def printable(text: str) -> str:
     """A text in which each character that a terminal cannot print is written as its escape."""
-    return "".join(letter if letter.isprintable() else _escaped(letter) for letter in text)
+    return "".join(
+        letter if letter.isprintable() else letter.encode("unicode_escape", "surrogatepass").decode("ascii")
+        for letter in text
+    )
 
 
 def one_line(text: str, longest: int = LONGEST_MESSAGE) -> str:
@@ -43,10 +46,6 @@ def described(value: object) -> str:
 def counted(number: int, noun: str) -> str:
     """A number with its noun: "1 lap", "4 laps"."""
     return f"{number} {noun}{'' if number == 1 else 's'}"
-
-
-def _escaped(letter: str) -> str:
-    return letter.encode("unicode_escape", "surrogatepass").decode("ascii")
 
 
 def announce(text: str) -> None:

@@ -14,7 +14,7 @@ from limslam_agent.policies.controller import TURN_RATE, wheel_speeds
 from limslam_agent.policies.simple_policies import LAP_SPEED
 from limslam_agent.runs.policies import Tour
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_env.bounds.roadmap import Roadmap
+from limslam_env.bounds import Roadmap
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec

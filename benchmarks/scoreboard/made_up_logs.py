@@ -22,12 +22,11 @@ from limslam_agent.logs.relations import Relations, relation_errors, summary
 from limslam_agent.replay.smoothing import trusted_path
 from limslam_agent.slam.graph.key_poses import LogData, integrate
 from limslam_agent.slam.graph.reversing import with_reversing
-from limslam_env.bounds.roadmap import Roadmap
-from limslam_env.bounds.tours import Speeds, poses_along
+from limslam_env.bounds import Roadmap, Speeds, poses_along
 from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.interface import RobotSpec
-from limslam_env.metrics.metrics import trajectory_metrics
-from limslam_env.simulation.sensors import build_wall_index
+from limslam_env.metrics import trajectory_metrics
+from limslam_env.simulation.sensors import build_wall_index, cast
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan
 from limslam_env.worlds.regions import starting_cells
@@ -215,7 +214,8 @@ def _ranges(world: World, time: FloatArray, truth: FloatArray, generator: np.ran
     angles = truth[:, 2:] + _BEAMS
     directions = np.stack((np.cos(angles), np.sin(angles)), axis=-1).reshape(-1, 2)
     origins = np.repeat(truth[:, :2], len(_BEAMS), axis=0)
-    ranges = build_wall_index(edges).cast(origins, directions, np.full(angles.size, _REACH))[0].reshape(angles.shape)
+    ranges, _ = cast(build_wall_index(edges), origins, directions, np.full(angles.size, _REACH))
+    ranges = ranges.reshape(angles.shape)
     for begin in np.cumsum(generator.exponential(generator.uniform(8.0, 60.0), int(time[-1] / 8.0))):
         lasts, (bearing, distance) = generator.uniform(1.0, 5.0), generator.uniform((-1.5, 0.5), (1.5, 4.0), (2, 2)).T
         rows = np.flatnonzero((time >= begin) & (time < begin + lasts))

@@ -228,7 +228,7 @@ def _scores_of_both(joint: "JointReplay", relations: "tuple[Relations | None, Re
     """Metrics of both logs together. Relations that both logs share may lie between the logs."""
     from limslam_agent.runs.results import mean_scores
     from limslam_agent.two_logs.output import relation_scores
-    from limslam_env.metrics.metrics import trajectory_metrics
+    from limslam_env.metrics import trajectory_metrics
 
     scores = relation_scores(joint, relations)
     true = [each.log.true_pose for each in joint.replays if each.log.true_pose is not None]

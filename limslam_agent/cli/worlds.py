@@ -66,8 +66,7 @@ def convert(
 ) -> None:
     """Write a world in another format."""
     from limslam_agent.output.atomic_write import check_target
-    from limslam_env.worlds.formats.loading import load_world
-    from limslam_env.worlds.formats.writing import write_world
+    from limslam_env.worlds.formats.loading import load_world, write_world
 
     files = [target, target.with_suffix(".pgm")] if target.suffix in {".yaml", ".yml"} else [target]
     for file in files:

@@ -17,7 +17,7 @@ from limslam_agent.policies.policy import NO_PLAN, Policy
 from limslam_agent.policies.simple_policies import LAP_SPEED, RandomPolicy, WallFollower
 from limslam_agent.policies.wall_policy import explorer
 from limslam_agent.runs.policy_file import file_and_name, file_policies, is_file_policy
-from limslam_env.bounds.tours import Speeds
+from limslam_env.bounds import Speeds
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 

@@ -29,11 +29,16 @@ from limslam_agent.status.smoothed_status import lost_note, lost_since, smoothed
 from limslam_agent.status.status import LEVELS, final_status_scores, status_scores, worst
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
-from limslam_env.metrics import metrics
-from limslam_env.metrics.association import AssociationEvent, association_metrics, closure_metrics, dropped_beam_metrics
+from limslam_env.metrics import (
+    AssociationEvent,
+    association_metrics,
+    closure_metrics,
+    dropped_beam_metrics,
+    metrics,
+)
 from limslam_env.simulation.coverage import CELL, CoverageGrid
 from limslam_env.worlds.formats.loading import load_world
-from limslam_env.worlds.formats.toml import world_toml
+from limslam_env.worlds.formats.tables import world_toml
 from limslam_env.worlds.world import World
 
 _ALIGNED_WALLS = "wall_f1_aligned", "wall_f1_aligned_5cm", "spurious_walls", "spurious_m", "duplicate_m"

@@ -34,7 +34,7 @@ class Pairs:
         """The rigid motion (3,) that brings the frame of the estimate onto the frame of the truth, m and rad.
 
         ``none`` is no motion: both have one frame. ``start`` lets both paths begin in the same pose. ``path`` brings
-        the whole path onto the true path (:func:`limslam_env.metrics.metrics.rigid_alignment`).
+        the whole path onto the true path (:func:`limslam_env.metrics.rigid_alignment`).
         """
         if how == "start":
             return compose(self.true[0], inverse(self.estimated[0]))

@@ -11,16 +11,13 @@ from limslam_env.config import NoiseConfig, TaskConfig, bounds_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.batch_rays import MOST_LANES
-from limslam_env.kernels.batch_readings import BEGIN, SKIP, STEP
 from limslam_env.kernels.batch_state import Episodes, Results, Robots, Settings, Task, fan_of, lanes_for, scratch_for
-from limslam_env.kernels.batch_step import advance
-from limslam_env.kernels.coverage import BODY_MARGIN, RAY_MARGIN
+from limslam_env.kernels.batch_step import BEGIN, SKIP, STEP, advance
+from limslam_env.kernels.coverage import BODY_MARGIN, LONGEST_LOOK, RAY_MARGIN
 from limslam_env.kernels.random_numbers import Words, derive_keys, draw_rows
-from limslam_env.kernels.tables import LONGEST_RANGE, NUM_NOISES, OFFSET
-from limslam_env.kernels.tiles import LONGEST_LOOK
+from limslam_env.kernels.readings import LONGEST_RANGE, NUM_NOISES, OFFSET
 from limslam_env.simulation.coverage import CELL, CoverageGrid
-from limslam_env.simulation.noise import noise_table
-from limslam_env.simulation.sensors import beam_table
+from limslam_env.simulation.sensors import beam_table, noise_table
 from limslam_env.worlds.world import World
 
 __all__ = ["BatchSimulation", "Results"]
@@ -47,10 +44,8 @@ class BatchSimulation:
 
     Parameters
     ----------
-    places
-        The worlds of the environments.
-    robot
-        The specification of all robots.
+    places, robot
+        The worlds of the environments, and the specification of all robots.
     noise
         Ranges in it are drawn from at each reset, for each environment.
     task, max_steps
@@ -74,15 +69,8 @@ class BatchSimulation:
         beams = beam_table(robot)
         longest = max(float((beams[:, OFFSET] + beams[:, LONGEST_RANGE]).max()), 2.0 * robot.radius)
         is_small = longest / CELL - RAY_MARGIN <= LONGEST_LOOK and lanes_for(num_beams) <= MOST_LANES
-        period = robot.control_period
-        self._robots = Robots(
-            robot.max_wheel_speed * period,
-            robot.radius,
-            period,
-            beams,
-            fan_of(beams, robot.radius - BODY_MARGIN),
-            is_small,
-        )
+        period, fan = robot.control_period, fan_of(beams, robot.radius - BODY_MARGIN)
+        self._robots = Robots(robot.max_wheel_speed * period, robot.radius, period, beams, fan, is_small)
         self._task = _as_numbers(task, max_steps)
         self._homes: Words = np.zeros(count, dtype=np.uint64)
         self._numbers = np.zeros(count, dtype=np.int64)
@@ -104,16 +92,10 @@ class BatchSimulation:
     def begin(
         self, mask: BoolArray, start: FloatArray | None = None, seeds: np.random.SeedSequence | None = None
     ) -> None:
-        """Draw world, start and noise of new episodes; a later step observes them.
+        """Draw world, start and noise of new episodes where a mask (n,) is true; a later step observes them.
 
-        Parameters
-        ----------
-        mask
-            (n,), where they begin.
-        start
-            (n, s, 3), the first robots' poses.
-        seeds
-            From which all sequences of random numbers begin anew, those of other environments, too.
+        ``start`` (n, s, 3) are the first robots' poses. From ``seeds`` all sequences of random numbers begin anew,
+        those of other environments, too.
 
         Raises
         ------
@@ -140,14 +122,9 @@ class BatchSimulation:
             self._episodes = episodes._replace(unseen=_padded(episodes.unseen, width))
 
     def step(self, actions: FloatArray, fresh: BoolArray | None = None) -> Results:
-        """Drive for one control period.
+        """Drive for one control period with left and right wheel speeds (n, m, 2), fractions of the maximum.
 
-        Parameters
-        ----------
-        actions
-            (n, m, 2), left and right wheel speeds, fractions of the maximum.
-        fresh
-            (n,), which environments have begun an episode that is to be observed first; they are not driven.
+        ``fresh`` (n,) are the environments with a new episode that is to be observed first; they are not driven.
         """
         tasks = np.full(self.num_envs, STEP) if fresh is None else np.where(fresh, BEGIN, STEP)
         return self._advance(tasks, actions)

@@ -15,12 +15,10 @@ from numba.core import config
 from limslam_env.batch.batch import NOISE, PLACES, BatchSimulation, no_results
 from limslam_env.batch.places import Places
 from limslam_env.compilation import merged
-from limslam_env.config import NoiseConfig, TaskConfig
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
-from limslam_env.kernels.batch_readings import BEGIN, STEP, hand_out
 from limslam_env.kernels.batch_state import Episodes, Results, Scratch, Settings, Starts, lanes_for
-from limslam_env.kernels.batch_step import advance_one
+from limslam_env.kernels.batch_step import BEGIN, STEP, advance_one, hand_out
 from limslam_env.kernels.random_numbers import Words, chosen, derived, draw_row, draw_start
 from limslam_env.simulation.starts import TRIES
 
@@ -37,14 +35,11 @@ class Renewal(NamedTuple):
 
     Attributes
     ----------
-    homes, numbers
-        (n,): keys of the environments' random numbers, and the number of the episode that each is in.
-    slots
-        (n,): the world of each environment.
+    homes, numbers, slots, over
+        (n,): keys of the environments' random numbers, the number of the episode that each is in, its world, and
+        whether its episode is over.
     num_plans
         How many floor plans there are for an episode to get one of; 0 if environments keep their worlds.
-    over
-        (n,): which episodes are over.
     """
 
     homes: Words
@@ -59,28 +54,16 @@ class DeviceSimulation(BatchSimulation):
 
     Actions and results are arrays on the device. Each step writes its results into the same arrays.
 
-    Raises
-    ------
-    RuntimeError
-        If there is no GPU that numba can use.
-    ValueError
-        If each episode is to have a floor plan of its own, since only a processor can generate it.
+    A RuntimeError says that there is no GPU that numba can use, a ValueError that each episode is to have a floor plan
+    of its own, which only a processor can generate.
     """
 
-    def __init__(
-        self,
-        places: Places,
-        robot: RobotSpec,
-        noise: NoiseConfig,
-        task: TaskConfig,
-        max_steps: int | None = None,
-        num_threads: int | None = None,
-    ) -> None:
+    def __init__(self, places: Places, robot: RobotSpec, *arguments: Any) -> None:
         if not cuda.is_available():
             raise RuntimeError("device='cuda' needs a GPU of NVIDIA, its driver and numba-cuda (extra gpu)")
         if places.num_plans is None:
             raise ValueError("on a device, floor plans are generated once and then drawn from: plans=256, for instance")
-        super().__init__(places, robot, noise, task, max_steps, num_threads)
+        super().__init__(places, robot, *arguments)
         self._results: Results = _uploaded(no_results(self.num_envs, self.num_robots, len(robot.beams)))
         self._renewal: Renewal | None = None
         self._kernel: Any = None
@@ -111,11 +94,6 @@ class DeviceSimulation(BatchSimulation):
 
         ``actions`` (n, 2 m) are float32 arrays on the device, or arrays of numpy. ``fresh`` is not needed: the device
         knows.
-
-        Raises
-        ------
-        ValueError
-            If they have another shape or type, or rows that do not follow each other in memory.
         """
         del fresh
         there = cuda.as_cuda_array(actions) if hasattr(actions, "__cuda_array_interface__") else self.to_device(actions)

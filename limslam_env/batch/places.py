@@ -5,7 +5,6 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 
@@ -34,10 +33,8 @@ class Places:
     ----------
     source
         One world, one world per environment, or the settings of random floor plans.
-    robot, num_robots
-        The robots' specification, and their number in each environment.
-    num_envs
-        How many environments there are.
+    robot, num_robots, num_envs
+        The robots' specification, and their number in each of so many environments.
     plans
         Seeds of the floor plans that are made beforehand; an environment gets one of them at each reset. None draws
         every environment a plan of its own at each reset.
@@ -46,10 +43,8 @@ class Places:
 
     Raises
     ------
-    WorldError
-        If a world cannot be used.
-    ValueError
-        If floor plans for such a robot cannot be drawn.
+    WorldError, ValueError
+        If a world cannot be used, or floor plans for such a robot cannot be drawn.
     """
 
     def __init__(
@@ -71,8 +66,7 @@ class Places:
         self._variants: dict[tuple[int, bytes], int] = {}
         if isinstance(source, FloorPlanConfig):
             self._config = source
-            # This plan is not used: it shows at once whether the settings can be used.
-            floor_plan(source, np.random.default_rng(0), robot.radius)
+            source.check(robot.radius)
             if plans is not None:
                 self._seeds = list(dict.fromkeys(plans))
                 announce(f"{len(self._seeds)} floor plans are drawn, some 10 ms of processor time each")
@@ -111,16 +105,9 @@ class Places:
         )
 
     def begin(self, envs: IntArray, keys: Words, start: FloatArray | None) -> FloatArray:
-        """Give environments (k,) their worlds, and their robots poses (k, m, 3), m and rad.
+        """Give environments (k,) their worlds, and their robots poses (k, m, 3), m and rad, by random ``keys`` (k,).
 
-        Parameters
-        ----------
-        envs
-            Their numbers.
-        keys
-            (k,), of the random numbers for it.
-        start
-            (k, s, 3), poses of the first robots.
+        ``start`` (k, s, 3) are poses of the first robots.
 
         Raises
         ------
@@ -131,15 +118,15 @@ class Places:
             return self._begin_drawn(self._config, envs, keys, start)
         poses = np.zeros((len(envs), self.num_robots, 3))
         slots = self._slots(envs, keys)
-        moves: list[_Move] = []
+        moves: list[tuple[IntArray, int, Site]] = []
         for slot, rows in _groups(slots):
             if start is None:
                 poses[rows] = self._started(self._starts[slot], keys[rows], None, partial(self._world, slot))
             else:
                 moves += self._start_at(rows, slot, start[rows], keys[rows], poses)
         # No error may be raised from here on, and nothing above changes this object.
-        for move in moves:
-            slots[move.rows] = self._slot_of(move)
+        for rows, slot, site in moves:
+            slots[rows] = self._slot_of(slot, site)
         self.world_of[envs] = slots
         return poses
 
@@ -184,16 +171,13 @@ class Places:
 
         with ThreadPoolExecutor(self._threads) as pool:
             made = list(pool.map(begun, range(len(envs))))
-        poses = np.concatenate([each for _, each in made])
-        made.reverse()
-        for env in envs.tolist():
-            site, _ = made.pop()
+        for env, (site, _) in zip(envs.tolist(), made, strict=True):
             # Slots in the order of the environments.
             while len(self.sites) <= env:
                 self.sites.put(len(self.sites), site)
             self.sites.put(env, site)
             self.world_of[env] = env
-        return poses
+        return np.concatenate([poses for _, poses in made])
 
     def _started(
         self, starts: StartCells, keys: Words, known: FloatArray | None, world: Callable[[], World]
@@ -209,8 +193,13 @@ class Places:
             raise no_room(world(), self.num_robots)
         return poses
 
-    def _start_at(self, rows: IntArray, slot: int, start: FloatArray, keys: Words, poses: FloatArray) -> list["_Move"]:
-        """Start environments that share a world at poses of their own; what can be seen from there may differ."""
+    def _start_at(
+        self, rows: IntArray, slot: int, start: FloatArray, keys: Words, poses: FloatArray
+    ) -> list[tuple[IntArray, int, Site]]:
+        """Start environments that share a world at poses of their own; what can be seen from there may differ.
+
+        Returns rows of environments, the slot of their world, and the site that suits their poses.
+        """
         world = self._world(slot)
         known, counts = known_poses(world, self._robot, self.num_robots, start)
         labels = world.free_space(self._robot.radius).labels_of(known[..., :2].reshape(-1, 2)).reshape(counts.size, -1)
@@ -224,27 +213,19 @@ class Places:
             site = prepare(world, self._robot, self.num_robots, start[mine[0]])
             given = known[mine, : counts[mine[0]]]
             poses[rows[mine]] = self._started(site.starts, keys[mine], given, lambda: world)
-            moves.append(_Move(rows[mine], slot, site))
+            moves.append((rows[mine], slot, site))
         return moves
 
-    def _slot_of(self, move: "_Move") -> int:
-        """The slot with the coverage of a move: the world's own, or one that is added."""
-        tiles, home = move.site.tiles.ravel(), move.slot
+    def _slot_of(self, home: int, site: Site) -> int:
+        """The slot with the coverage of a site: the world's own, or one that is added."""
+        tiles = site.tiles.ravel()
         if np.array_equal(self.sites.tiles[home, : tiles.size], tiles):
             return home
         variant = home, tiles.tobytes()
         if variant not in self._variants:
             self._variants[variant] = len(self.sites)
-            self.sites.put(len(self.sites), move.site)
+            self.sites.put(len(self.sites), site)
         return self._variants[variant]
-
-
-class _Move(NamedTuple):
-    """Rows of environments that begin at given poses in the world of a slot, and the site that suits these poses."""
-
-    rows: IntArray
-    slot: int
-    site: Site
 
 
 def _groups(values: IntArray) -> Iterator[tuple[int, IntArray]]:

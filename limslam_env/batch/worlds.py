@@ -9,10 +9,11 @@ from numpy.typing import NDArray
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.batch_state import Worlds
+from limslam_env.kernels.coverage import TILE
 from limslam_env.kernels.random_numbers import Words
-from limslam_env.kernels.tiles import TILE
+from limslam_env.kernels.rays import Walls
 from limslam_env.simulation.coverage import coverage_grid
-from limslam_env.simulation.sensors import WallIndex, build_wall_index, walls_around
+from limslam_env.simulation.sensors import build_wall_index, walls_around
 from limslam_env.simulation.starts import starting_places
 from limslam_env.worlds.world import World
 
@@ -32,10 +33,8 @@ class StartCells:
     ----------
     given
         Poses (g, 3) of the first robots, m and rad.
-    runs
-        (r, 2): the number of the first of some cells side by side, and how many cells come before it.
-    count
-        Number of all cells.
+    runs, count
+        (r, 2): the number of the first of some cells side by side, and how many cells come before it; and of all.
     space
         (4,): lower left corner x, y and side of the cells, m, and columns.
     """
@@ -52,21 +51,14 @@ class Site:
 
     Attributes
     ----------
-    walls
-        For rays and contact.
-    reach
-        Farthest that robots see, m.
-    area
-        (3,): lower left corner and cell side of the coverage grid, m.
-    shape
-        Rows and columns of the coverage grid.
-    tiles
-        Its coverable cells, as :func:`to_tiles` makes them.
-    starts
-        Where robots start.
+    walls, reach, starts
+        For rays and contact; farthest that robots see, m; and where they start.
+    area, shape, tiles
+        Lower left corner and cell side (3,), m, of the coverage grid, its rows and columns, and its coverable cells as
+        :func:`to_tiles` makes them.
     """
 
-    walls: WallIndex
+    walls: Walls
     reach: float
     area: FloatArray
     shape: tuple[int, int]
@@ -76,17 +68,15 @@ class Site:
     @property
     def near(self) -> tuple[IntArray, IntArray] | None:
         """The walls within the beams' reach of each cell of their list; None where these are too many."""
-        return near_walls(self.walls, self.reach)
+        # Sensors that see far across a building: going from cell to cell is faster, and such lists would be long.
+        corners, count = self.walls.edges.reshape(-1, 2), len(self.walls.edges)
+        share = min(1.0, (2.0 * self.reach) ** 2 / max(float(np.prod(np.ptp(corners, axis=0))), 1e-9))
+        too_many = share * count > _MOST_NEAR or count > _MOST_EDGES
+        return None if too_many else walls_around(self.walls, self.reach)
 
 
 def prepare(world: World, robot: RobotSpec, num_robots: int, start: FloatArray | None = None) -> Site:
-    """Make a world ready, for robots that start as :func:`limslam_env.simulation.starts.starting_places` says.
-
-    Raises
-    ------
-    WorldError
-        If a start cannot be used or there is no room.
-    """
+    """Make a world ready, for robots that start as :func:`limslam_env.simulation.starts.starting_places` says."""
     places = starting_places(world, robot, num_robots, start)
     grid = coverage_grid(world, robot, places.known)
     cells = places.cells[~places.is_pocket]
@@ -95,16 +85,6 @@ def prepare(world: World, robot: RobotSpec, num_robots: int, start: FloatArray |
     starts = StartCells(places.given, runs, len(cells), places.space)
     tiles = to_tiles(grid.coverable)
     return Site(build_wall_index(world.edges), robot.reach, grid.area, grid.coverable.shape, tiles, starts)
-
-
-def near_walls(walls: WallIndex, reach: float) -> tuple[IntArray, IntArray] | None:
-    """The walls within ``reach`` (m) of each cell of their list; None where these are too many."""
-    # Sensors that see far across a building: going from cell to cell is faster, and such lists would be long.
-    low, high = walls.edges.reshape(-1, 2).min(axis=0), walls.edges.reshape(-1, 2).max(axis=0)
-    share = min(1.0, (2.0 * reach) ** 2 / max(float(np.prod(high - low)), 1e-9))
-    if share * len(walls.edges) > _MOST_NEAR or len(walls.edges) > _MOST_EDGES:
-        return None
-    return walls_around(walls, reach)
 
 
 def to_tiles(cells: BoolArray) -> Words:
@@ -198,12 +178,11 @@ class Sites:
         first_edge = self._edges.put(slot, walls.edges)
         first_item = self._items.put(slot, walls.cell_edges + first_edge)
         first_cell = self._cells.put(slot, walls.cell_starts + first_item)
-        columns, rows = walls.grid[3:].astype(int)
         starts, numbers = near or _NOWHERE
         first_item = self._near_items.put(slot, numbers)
         first_near = -1 if near is None else self._near_cells.put(slot, starts + first_item)
-        self.layout[slot] = first_edge, first_cell, columns, rows, tiles.shape[1], tiles.shape[0], first_near
-        self.grids[slot], self.areas[slot] = walls.grid[:3], site.area
+        self.layout[slot] = first_edge, first_cell, walls.columns, walls.rows, *tiles.shape[::-1], first_near
+        self.grids[slot], self.areas[slot] = (walls.low_x, walls.low_y, walls.side), site.area
         self.totals[slot], self.shapes[slot] = max(int(np.bitwise_count(tiles).sum()), 1), site.shape
         if tiles.size > self.tiles.shape[1]:
             self.tiles = np.pad(self.tiles, ((0, 0), (0, tiles.size - self.tiles.shape[1])))

@@ -1,7 +1,8 @@
-"""What the adapters of single environments share: spaces, actions, info, resets with another world, and rendering."""
+"""What the environments share: arguments, spaces, observations and info; and the simulation of single ones."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 import gymnasium as gym
@@ -9,13 +10,12 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from limslam_env.config import NoiseConfig, RewardConfig, Setting, TaskConfig
-from limslam_env.envs.arguments import PlaceSource, given, is_random, noise_of, nominal_noise
+from limslam_env.config import NoiseConfig, RewardConfig, Setting, TaskConfig, bounds_of
+from limslam_env.envs.arguments import PlaceSource, floats, given, is_random, reset_options
 from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.interface import NominalNoise, Observation, RobotSpec
+from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.messages import described, one_line
-from limslam_env.rendering.overlay import Overlay
-from limslam_env.rendering.painter import Painter
+from limslam_env.rendering.painter import Overlay, Painter
 from limslam_env.simulation.coverage import CoverageGrid
 from limslam_env.simulation.simulation import Readings, Simulation, Truth
 from limslam_env.worlds.formats.loading import load_world
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 Action: TypeAlias = NDArray[np.floating[Any]] | Sequence[float]
 
-RESET_OPTIONS = frozenset({"start", "world"})
+RESET_OPTIONS = "start", "world"
 
 # Seeds 0 to 3 are the simulation's: starts, ranges, wheels, settings.
 _TASK_SEED = 4
@@ -46,13 +46,7 @@ def observation_space(robot: RobotSpec) -> spaces.Dict:
 
 
 def wheel_speeds(action: Action) -> tuple[float, float]:
-    """An action as two numbers.
-
-    Raises
-    ------
-    ValueError
-        If it is not two finite numbers.
-    """
+    """An action as two numbers; a ValueError where it is not two finite numbers."""
     try:
         left, right = (action if isinstance(action, np.ndarray) else np.asarray(action, dtype=float)).tolist()
         if math.isfinite(left) and math.isfinite(right):
@@ -62,66 +56,108 @@ def wheel_speeds(action: Action) -> tuple[float, float]:
     raise ValueError(one_line(f"an action is two finite numbers, left and right wheel speed, not {described(action)}"))
 
 
-def observation_of(readings: Readings, robot: int) -> Observation:
-    """The observation of one robot."""
-    return {"ranges": readings.ranges[robot], "wheels": readings.wheels[robot]}
+def observation_of(readings: Any, which: Any) -> Any:
+    """The observation of the robot at an index ``which`` of the readings."""
+    return {"ranges": readings.ranges[which], "wheels": readings.wheels[which]}
 
 
-def info_of(truth: Truth, robot: int) -> dict[str, Any]:
-    """The ground truth of one robot, for evaluation."""
+def info_of(truth: Any, which: Any) -> dict[str, Any]:
+    """The ground truth, for evaluation, of the robot at an index ``which`` of the arrays."""
+    contact = truth.contact[which]
     return {
-        "pose": truth.poses[robot],
+        "pose": truth.poses[which],
         "time": truth.time,
         "coverage": truth.coverage,
-        "collision": truth.contact[robot],
-        "cost": float(truth.contact[robot]),
-        "wall_seen": truth.wall_seen[robot],
+        "collision": contact,
+        "cost": 1.0 * contact,
+        "wall_seen": truth.wall_seen[which],
     }
 
 
-class SimulationEnv:
-    """Base of the single environments: their simulation and its pictures, and all methods but reset and step.
+class Configured:
+    """Base of all environments.
 
     Attributes
     ----------
     robot, noise, task
         Specification of the robots, their noise, and the task.
-    render_mode
-        As Gymnasium and PettingZoo name it.
     """
 
-    render_mode: str | None
-
-    def _set_up(
+    def _configure(
         self,
-        world: PlaceSource,
-        num_robots: int,
-        robot: RobotSpec | None,
-        sensor_noise: Setting | None,
-        noise: NoiseConfig | None,
-        coverage_goal: float | None,
-        rewards: RewardConfig | None,
-        render_mode: str | None,
+        *,
+        robot: RobotSpec | None = None,
+        sensor_noise: Setting | None = None,
+        noise: NoiseConfig | None = None,
+        coverage_goal: float | None = 0.99,
+        rewards: RewardConfig | None = None,
     ) -> None:
-        """Take an environment's arguments; its class documents them and the errors raised."""
-        self.render_mode = render_mode
-        self._painter = Painter(render_mode)
+        """Take the arguments of all environments; their classes document them and the errors raised."""
         self.robot = given("robot", robot, RobotSpec)
         self.task = TaskConfig(coverage_goal, given("rewards", rewards, RewardConfig))
-        self.noise = noise_of(noise, sensor_noise)
-        self._source = FloorPlanConfig() if is_random(world) else world
-        self._num_robots, self._home, self._is_running = num_robots, None, False
-        if isinstance(self._source, FloorPlanConfig):
-            # This plan is not used: it shows at once whether the settings can be used.
-            floor_plan(self._source, np.random.default_rng(0), self.robot.radius)
-        else:
-            self._home = Simulation(load_world(self._source), self.robot, num_robots)
-        self._simulation: Simulation | None = self._home
+        told = given("noise", noise, NoiseConfig)
+        self.noise = told if sensor_noise is None else replace(told, sensor_noise=sensor_noise)
 
     @property
     def nominal_noise(self) -> NominalNoise:
-        """The noise that the robot's data sheets give: an agent may know it."""
-        return nominal_noise(self.noise)
+        """The noise that the robot's data sheets give, and that an agent may therefore know.
+
+        Of a range of values it is the upper end. The variance of the wheels is never below that of ``NominalNoise()``,
+        because no data sheet promises ideal wheels. Noise that a standard deviation cannot describe (dropouts, slip,
+        unequal wheels and so on) is not part of it.
+        """
+        wheel_variance = max(bounds_of(self.noise.wheel_variance)[1], NominalNoise().wheel_variance)
+        return NominalNoise(bounds_of(self.noise.sensor_noise)[1], wheel_variance)
+
+
+class NamedRobots:
+    """The names and the spaces of several robots, as PettingZoo asks for them."""
+
+    def _name(self, num_robots: int, observations: Callable[[], Any], actions: Callable[[], Any]) -> None:
+        """Name the robots, and give each of them a space of observations and of actions."""
+        self.possible_agents = [f"robot_{number}" for number in range(num_robots)]
+        self.observation_spaces = self._each(lambda _: observations())
+        self.action_spaces = self._each(lambda _: actions())
+
+    def observation_space(self, agent: str) -> spaces.Space[Any]:
+        """The observation space of a robot: the same object at each call."""
+        space: spaces.Space[Any] = self.observation_spaces[agent]
+        return space
+
+    def action_space(self, agent: str) -> spaces.Space[Any]:
+        """The action space of a robot: the same object at each call."""
+        space: spaces.Space[Any] = self.action_spaces[agent]
+        return space
+
+    def _each(self, value_of: Callable[[int], Any]) -> dict[str, Any]:
+        """A value for each robot, of its number."""
+        return {name: value_of(number) for number, name in enumerate(self.possible_agents)}
+
+    def _in_order(self, actions: dict[str, Any]) -> list[Any]:
+        """The actions of all robots, in the order of the robots; a ValueError where there is not one for each."""
+        if set(actions) != set(self.possible_agents):
+            names = ", ".join(self.possible_agents)
+            raise ValueError(f"there must be one action for each of {names}, not {list(actions)}")
+        return [actions[name] for name in self.possible_agents]
+
+
+class SimulationEnv(Configured):
+    """Base of the single environments: their simulation and its pictures, and all methods but reset and step."""
+
+    render_mode: str | None
+
+    def _set_up(self, world: PlaceSource, num_robots: int, render_mode: str | None, **arguments: Any) -> None:
+        """Take an environment's arguments; its class documents them and the errors raised."""
+        self.render_mode = render_mode
+        self._painter = Painter(render_mode)
+        self._configure(**arguments)
+        self._source = FloorPlanConfig() if is_random(world) else world
+        self._num_robots, self._home, self._is_running = num_robots, None, False
+        if isinstance(self._source, FloorPlanConfig):
+            self._source.check(self.robot.radius)
+        else:
+            self._home = Simulation(load_world(self._source), self.robot, num_robots)
+        self._simulation: Simulation | None = self._home
 
     @property
     def world(self) -> World:
@@ -189,17 +225,10 @@ class SimulationEnv:
 
     def _begin(self, generator: np.random.Generator, options: dict[str, Any] | None) -> tuple[Readings, Truth]:
         """Begin an episode. A reset that raises an error leaves the running episode unchanged."""
-        options = options or {}
-        if not isinstance(options, Mapping):
-            raise ValueError(  # noqa: TRY004 (all refused arguments are ValueErrors)
-                f"reset options are a dictionary, not {described(options)}"
-            )
-        unknown = sorted(map(str, set(options) - RESET_OPTIONS))
-        if unknown:
-            raise ValueError(f"unknown reset option {unknown[0]!r}; there are 'start' and 'world'")
+        asked = reset_options(options, *RESET_OPTIONS)
         entropy = int(generator.integers(2**63))
-        start = _starts(options.get("start"), self._num_robots)
-        simulation = self._simulation_for(options.get("world", self._source), entropy)
+        start = _starts(asked.get("start"), self._num_robots)
+        simulation = self._simulation_for(asked.get("world", self._source), entropy)
         readings, truth = simulation.reset(np.random.SeedSequence(entropy), self.noise, start)
         self._simulation, self._is_running = simulation, True
         self._painter.follow(simulation, readings, truth)
@@ -226,10 +255,7 @@ class SimulationEnv:
 def _starts(option: Any, num_robots: int) -> FloatArray | None:
     if option is None:
         return None
-    try:
-        starts = np.atleast_2d(np.asarray(option, dtype=float))
-    except (TypeError, ValueError, OverflowError):
-        starts = np.zeros((0, 0))
+    starts = np.atleast_2d(floats(option))
     if starts.ndim != 2 or starts.shape[1] != 3 or not 1 <= len(starts) <= num_robots:
         wanted = "(x, y, theta)" if num_robots == 1 else f"up to {num_robots} rows (x, y, theta)"
         raise ValueError(f"the start is {wanted}, not {described(option)}")

@@ -1,12 +1,15 @@
 """The arguments of environments and batches, and their checks, which name what is wrong."""
 
 import operator
-from collections.abc import Sequence
-from dataclasses import fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from typing import Any, TypeAlias, TypeGuard, TypeVar
 
-from limslam_env.config import NoiseConfig, RewardConfig, Setting, bounds_of
-from limslam_env.interface import NominalNoise, RobotSpec
+import numpy as np
+
+from limslam_env.config import NoiseConfig, RewardConfig
+from limslam_env.geometry import FloatArray
+from limslam_env.interface import RobotSpec
 from limslam_env.messages import described, one_line
 from limslam_env.worlds.formats.loading import WorldSource, load_world
 from limslam_env.worlds.generation.floor_plans import FloorPlanConfig
@@ -27,13 +30,7 @@ Kind = TypeVar("Kind", RobotSpec, NoiseConfig, RewardConfig)
 
 
 def given(name: str, value: Any, kind: type[Kind]) -> Kind:
-    """An argument, or what ``kind`` is by default for None.
-
-    Raises
-    ------
-    ValueError
-        If the argument is of another kind.
-    """
+    """An argument, or what ``kind`` is by default for None; a ValueError where it is of another kind."""
     if value is None:
         return kind()
     if isinstance(value, kind):
@@ -42,37 +39,8 @@ def given(name: str, value: Any, kind: type[Kind]) -> Kind:
     raise ValueError(one_line(f"{name} must be a {kind.__name__}, such as {example}, not {described(value)}"))
 
 
-def noise_of(noise: NoiseConfig | None, sensor_noise: Setting | None) -> NoiseConfig:
-    """The noise of an environment; ``sensor_noise`` comes before that of ``noise``.
-
-    Raises
-    ------
-    ValueError
-        If one of them cannot be used.
-    """
-    told = given("noise", noise, NoiseConfig)
-    return told if sensor_noise is None else replace(told, sensor_noise=sensor_noise)
-
-
-def nominal_noise(noise: NoiseConfig) -> NominalNoise:
-    """The noise that the robot's data sheets give, and that an agent may therefore know.
-
-    Of a range of values it is the upper end. The variance of the wheels is never below that of ``NominalNoise()``,
-    because no data sheet promises ideal wheels. Noise that a standard deviation cannot describe (dropouts, slip,
-    unequal wheels and so on) is not part of it.
-    """
-    wheel_variance = max(bounds_of(noise.wheel_variance)[1], NominalNoise().wheel_variance)
-    return NominalNoise(bounds_of(noise.sensor_noise)[1], wheel_variance)
-
-
 def whole(name: str, value: Any, otherwise: str = "") -> int:
-    """A whole number of at least 1; the error message adds ``otherwise``, which names the alternatives.
-
-    Raises
-    ------
-    ValueError
-        If it is something else.
-    """
+    """A whole number of at least 1; a ValueError otherwise, which adds the alternatives that ``otherwise`` names."""
     number = _index(value)
     if number is None or number < 1:
         raise ValueError(f"{name} must be a whole number, 1 or more{otherwise}, not {described(value)}")
@@ -80,15 +48,27 @@ def whole(name: str, value: Any, otherwise: str = "") -> int:
 
 
 def check_robots(num_robots: Any) -> None:
-    """Refuse a number of robots that is not a whole number from 1 to 8.
-
-    Raises
-    ------
-    ValueError
-        If it is something else.
-    """
+    """Refuse a number of robots that is not a whole number from 1 to 8, with a ValueError."""
     if _index(num_robots) not in range(1, MAX_ROBOTS + 1):
         raise ValueError(f"there can be 1 to {MAX_ROBOTS} robots, not {described(num_robots)}")
+
+
+def floats(value: Any) -> FloatArray:
+    """A value as an array of floats; an empty one where it is no array of numbers."""
+    try:
+        return np.asarray(value, dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        return np.zeros(0)
+
+
+def reset_options(options: Any, *known: str) -> Mapping[str, Any]:
+    """The options of a reset; a ValueError where they are no dictionary, or one of them is not ``known``."""
+    if not (options is None or isinstance(options, Mapping)):
+        raise ValueError(f"reset options are a dictionary, not {described(options)}")
+    unknown = sorted(map(str, set(options or {}) - set(known)))
+    if unknown:
+        raise ValueError(f"unknown reset option {unknown[0]!r}; there are {' and '.join(map(repr, known))}")
+    return options or {}
 
 
 def is_random(source: object) -> TypeGuard[str]:
@@ -97,13 +77,7 @@ def is_random(source: object) -> TypeGuard[str]:
 
 
 def worlds_of(source: BatchSource, num_envs: int) -> World | list[World] | FloorPlanConfig:
-    """The world of all environments or of each, or what floor plans are drawn by.
-
-    Raises
-    ------
-    ValueError
-        If there is not a world for each, or floor plans are to be drawn for some only.
-    """
+    """The world of all environments or of each, or what floor plans are drawn by; a ValueError if they do not fit."""
     if isinstance(source, FloorPlanConfig):
         return source
     if isinstance(source, Sequence) and not isinstance(source, str):
@@ -117,13 +91,7 @@ def worlds_of(source: BatchSource, num_envs: int) -> World | list[World] | Floor
 
 
 def seeds_of(plans: Plans, source: BatchSource) -> Sequence[int] | None:
-    """The seeds of the floor plans that are made beforehand.
-
-    Raises
-    ------
-    ValueError
-        If worlds are not drawn, or these are no seeds.
-    """
+    """The seeds of the floor plans that are made beforehand; a ValueError where there can be none."""
     if plans is None:
         return None
     if not (isinstance(source, FloorPlanConfig) or is_random(source)):

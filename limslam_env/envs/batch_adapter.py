@@ -1,6 +1,6 @@
-"""What the adapters of batches share: arguments, actions, seeds, and info in Gymnasium's form for vectors."""
+"""What the adapters of batches share: arguments, actions, seeds, pictures, and info in Gymnasium's form for vectors."""
 
-from typing import Any, ClassVar, NamedTuple, TypeAlias
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
 
 import gymnasium as gym
 import numpy as np
@@ -9,59 +9,29 @@ from numpy.typing import ArrayLike, NDArray
 
 from limslam_env.batch.batch import BatchSimulation, Results
 from limslam_env.batch.places import Places
-from limslam_env.config import NoiseConfig, RewardConfig, Setting, TaskConfig
-from limslam_env.envs.arguments import (
-    BatchSource,
-    Plans,
-    given,
-    noise_of,
-    nominal_noise,
-    seeds_of,
-    whole,
-    worlds_of,
-)
+from limslam_env.envs.adapter import Configured, info_of, observation_of
+from limslam_env.envs.arguments import BatchSource, Plans, floats, reset_options, seeds_of, whole, worlds_of
 from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.messages import described
+from limslam_env.worlds.world import World
+
+if TYPE_CHECKING:
+    from limslam_env.rendering.rendering import Background
 
 BatchObservation: TypeAlias = dict[str, NDArray[np.float32]]
 """The readings of one robot of each environment: ``ranges`` (n, n_beams) and ``wheels`` (n, 2), m."""
 
-OPTIONS = frozenset({"start", "reset_mask"})
+Ended: TypeAlias = tuple[Results, BoolArray] | None
+"""The results of the episodes that ended in a step, and in which environments (n,) they did, if new ones have begun."""
 
 
-class Outcome(NamedTuple):
-    """The result of a step.
-
-    Attributes
-    ----------
-    now
-        Readings and truth of the episodes that run now, new ones among them.
-    rewards
-        (n, m).
-    terminated, truncated
-        (n,).
-    last
-        The results of the episodes that ended in this step, and in which environments (n,) they did, if new
-        ones have begun already.
-    """
-
-    now: Results
-    rewards: FloatArray
-    terminated: BoolArray
-    truncated: BoolArray
-    last: tuple[Results, BoolArray] | None
-
-
-class Batched:
+class Batched(Configured):
     """Base of the batches of environments.
 
     Attributes
     ----------
     num_envs
         How many there are.
-    robot, noise, task
-        What each robot is, the noise of all environments, and what is asked of the robots.
     autoreset_mode
         As Gymnasium names it.
     """
@@ -75,33 +45,22 @@ class Batched:
         num_robots: int,
         max_steps: int | None,
         *,
-        robot: RobotSpec | None = None,
-        sensor_noise: Setting | None = None,
-        noise: NoiseConfig | None = None,
-        coverage_goal: float | None = 0.99,
-        rewards: RewardConfig | None = None,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         plans: Plans = None,
         num_threads: int | None = None,
+        **arguments: Any,
     ) -> None:
         """Take a batch's arguments; its class documents them and the errors raised."""
         num_envs = whole("num_envs", num_envs)
         max_steps = None if max_steps is None else whole("the steps of an episode", max_steps, ", or None")
         num_threads = None if num_threads is None else whole("num_threads", num_threads, ", or None")
-        self.robot = given("robot", robot, RobotSpec)
-        self.task = TaskConfig(coverage_goal, given("rewards", rewards, RewardConfig))
-        self.noise = noise_of(noise, sensor_noise)
+        self._configure(**arguments)
         self._num_robots, self.num_envs = num_robots, num_envs
         source, seeds = worlds_of(world, num_envs), seeds_of(plans, world)
         places = Places(source, self.robot, num_robots, num_envs, seeds, num_threads)
         self._simulation = self._kind(places, self.robot, self.noise, self.task, max_steps, num_threads)
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self._is_over, self._is_running = np.zeros(num_envs, dtype=bool), False
-
-    @property
-    def nominal_noise(self) -> NominalNoise:
-        """The noise that the robots' data sheets give. An agent may know it."""
-        return nominal_noise(self.noise)
 
     def seen(self, env: int) -> BoolArray:
         """The coverable cells (rows, columns) of an environment's coverage grid that have been seen."""
@@ -111,8 +70,8 @@ class Batched:
         self, generator: np.random.Generator, seed: int | None, options: dict[str, Any] | None
     ) -> tuple[Results, BoolArray]:
         """Begin new episodes as the adapters' ``reset`` describes; also returns a mask (n,) of their environments."""
-        mask, start = self._asked(options)
-        seeds = None
+        asked, seeds = reset_options(options, "start", "reset_mask"), None
+        mask, start = self._mask(asked.get("reset_mask")), self._start(asked.get("start"))
         if seed is not None or not self._is_running:
             seeds = np.random.SeedSequence(int(generator.integers(2**63)))
         results = self._simulation.reset(mask, start, seeds)
@@ -120,32 +79,32 @@ class Batched:
         self._is_over[mask] = False
         return results, mask
 
-    def _drive(self, actions: FloatArray) -> Outcome:
-        """Drive all robots with actions (n, m, 2), and reset where the mode says so."""
+    def _check_begun(self) -> None:
+        if not self._is_running:
+            raise gym.error.ResetNeeded("call reset before step")
+
+    def _drive(self, actions: FloatArray) -> tuple[Results, Ended]:
+        """Drive all robots with actions (n, m, 2), and reset where the mode says so.
+
+        The results have the readings and the truth of the episodes that run now, new ones among them.
+        """
         fresh = self._is_over if self._is_over.any() else None
         if fresh is not None:
             if self.autoreset_mode is AutoresetMode.DISABLED:
                 raise gym.error.ResetNeeded(f"the episode of environment {int(np.argmax(fresh))} is over")
             self._simulation.begin(fresh)
         results = self._simulation.step(actions, fresh)
-        ends = results.rewards, results.terminated, results.truncated
         over = results.terminated | results.truncated
-        if self.autoreset_mode is AutoresetMode.SAME_STEP and over.any():
-            return Outcome(self._simulation.reset(over), *ends, (results, over))
-        self._is_over = over
-        return Outcome(results, *ends, None)
-
-    def _asked(self, options: dict[str, Any] | None) -> tuple[BoolArray, FloatArray | None]:
-        """Which environments a reset is for (n,), and where robots are to start (n, s, 3)."""
-        if not (options is None or isinstance(options, dict)):
-            raise ValueError(f"reset options are a dictionary, not {described(options)}")
-        options = options or {}
-        unknown = [name for name in options if name not in OPTIONS]
-        if unknown:
-            raise ValueError(f"unknown reset option {unknown[0]!r}; there are 'start' and 'reset_mask'")
-        return self._mask(options.get("reset_mask")), self._start(options.get("start"))
+        if self.autoreset_mode is not AutoresetMode.SAME_STEP or not over.any():
+            self._is_over = over
+            return results, None
+        now = self._simulation.reset(over)._replace(
+            rewards=results.rewards, terminated=results.terminated, truncated=results.truncated
+        )
+        return now, (results, over)
 
     def _mask(self, option: Any) -> BoolArray:
+        """Which environments (n,) a reset is for."""
         if option is None:
             return np.ones(self.num_envs, dtype=bool)
         mask = np.asarray(option)
@@ -156,12 +115,10 @@ class Batched:
         return mask
 
     def _start(self, option: Any) -> FloatArray | None:
+        """Where the first robots are to start (n, s, 3)."""
         if option is None:
             return None
-        try:
-            start = np.asarray(option, dtype=float)
-        except (TypeError, ValueError):
-            start = np.zeros(0)
+        start = floats(option)
         if start.ndim < 3 and start.shape[-1:] == (3,):
             # One pose for all, or as many as there are robots or, with one robot, environments.
             start = start.reshape(-1, 1, 3) if self._num_robots == 1 else start.reshape(1, -1, 3)
@@ -175,17 +132,8 @@ class Batched:
 
 
 def checked_actions(actions: ArrayLike, num_envs: int, whose: str = "") -> FloatArray:
-    """Actions as an array (n, 2).
-
-    Raises
-    ------
-    ValueError
-        If they are not n rows of two finite numbers.
-    """
-    try:
-        array = np.asarray(actions, dtype=np.float64)
-    except (TypeError, ValueError):
-        array = np.zeros(0)
+    """Actions as an array (n, 2); a ValueError where they are not n rows of two finite numbers."""
+    array = floats(actions)
     if array.shape != (num_envs, 2):
         raise ValueError(
             f"actions{whose} must be {num_envs} rows of two numbers, left and right wheel, not shape {array.shape}"
@@ -196,39 +144,87 @@ def checked_actions(actions: ArrayLike, num_envs: int, whose: str = "") -> Float
     return array
 
 
-def observation_of(results: Results, robot: int) -> BatchObservation:
+def observations_of(results: Results, robot: int) -> BatchObservation:
     """The observations of one robot in each environment."""
-    return {"ranges": results.ranges[:, robot], "wheels": results.wheels[:, robot]}
+    observations: BatchObservation = observation_of(results, np.s_[:, robot])
+    return observations
 
 
-def infos_of(outcome: Outcome, robot: int) -> dict[str, Any]:
-    """What is true of one robot of each environment after a step; and what was last of the episodes that ended in it.
+def infos_of(results: Results, robot: int, ended: Ended = None, mask: BoolArray | None = None) -> dict[str, Any]:
+    """What is true of one robot of each environment, or those of a ``mask`` (n,); and of episodes that have ended.
 
     As Gymnasium's own vector environments give it, each key with a mask (n,) beside it.
     """
-    info = info_of(outcome.now, robot, np.ones(len(outcome.terminated), dtype=bool))
-    if outcome.last is None:
-        return info
-    results, over = outcome.last
-    observation, final = observation_of(results, robot), np.full(len(over), None, dtype=object)
-    for env in np.flatnonzero(over):
-        final[env] = {key: value[env].copy() for key, value in observation.items()}
-    info |= {"final_obs": final, "_final_obs": over.copy()}
-    return info | {"final_info": info_of(results, robot, over), "_final_info": over.copy()}
-
-
-def info_of(results: Results, robot: int, mask: BoolArray) -> dict[str, Any]:
-    """The ground truth of one robot in each environment, with a mask (n,) for each key."""
-    info: dict[str, Any] = {
-        "pose": results.poses[:, robot],
-        "time": results.time,
-        "coverage": results.coverage,
-        "collision": results.contact[:, robot],
-        "cost": results.contact[:, robot].astype(float),
-        "wall_seen": results.wall_seen[:, robot],
-    }
+    info = info_of(results, np.s_[:, robot])
+    mask = np.ones(len(results.time), dtype=bool) if mask is None else mask
     # A step knows the values of all environments. After a reset of some, the others have zeros, as Gymnasium asks.
     if not mask.all():
         info = {key: np.where(mask.reshape(-1, *[1] * (value.ndim - 1)), value, 0) for key, value in info.items()}
         info["collision"] = info["collision"].astype(bool)
-    return info | dict(zip((f"_{key}" for key in info), np.repeat(mask[None], len(info), axis=0), strict=True))
+    info |= {f"_{key}": mask.copy() for key in info}
+    if ended is None:
+        return info
+    last, over = ended
+    observations, final = observations_of(last, robot), np.full(len(over), None, dtype=object)
+    for env in np.flatnonzero(over):
+        final[env] = {key: value[env].copy() for key, value in observations.items()}
+    info |= {"final_obs": final, "_final_obs": over.copy()}
+    return info | {"final_info": infos_of(last, robot, mask=over), "_final_info": over.copy()}
+
+
+class BatchPictures:
+    """Pictures of all environments of a batch, as the single environment draws them, but square."""
+
+    def __init__(self, simulation: BatchSimulation) -> None:
+        self._simulation = simulation
+        self._last: Results | None = None
+        # Positions (n, m, 2) after each step, and for each environment the row in which its episode begins.
+        self._trail: list[FloatArray] = []
+        self._begins = np.zeros(simulation.num_envs, dtype=np.int64)
+        # Where environments are, until their next episodes: to draw a world takes longer than a picture.
+        self._places: dict[int, tuple[World, Background]] = {}
+
+    def begin(self, results: Results) -> None:
+        """Remember the state after a reset of some environments. The others are where they were."""
+        if self._trail:
+            self._trail.pop()
+        self.follow(results)
+
+    def follow(self, results: Results) -> None:
+        """Remember the state after a step."""
+        # The caller may change these arrays, and the pictures must not change with them.
+        self._last = results._replace(
+            ranges=results.ranges.copy(), poses=results.poses.copy(), time=results.time.copy(),
+            coverage=results.coverage.copy(), wall_seen=results.wall_seen.copy(),
+        )  # fmt: skip
+        self._trail.append(self._last.poses[:, :, :2])
+        has_begun = results.time == 0.0
+        if has_begun.any():
+            for env in np.flatnonzero(has_begun):
+                self._places.pop(int(env), None)
+            self._begins[has_begun] = len(self._trail) - 1
+            first = int(self._begins.min())
+            del self._trail[:first]
+            self._begins -= first
+
+    def paint(self) -> tuple[NDArray[np.uint8], ...] | None:
+        """A picture (height, width, 3) of each environment; None before the first reset."""
+        last = self._last
+        if last is None:
+            return None
+        from limslam_env.rendering.rendering import RenderState, render, square_background
+
+        trail, simulation = np.stack(self._trail), self._simulation
+        pictures = []
+        for env in range(simulation.num_envs):
+            if env not in self._places:
+                world = simulation.world(env)
+                self._places[env] = world, square_background(world)
+            (world, background), grid = self._places[env], simulation.coverage_grid(env)
+            paths = trail[self._begins[env] :, env].swapaxes(0, 1)
+            state = RenderState(
+                world, simulation.robot, last.poses[env], last.wall_seen[env], last.ranges[env], list(paths),
+                float(last.time[env]), float(last.coverage[env]), simulation.seen(env) & grid.coverable, grid.low,
+            )  # fmt: skip
+            pictures.append(render(state, background=background))
+        return tuple(pictures)

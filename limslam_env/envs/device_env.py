@@ -2,7 +2,6 @@
 
 from typing import Any, ClassVar
 
-import gymnasium as gym
 import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import NDArray
@@ -58,8 +57,7 @@ class LimSlamDeviceEnv(LimSlamVectorEnv):
         gymnasium.error.ResetNeeded
             If there was no reset yet.
         """
-        if not self._is_running:
-            raise gym.error.ResetNeeded("call reset before step")
+        self._check_begun()
         self._simulation.step(actions)
         observation, rewards, terminated, truncated, info = self._handed
         return observation.copy(), rewards, terminated, truncated, info.copy()

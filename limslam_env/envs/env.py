@@ -121,7 +121,10 @@ class LimSlamEnv(SimulationEnv, gym.Env[Observation, NDArray[np.floating[Any]]])
         rewards: RewardConfig | None = None,
         render_mode: str | None = None,
     ) -> None:
-        self._set_up(world, 1, robot, sensor_noise, noise, coverage_goal, rewards, render_mode)
+        self._set_up(
+            world, 1, render_mode,
+            robot=robot, sensor_noise=sensor_noise, noise=noise, coverage_goal=coverage_goal, rewards=rewards,
+        )  # fmt: skip
         self.action_space = action_space()  # type: ignore[assignment]
         self.observation_space = observation_space(self.robot)  # type: ignore[assignment]
 
@@ -152,6 +155,6 @@ class LimSlamEnv(SimulationEnv, gym.Env[Observation, NDArray[np.floating[Any]]])
             If there was no reset yet.
         """
         readings, truth = self._drive((wheel_speeds(action),))
-        value = self.task.reward.of_step(truth.new_area[0], contact=truth.contact[0])
+        value = self.task.reward.of_step(truth.new_area[0], truth.contact[0])
         is_over = self.task.is_over(truth.coverage)
         return observation_of(readings, 0), value, is_over, False, info_of(truth, 0)

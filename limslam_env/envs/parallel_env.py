@@ -4,7 +4,6 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
 from gymnasium.utils import seeding
 from pettingzoo import AECEnv, ParallelEnv
 from pettingzoo.utils.conversions import parallel_to_aec
@@ -13,6 +12,7 @@ from limslam_env.config import NoiseConfig, RewardConfig, Setting
 from limslam_env.envs.adapter import (
     RESET_OPTIONS,
     Action,
+    NamedRobots,
     SimulationEnv,
     action_space,
     info_of,
@@ -25,7 +25,7 @@ from limslam_env.interface import Observation, RobotSpec
 from limslam_env.rendering.painter import RENDER_FPS, RENDER_MODES
 
 
-class LimSlamParallelEnv(SimulationEnv, ParallelEnv[str, Observation, Action]):
+class LimSlamParallelEnv(NamedRobots, SimulationEnv, ParallelEnv[str, Observation, Action]):
     """Explore an unknown building with several robots, each with a few range beams and wheel encoders.
 
     The agents are called `robot_0`, `robot_1`, and so on. They act simultaneously, their beams detect the other
@@ -92,21 +92,14 @@ class LimSlamParallelEnv(SimulationEnv, ParallelEnv[str, Observation, Action]):
         check_robots(num_robots)
         if max_cycles is not None:
             whole("max_cycles", max_cycles, ", or None")
-        self._set_up(world, num_robots, robot, sensor_noise, noise, coverage_goal, rewards, render_mode)
+        self._set_up(
+            world, num_robots, render_mode,
+            robot=robot, sensor_noise=sensor_noise, noise=noise, coverage_goal=coverage_goal, rewards=rewards,
+        )  # fmt: skip
         self._shares_reward, self._max_cycles, self._cycles = shared_reward, max_cycles, 0
         self._generator: np.random.Generator | None = None
-        self.possible_agents = [f"robot_{number}" for number in range(num_robots)]
+        self._name(num_robots, lambda: observation_space(self.robot), action_space)
         self.agents: list[str] = []
-        self.observation_spaces = {name: observation_space(self.robot) for name in self.possible_agents}
-        self.action_spaces = {name: action_space() for name in self.possible_agents}
-
-    def observation_space(self, agent: str) -> spaces.Dict:
-        """The observation space of a robot: the same object at each call."""
-        return self.observation_spaces[agent]
-
-    def action_space(self, agent: str) -> spaces.Box:
-        """The action space of a robot: the same object at each call."""
-        return self.action_spaces[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
@@ -126,9 +119,8 @@ class LimSlamParallelEnv(SimulationEnv, ParallelEnv[str, Observation, Action]):
         known = {key: value for key, value in (options or {}).items() if key in RESET_OPTIONS}
         readings, truth = self._begin(self._generator, known)
         self.agents, self._cycles = list(self.possible_agents), 0
-        robots = list(enumerate(self.agents))
-        observations = {name: observation_of(readings, number) for number, name in robots}
-        return observations, {name: info_of(truth, number) for number, name in robots}
+        observations = self._each(lambda robot: observation_of(readings, robot))
+        return observations, self._each(lambda robot: info_of(truth, robot))
 
     def step(
         self, actions: dict[str, Action]
@@ -144,28 +136,22 @@ class LimSlamParallelEnv(SimulationEnv, ParallelEnv[str, Observation, Action]):
         """
         if not self.agents:
             raise gym.error.ResetNeeded("call reset before step, and after an episode's end")
-        if set(actions) != set(self.agents):
-            raise ValueError(f"there must be one action for each of {', '.join(self.agents)}, not {list(actions)}")
-        readings, truth = self._drive([wheel_speeds(actions[name]) for name in self.agents])
+        readings, truth = self._drive([wheel_speeds(action) for action in self._in_order(actions)])
         self._cycles += 1
         is_over = self.task.is_over(truth.coverage)
         is_late = self._max_cycles is not None and self._cycles >= self._max_cycles
-        robots = list(enumerate(self.agents))
         if is_over or is_late:
             self.agents = []
+        rewards = list(map(self.task.reward.of_step, truth.new_area, truth.contact))
+        if self._shares_reward:
+            rewards = [sum(rewards) / len(rewards)] * len(rewards)
         return (
-            {name: observation_of(readings, number) for number, name in robots},
-            dict(zip(self.possible_agents, self._rewards(truth.new_area, truth.contact), strict=True)),
-            {name: is_over for _, name in robots},
-            {name: is_late for _, name in robots},
-            {name: info_of(truth, number) for number, name in robots},
+            self._each(lambda robot: observation_of(readings, robot)),
+            self._each(rewards.__getitem__),
+            dict.fromkeys(self.possible_agents, is_over),
+            dict.fromkeys(self.possible_agents, is_late),
+            self._each(lambda robot: info_of(truth, robot)),
         )
-
-    def _rewards(self, new_area: list[float], contact: list[bool]) -> list[float]:
-        each = [
-            self.task.reward.of_step(area, contact=touches) for area, touches in zip(new_area, contact, strict=True)
-        ]
-        return [sum(each) / len(each)] * len(each) if self._shares_reward else each
 
 
 def parallel_env(world: PlaceSource = "env1", **arguments: Any) -> LimSlamParallelEnv:

@@ -44,23 +44,14 @@ def wheel_speeds(keys: frozenset[str]) -> tuple[float, float]:
 
 
 def play(world: WorldSource, *, max_steps: int | None = None) -> Drive:
-    """Open a window in which the user drives a robot by keyboard, until the window is closed.
-
-    Parameters
-    ----------
-    world
-        Name of a shipped world, path of a world file, or a world.
-    max_steps
-        Steps (control periods) after which the drive ends; None for no end.
+    """Open a window in which the user drives a robot by keyboard, until it is closed or ``max_steps`` are driven.
 
     Raises
     ------
     ValueError
         If the world cannot be used.
-    gymnasium.error.DependencyNotInstalled
-        If pygame is missing.
     gymnasium.error.Error
-        If there is no display.
+        If pygame is missing, or there is no display.
     """
     env = LimSlamEnv(world, render_mode="human", coverage_goal=None)
     try:

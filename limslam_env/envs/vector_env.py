@@ -16,12 +16,11 @@ from limslam_env.envs.arguments import BatchSource, Plans
 from limslam_env.envs.batch_adapter import (
     Batched,
     BatchObservation,
+    BatchPictures,
     checked_actions,
-    info_of,
     infos_of,
-    observation_of,
+    observations_of,
 )
-from limslam_env.envs.batch_pictures import BatchPictures
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.messages import described
@@ -29,15 +28,7 @@ from limslam_env.rendering.painter import RENDER_FPS
 
 
 def vector_env(*, device: str = "cpu", **arguments: Any) -> gym.vector.VectorEnv[Any, Any, Any]:
-    """A batch of environments on processors, ``"cpu"``, or on a GPU, ``"cuda"``; ``gym.make_vec`` calls this.
-
-    Raises
-    ------
-    ValueError
-        If the device is another.
-    RuntimeError
-        If there is no GPU that numba can use.
-    """
+    """A batch of environments on processors, ``"cpu"``, or on a GPU, ``"cuda"``; ``gym.make_vec`` calls this."""
     if device == "cpu":
         return LimSlamVectorEnv(**arguments)
     if device != "cuda":
@@ -156,7 +147,7 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
         results, mask = self._begun(seed, options)
         if self._pictures is not None:
             self._pictures.begin(results)
-        return observation_of(results, 0), info_of(results, 0, mask)
+        return observations_of(results, 0), infos_of(results, 0, mask=mask)
 
     def step(self, actions: ArrayLike) -> tuple[BatchObservation, FloatArray, BoolArray, BoolArray, dict[str, Any]]:
         """Drive for one control period; ``actions`` (n, 2) are left and right wheel speeds, -1 to 1.
@@ -168,13 +159,11 @@ class LimSlamVectorEnv(Batched, gym.vector.VectorEnv[BatchObservation, NDArray[n
         gymnasium.error.ResetNeeded
             If there was no reset yet, or an episode is over and there is no autoreset.
         """
-        if not self._is_running:
-            raise gym.error.ResetNeeded("call reset before step")
-        outcome = self._drive(checked_actions(actions, self.num_envs)[:, None])
+        self._check_begun()
+        now, ended = self._drive(checked_actions(actions, self.num_envs)[:, None])
         if self._pictures is not None:
-            self._pictures.follow(outcome.now)
-        rewards = outcome.rewards[:, 0]
-        return observation_of(outcome.now, 0), rewards, outcome.terminated, outcome.truncated, infos_of(outcome, 0)
+            self._pictures.follow(now)
+        return observations_of(now, 0), now.rewards[:, 0], now.terminated, now.truncated, infos_of(now, 0, ended)
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
         """A picture (640, 640, 3) of each environment; None without a render mode, and before the first reset."""

@@ -2,27 +2,18 @@
 
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
 from gymnasium.utils import seeding
 from gymnasium.vector.utils import batch_space
 from numpy.typing import ArrayLike
 
-from limslam_env.envs.adapter import action_space, observation_space
+from limslam_env.envs.adapter import NamedRobots, action_space, observation_space
 from limslam_env.envs.arguments import BatchSource, check_robots
-from limslam_env.envs.batch_adapter import (
-    Batched,
-    BatchObservation,
-    checked_actions,
-    info_of,
-    infos_of,
-    observation_of,
-)
+from limslam_env.envs.batch_adapter import Batched, BatchObservation, checked_actions, infos_of, observations_of
 from limslam_env.geometry import BoolArray, FloatArray
 
 
-class LimSlamParallelVectorEnv(Batched):
+class LimSlamParallelVectorEnv(NamedRobots, Batched):
     """Many environments like ``LimSlamParallelEnv``, stepped together by compiled code.
 
     Actions, observations, rewards, ends and infos are dicts with one entry per robot. Each entry has the form that
@@ -60,53 +51,30 @@ class LimSlamParallelVectorEnv(Batched):
         self._set_up(world, num_envs, num_robots, max_cycles, **arguments)
         self._shares_reward = shared_reward
         self.metadata: dict[str, Any] = {"render_modes": [], "autoreset_mode": self.autoreset_mode}
-        self.possible_agents = [f"robot_{number}" for number in range(num_robots)]
-        self.agents = list(self.possible_agents)
         self.single_action_space, self.single_observation_space = action_space(), observation_space(self.robot)
-        self.observation_spaces = {
-            name: batch_space(self.single_observation_space, self.num_envs) for name in self.possible_agents
-        }
-        self.action_spaces = {
-            name: batch_space(self.single_action_space, self.num_envs) for name in self.possible_agents
-        }
+        self._name(
+            num_robots,
+            lambda: batch_space(self.single_observation_space, self.num_envs),
+            lambda: batch_space(self.single_action_space, self.num_envs),
+        )
+        self.agents = list(self.possible_agents)
         self._generator: np.random.Generator | None = None
-
-    def observation_space(self, agent: str) -> spaces.Space[Any]:
-        """The observations of a robot in all environments: the same object at each call."""
-        return self.observation_spaces[agent]
-
-    def action_space(self, agent: str) -> spaces.Space[Any]:
-        """The actions of a robot in all environments: the same object at each call."""
-        return self.action_spaces[agent]
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, BatchObservation], dict[str, dict[str, Any]]]:
-        """Start new episodes.
+        """Start new episodes, as ``LimSlamVectorEnv`` does, with a seed and options, and with its errors.
 
-        Parameters
-        ----------
-        seed
-            Of all random numbers from now on; without it they go on.
-        options
-            ``start``: poses (s, 3) of the first robots, m and rad, or such poses for each environment (n, s, 3).
-            ``reset_mask`` (n,): which environments are reset; the others stay as they are.
-
-        Raises
-        ------
-        ValueError
-            If an option is unknown or has another shape.
-        WorldError
-            If a start cannot be used, or there is no room for all. Then episodes go on as if nothing had been asked.
+        The option ``start`` has poses (s, 3) of the first robots, m and rad, or such poses for each environment
+        (n, s, 3).
         """
         generator = self._generator
         if seed is not None or generator is None:
             generator, _ = seeding.np_random(seed)
         results, mask = self._begin(generator, seed, options)
         self._generator = generator
-        robots = list(enumerate(self.possible_agents))
-        observations = {name: observation_of(results, number) for number, name in robots}
-        return observations, {name: info_of(results, number, mask) for number, name in robots}
+        observations = self._each(lambda robot: observations_of(results, robot))
+        return observations, self._each(lambda robot: infos_of(results, robot, mask=mask))
 
     def step(
         self, actions: dict[str, ArrayLike]
@@ -126,23 +94,21 @@ class LimSlamParallelVectorEnv(Batched):
         gymnasium.error.ResetNeeded
             If there was no reset yet, or an episode is over and there is no autoreset.
         """
-        if not self._is_running:
-            raise gym.error.ResetNeeded("call reset before step")
-        if set(actions) != set(self.possible_agents):
-            names = ", ".join(self.possible_agents)
-            raise ValueError(f"there must be actions for each of {names}, not {list(actions)}")
-        rows = [checked_actions(actions[name], self.num_envs, f" of {name}") for name in self.possible_agents]
-        outcome = self._drive(np.stack(rows, axis=1))
-        rewards = outcome.rewards
+        self._check_begun()
+        rows = [
+            checked_actions(action, self.num_envs, f" of robot_{robot}")
+            for robot, action in enumerate(self._in_order(actions))
+        ]
+        now, ended = self._drive(np.stack(rows, axis=1))
+        rewards = now.rewards
         if self._shares_reward:
             rewards = np.broadcast_to(rewards.mean(axis=1, keepdims=True), rewards.shape)
-        robots = list(enumerate(self.possible_agents))
         return (
-            {name: observation_of(outcome.now, number) for number, name in robots},
-            {name: rewards[:, number].copy() for number, name in robots},
-            {name: outcome.terminated.copy() for _, name in robots},
-            {name: outcome.truncated.copy() for _, name in robots},
-            {name: infos_of(outcome, number) for number, name in robots},
+            self._each(lambda robot: observations_of(now, robot)),
+            self._each(lambda robot: rewards[:, robot].copy()),
+            self._each(lambda _: now.terminated.copy()),
+            self._each(lambda _: now.truncated.copy()),
+            self._each(lambda robot: infos_of(now, robot, ended)),
         )
 
     def close(self) -> None:

@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 from limslam_env.compilation import floored, merged
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.kernels.batch_state import Robots, Scratch, Worlds
-from limslam_env.kernels.coverage import BODY_MARGIN, RAY_MARGIN
+from limslam_env.kernels.coverage import BODY_MARGIN, RAY_MARGIN, unseen_nearby, walk_disc, walk_ray
 from limslam_env.kernels.random_numbers import Words
-from limslam_env.kernels.rays import NOTHING, ROBOT, cast_at_discs, first_wall, is_due, meeting, nearest_in_cone
-from limslam_env.kernels.tables import ANGLE, LONGEST_RANGE, OFFSET
-from limslam_env.kernels.tiles import unseen_nearby, walk_disc, walk_ray
-from limslam_env.kernels.wall_cells import Walls
+from limslam_env.kernels.rays import Walls, cast_at_discs, first_wall, meeting, nearest_in_cone
+from limslam_env.kernels.readings import ANGLE, LONGEST_RANGE, NOTHING, OFFSET, ROBOT, is_due
 
 MOST_LANES = 64
 """Largest number of lanes for which :func:`find_unseen` has bits."""

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 from limslam_env.kernels.random_numbers import Words
-from limslam_env.kernels.tables import FROM_X, FROM_Y, LONGEST_RANGE, OFFSET, TOWARDS_X, TOWARDS_Y
+from limslam_env.kernels.readings import FROM_X, FROM_Y, LONGEST_RANGE, OFFSET, TOWARDS_X, TOWARDS_Y
 
 LANES = 4
 """Number of rays that the compiler processes at once."""
@@ -18,16 +18,12 @@ class Robots(NamedTuple):
 
     Attributes
     ----------
-    wheel_travel
-        Travel of a wheel in one step at an action of 1, m.
-    radius
-        Radius of the body, m.
+    wheel_travel, radius
+        Travel of a wheel in one step at an action of 1, and radius of the body, m.
     control_period
         Duration of a step, s.
-    beams
-        (n_beams, 11), see :mod:`limslam_env.kernels.tables`.
-    fan
-        (8, lanes), as :func:`fan_of` makes it.
+    beams, fan
+        (n_beams, 11), see :mod:`limslam_env.kernels.readings`; and (8, lanes), as :func:`fan_of` makes it of them.
     is_small
         Whether :func:`limslam_env.kernels.batch_rays.find_unseen` can look at the body and at the beams.
     """
@@ -51,14 +47,12 @@ class Worlds(NamedTuple):
     grids, areas
         (w, 3): lower left corner x, y and cell side of the grid of walls and of the coverage grid, m.
     edges, cell_starts, cell_edges
-        Walls sorted into cells (:class:`limslam_env.kernels.wall_cells.Walls`).
+        Walls sorted into cells (:class:`limslam_env.kernels.rays.Walls`).
     near_starts, near_edges
         The walls within the beams' reach of each cell, in worlds where these walls are few; counted from the world's
         first edge, in two bytes each, since they are most of a world's memory.
-    coverable
-        (w, t): the coverable cells of each world as tiles (:mod:`limslam_env.kernels.tiles`).
-    totals
-        (w,): how many cells these are.
+    coverable, totals
+        (w, t): the coverable cells of each world as tiles (:mod:`limslam_env.kernels.coverage`); (w,): how many.
     """
 
     layout: IntArray
@@ -78,30 +72,20 @@ class Episodes(NamedTuple):
 
     Attributes
     ----------
-    world_of
-        (n,), the world of each environment.
+    world_of, keys, steps
+        (n,): the world of each environment, the key of its episode's random numbers, and the number of steps so far.
     noise
-        (n, 14), see :mod:`limslam_env.kernels.tables`.
-    keys
-        (n,), keys of the episodes' random numbers.
-    steps
-        (n,), number of steps so far.
+        (n, 14), see :mod:`limslam_env.kernels.readings`.
     clearances
         (n,), distance that the robots can travel, all told, before one of them may touch something, m.
-    poses
-        (n, m, 3), m and rad.
-    unreported
-        (n, m, 2), wheel travel that the encoders have not reported so far, m.
-    unseen
-        (n, t), tiles with the coverable cells that have not been seen.
-    covered
-        (n,), number of coverable cells that have been seen.
+    poses, contact
+        (n, m, 3), m and rad; and which robots touched something (n, m).
+    wheels, unreported
+        (n, m, 2): wheel travel that the encoders report, and what they have not reported so far, m.
+    unseen, covered
+        Tiles with the coverable cells that have not been seen (n, t), and how many have been seen (n,).
     hits, ranges
         (n, m, n_beams): the wall that each beam hit, and its reading, m. Beams that do not measure keep theirs.
-    wheels
-        (n, m, 2): wheel travel that the encoders report, m.
-    contact
-        (n, m): which robots touched something.
     """
 
     world_of: IntArray
@@ -126,10 +110,8 @@ class Task(NamedTuple):
     ----------
     new_area, step, collision
         The weights of :class:`limslam_env.config.RewardConfig`.
-    goal
-        Coverage at which an episode terminates; more than 1 if it never does.
-    max_steps
-        Number of steps after which an episode is truncated.
+    goal, max_steps
+        Coverage at which an episode terminates, more than 1 if it never does; steps after which it is truncated.
     """
 
     new_area: float
@@ -144,24 +126,14 @@ class Results(NamedTuple):
 
     Attributes
     ----------
-    ranges
-        (n, m, n_beams), float32, m.
-    wheels
-        (n, m, 2), float32, m.
-    poses
-        (n, m, 3), m and rad.
-    time
-        (n,), s.
-    coverage
-        (n,), 0 to 1.
-    contact
-        (n, m).
-    wall_seen
-        (n, m, n_beams).
-    rewards
-        (n, m); 0 without a step.
-    terminated, truncated
-        (n,); False without a step.
+    ranges, wheels
+        (n, m, n_beams) and (n, m, 2), float32, m.
+    poses, contact, wall_seen
+        (n, m, 3), m and rad; (n, m); (n, m, n_beams).
+    time, coverage
+        (n,): s, and 0 to 1.
+    rewards, terminated, truncated
+        (n, m), (n,) and (n,); 0 and False without a step.
     """
 
     ranges: ReadingArray
@@ -181,10 +153,9 @@ class Settings(NamedTuple):
 
     Attributes
     ----------
-    lowest, spans
-        (14,): the least value of each column of :mod:`limslam_env.kernels.tables`, and how much larger it may be.
-    places
-        (14,): which of an environment's random numbers each column depends on.
+    lowest, spans, places
+        (14,): the least value of each column of :mod:`limslam_env.kernels.readings`, how much larger it may be, and
+        which of an environment's random numbers it depends on.
     """
 
     lowest: FloatArray
@@ -199,11 +170,9 @@ class Starts(NamedTuple):
     ----------
     given, num_given
         (w, m, 3): known poses, m and rad; and how many of them there are (w,).
-    runs, counts, spaces
+    runs, firsts, counts, spaces
         The free cells as :func:`limslam_env.kernels.random_numbers.draw_start` takes them: the runs (r, 2) of one world
-        after those of another, the number of cells (w,), and their grids (w, 4).
-    firsts
-        (w + 1,): a world's first run.
+        after those of another and a world's first run (w + 1,), the number of cells (w,), and their grids (w, 4).
     apart
         Least distance of two robots, m.
     """
@@ -226,14 +195,11 @@ class Scratch(NamedTuple):
         (4, lanes): where the rays of a robot start, x and y (m), and their directions.
     rays
         (4, lanes): lengths of the rays, m, and the walls that they hit, or -1; two more rows to work with.
-    turned, travel
-        (m, 2): how far each wheel turned, and how far it moved on the floor, m. Slips make the difference.
-    before
-        (m, 2): positions before the latest move, m.
-    deep
-        (m,): which robots overlap something too far.
-    new_cells
-        (m,): number of coverable cells that each robot was the first to see.
+    turned, travel, before
+        (m, 2): how far each wheel turned, and how far it moved on the floor, m, which is less where it slipped; and
+        positions before the latest move, m.
+    deep, new_cells
+        (m,): which robots overlap something too far, and how many coverable cells each was the first to see.
     """
 
     aims: FloatArray

@@ -1,23 +1,22 @@
-"""A step of many environments at once.
-
-Rays, readings and encoders are those of the single environment.
-"""
-
-import math
+"""A step of many environments at once. Rays, readings and encoders are those of the single environment."""
 
 import numpy as np
 
 from limslam_env.compilation import floored, inlined, lean_entry, merged, next_of, prefetch
 from limslam_env.geometry import FloatArray, IntArray, se2
+from limslam_env.kernels import readings as tables
 from limslam_env.kernels.batch_rays import trace, widen
-from limslam_env.kernels.batch_readings import BEGIN, SKIP, STEP, hand_out, read_beams, read_encoders
 from limslam_env.kernels.batch_state import Episodes, Results, Robots, Scratch, Task, Worlds
 from limslam_env.kernels.contact import LONGEST_MOVE, separate
-from limslam_env.kernels.random_numbers import GOLDEN, mixed, unit
-from limslam_env.kernels.tables import CONE, SLIP_RATE, SLIP_SHARE, TRUE_AXLE
-from limslam_env.kernels.tiles import TILE
-from limslam_env.kernels.wall_cells import Walls
+from limslam_env.kernels.coverage import TILE
+from limslam_env.kernels.random_numbers import GOLDEN, mixed, normal, unit
+from limslam_env.kernels.rays import Walls
+from limslam_env.kernels.readings import is_due, noisy_reading, reported_travel, way_over_ground
 
+SKIP, STEP, BEGIN = 0, 1, 2
+"""What an environment does: nothing, a step, or the first observation of a new episode."""
+
+_ONE = np.uint64(1)
 _AHEAD = 2  # environments between asking for memory and its use
 
 arc_end = inlined(se2.arc_end)
@@ -54,17 +53,18 @@ def turn_wheels(
 ) -> float:
     """Set how far the wheels turn and travel; returns the longest way of a robot, m.
 
-    ``most`` (m) is a wheel's travel at an action of 1. Slips are those of ``simulation.noise``.
+    ``most`` (m) is a wheel's travel at an action of 1.
     """
     longest = 0.0
     for robot in range(len(scratch.travel)):
         for wheel in range(2):
             turn = min(max(actions[env, robot, wheel], -1.0), 1.0) * most
             scratch.turned[robot, wheel] = scratch.travel[robot, wheel] = turn
-            if noise[env, SLIP_RATE] > 0.0:
+            if noise[env, tables.SLIP_RATE] > 0.0:
                 uniform = unit(mixed(state + np.uint64((robot << 20) + 2 * wheel + 1) * GOLDEN))
-                if uniform < -math.expm1(-noise[env, SLIP_RATE] * abs(turn)):
-                    scratch.travel[robot, wheel] = turn * (1.0 - noise[env, SLIP_SHARE])
+                scratch.travel[robot, wheel] = way_over_ground(
+                    turn, noise[env, tables.SLIP_RATE], noise[env, tables.SLIP_SHARE], uniform
+                )
         longest = max(longest, 0.5 * abs(scratch.travel[robot, 0] + scratch.travel[robot, 1]))
     return longest
 
@@ -80,12 +80,92 @@ def move(env: int, longest: float, radius: float, walls: Walls, episodes: Episod
             before[robot, 0], before[robot, 1] = poses[env, robot, 0], poses[env, robot, 1]
             poses[env, robot, 0], poses[env, robot, 1], poses[env, robot, 2] = arc_end(
                 before[robot, 0], before[robot, 1], poses[env, robot, 2],
-                travel[robot, 0] / parts, travel[robot, 1] / parts, episodes.noise[env, TRUE_AXLE],
+                travel[robot, 0] / parts, travel[robot, 1] / parts, episodes.noise[env, tables.TRUE_AXLE],
             )  # fmt: skip
         # Two robots may approach each other.
         clearances[env] -= (1.0 if len(travel) == 1 else 2.0) * longest / parts
         if clearances[env] <= 0.0:
             clearances[env] = separate(poses[env], before, scratch.deep, radius, episodes.contact[env], walls)
+
+
+@merged
+def read_beams(
+    env: int, robot: int, own: np.uint64, first_edge: int, robots: Robots, episodes: Episodes, scratch: Scratch
+) -> None:
+    """Set the readings of a robot's beams that measure in this step, and the walls that they hit.
+
+    ``own`` is the state of the robot's random numbers; numbers that no noise needs are not drawn.
+    """
+    noise, beams, rays = episodes.noise, robots.beams, scratch.rays
+    is_noisy = noise[env, tables.RANGE_STD] > 0.0 or noise[env, tables.STD_GROWTH] > 0.0
+    is_dropping = noise[env, tables.DROPOUT] > 0.0
+    for number in range(len(beams)):
+        if not is_due(beams, number, episodes.steps[env]):
+            continue
+        hit, place, random, uniform = int(rays[1, number]), np.uint64(2 * number + 4), 0.0, 1.0
+        if is_noisy:
+            random = normal(mixed(own + place * GOLDEN))
+        if is_dropping:
+            uniform = unit(mixed(own + (place + _ONE) * GOLDEN))
+        episodes.hits[env, robot, number] = hit - first_edge if hit >= 0 else hit
+        episodes.ranges[env, robot, number] = noisy_reading(
+            rays[0, number] - beams[number, tables.OFFSET], hit,
+            beams[number, tables.SHORTEST_RANGE], beams[number, tables.LONGEST_RANGE],
+            noise[env, tables.RANGE_STD], noise[env, tables.STD_GROWTH], noise[env, tables.DROPOUT],
+            noise[env, tables.RANGE_RESOLUTION], noise[env, tables.FOLD_BACK], random, uniform,
+        )  # fmt: skip
+
+
+@merged
+def read_encoders(env: int, robot: int, own: np.uint64, episodes: Episodes, turned_by: FloatArray) -> None:
+    """Set the wheel travel that a robot's encoders report for wheels that ``turned_by`` (m, 2), m."""
+    noise, unreported = episodes.noise, episodes.unreported
+    for wheel in range(2):
+        random = 0.0
+        if turned_by[robot, wheel] != 0.0 and noise[env, tables.WHEEL_VARIANCE] > 0.0:
+            random = normal(mixed(own + np.uint64(2 * wheel) * GOLDEN))
+        episodes.wheels[env, robot, wheel], unreported[env, robot, wheel] = reported_travel(
+            turned_by[robot, wheel], unreported[env, robot, wheel],
+            noise[env, tables.LEFT_WHEEL + wheel], noise[env, tables.WHEEL_VARIANCE],
+            noise[env, tables.ENCODER_RESOLUTION], noise[env, tables.LARGEST_TRAVEL], random,
+        )  # fmt: skip
+
+
+@merged
+def hand_out(
+    env: int,
+    does: int,
+    robots: Robots,
+    worlds: Worlds,
+    episodes: Episodes,
+    scratch: Scratch,
+    task: Task,
+    results: Results,
+) -> None:
+    """Set the results of an environment in which each robot saw ``scratch.new_cells`` (m,) first.
+
+    ``does`` is what the environment does, and ``task`` what is asked of the robots.
+    Rewards and ends are those of :mod:`limslam_env.config`.
+    """
+    world, step = episodes.world_of[env], episodes.steps[env]
+    area = worlds.areas[world, 2] * worlds.areas[world, 2]
+    for robot in range(len(scratch.new_cells)):
+        new, contact = scratch.new_cells[robot], episodes.contact[env, robot]
+        episodes.covered[env] += new
+        worth = task.new_area * (new * area) + task.step + task.collision * contact
+        results.rewards[env, robot] = worth if does == STEP else 0.0
+        results.contact[env, robot] = contact
+        for place in range(3):
+            results.poses[env, robot, place] = episodes.poses[env, robot, place]
+        for wheel in range(2):
+            results.wheels[env, robot, wheel] = episodes.wheels[env, robot, wheel]
+        for beam in range(results.ranges.shape[2]):
+            results.ranges[env, robot, beam] = episodes.ranges[env, robot, beam]
+            results.wall_seen[env, robot, beam] = episodes.hits[env, robot, beam]
+    coverage = episodes.covered[env] / worlds.totals[world]
+    results.time[env], results.coverage[env] = step * robots.control_period, coverage
+    results.terminated[env] = does == STEP and coverage >= task.goal
+    results.truncated[env] = does == STEP and step >= task.max_steps
 
 
 @merged
@@ -101,13 +181,7 @@ def begin(env: int, world: int, worlds: Worlds, episodes: Episodes, scratch: Scr
 
 @merged
 def advance_one(
-    env: int,
-    task: int,
-    actions: FloatArray,
-    robots: Robots,
-    worlds: Worlds,
-    episodes: Episodes,
-    scratch: Scratch,
+    env: int, task: int, actions: FloatArray, robots: Robots, worlds: Worlds, episodes: Episodes, scratch: Scratch
 ) -> None:
     """Drive one environment, or begin its episode, and take all its measurements."""
     world = episodes.world_of[env]
@@ -127,8 +201,8 @@ def advance_one(
         scratch.new_cells[robot] = trace(
             env, robot, world, step, robots, worlds, walls, poses, episodes.unseen, scratch
         )  # fmt: skip
-        if episodes.noise[env, CONE] > 0.0:
-            widen(robot, step, episodes.noise[env, CONE], robots, walls, poses, scratch)
+        if episodes.noise[env, tables.CONE] > 0.0:
+            widen(robot, step, episodes.noise[env, tables.CONE], robots, walls, poses, scratch)
         read_beams(env, robot, own, worlds.layout[world, 0], robots, episodes, scratch)
         read_encoders(env, robot, own, episodes, scratch.turned)
 
@@ -146,29 +220,21 @@ def advance(
     task: Task,
     results: Results,
 ) -> None:
-    """Drive all environments, and take all measurements of them.
+    """Drive all environments, and take all measurements of them; changes ``episodes`` and sets all ``results``.
 
     Several threads may do this at the same time. Each takes the next portion when it has done one, so that a thread
     whose core is busy does not hold up the others.
 
     Parameters
     ----------
-    begun
-        (1,): how many portions have been begun; 0 at first, and shared by the threads.
-    portion
-        Number of environments that a thread takes at once.
+    begun, portion
+        How many portions have been begun (1,), 0 at first and shared by the threads; and environments in a portion.
     scratch
         Memory of its own for each thread (:func:`limslam_env.kernels.batch_state.scratch_for`).
     tasks
         (n,): ``SKIP``, ``STEP`` or ``BEGIN`` of each.
     actions
         (n, m, 2), left and right wheel speed of each robot, -1 to 1; values beyond are clipped.
-    robots, worlds, task
-        What the robots are and where, and what is asked of them.
-    episodes
-        What is kept from step to step; changed in place.
-    results
-        What is handed out, all of it set.
     """
     first = next_of(begun) * portion
     while first < len(tasks):

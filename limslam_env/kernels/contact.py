@@ -4,7 +4,7 @@ import math
 
 from limslam_env.compilation import compiled, floored, merged
 from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.kernels.wall_cells import Walls
+from limslam_env.kernels.rays import Walls
 
 TOUCH = 1e-5
 """Largest gap that counts as contact, m."""
@@ -23,12 +23,7 @@ _OUTLOOK = 0.3
 
 
 @merged
-def nearest_wall(
-    x: float,
-    y: float,
-    outlook: float,
-    walls: Walls,
-) -> tuple[float, float, float]:
+def nearest_wall(x: float, y: float, outlook: float, walls: Walls) -> tuple[float, float, float]:
     """Distance (m) of the nearest wall and the unit vector from it; ``outlook`` (m) and 0 if no wall is that near."""
     edges, cell_starts, cell_edges, side = walls.edges, walls.cell_starts, walls.cell_edges, walls.side
     best, best_x, best_y, normal_x, normal_y = outlook * outlook, 0.0, 0.0, 0.0, 0.0
@@ -61,11 +56,7 @@ def nearest_wall(
 
 @merged
 def nearest_thing(
-    robot: int,
-    places: FloatArray,
-    radius: float,
-    outlook: float,
-    walls: Walls,
+    robot: int, places: FloatArray, radius: float, outlook: float, walls: Walls
 ) -> tuple[float, float, float, int]:
     """As :func:`nearest_wall`, for walls and other robots around one robot; and which robot it is, or -1."""
     x, y = places[robot, 0], places[robot, 1]
@@ -82,12 +73,7 @@ def nearest_thing(
 
 @compiled
 def separate(  # noqa: C901 (walls, robots, and pushes that do not converge)
-    places: FloatArray,
-    before: FloatArray,
-    deep: BoolArray,
-    radius: float,
-    contact: BoolArray,
-    walls: Walls,
+    places: FloatArray, before: FloatArray, deep: BoolArray, radius: float, contact: BoolArray, walls: Walls
 ) -> float:
     """Push robots at ``places`` (m, 2 or more) out of what they overlap, along the shortest way.
 

@@ -5,10 +5,9 @@ import math
 import numpy as np
 
 from limslam_env.compilation import inlined, lean_entry, merged
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.kernels.coverage import mark_ray
-from limslam_env.kernels.rays import first_wall
-from limslam_env.kernels.wall_cells import Walls, scene_walls
+from limslam_env.kernels.rays import Walls, first_wall
 
 
 @inlined
@@ -18,7 +17,7 @@ def clipped(low: float, high: float, origin: float, cell: float, count: int) -> 
     return first, min(max(math.ceil((high - origin) / cell), 0), count)
 
 
-@merged
+@lean_entry
 def clear_near_walls(edges: FloatArray, space: FloatArray, radius: float, free: BoolArray) -> None:
     """Clear the cells whose centres lie less than ``radius`` (m) from an edge; ``space``: corner x, y and cell, m."""
     low_x, low_y, cell = space[0], space[1], space[2]
@@ -46,26 +45,24 @@ def clear_near_walls(edges: FloatArray, space: FloatArray, radius: float, free: 
                 free[row, column] = math.sqrt(dx * dx + dy * dy) >= radius
 
 
-@merged
-def clear_inside(
-    corners: FloatArray, begin: int, end: int, space: FloatArray, crossed: FloatArray, free: BoolArray
-) -> None:
+@lean_entry
+def clear_inside(corners: FloatArray, space: FloatArray, crossed: FloatArray, free: BoolArray) -> None:
     """Clear the cells whose centres lie inside a polygon, by the crossing-number rule.
 
-    Its corners are rows ``begin`` to before ``end`` of (c, 2), m. ``crossed`` (c,) is scratch memory.
+    ``corners`` (c, 2) are in m, ``space`` as for :func:`clear_near_walls`; ``crossed`` (c,) is scratch memory.
     """
     low_x, low_y, cell = space[0], space[1], space[2]
     rows, columns = free.shape
     left, right, bottom, top = np.inf, -np.inf, np.inf, -np.inf
-    for corner in range(begin, end):
+    for corner in range(len(corners)):
         left, right = min(left, corners[corner, 0]), max(right, corners[corner, 0])
         bottom, top = min(bottom, corners[corner, 1]), max(top, corners[corner, 1])
     first_row, end_row = clipped(bottom, top, low_y, cell, rows)
     first, last = clipped(left, right, low_x, cell, columns)
     for row in range(first_row, end_row):
         y, count = low_y + (row + 0.5) * cell, 0
-        for corner in range(begin, end):
-            beyond = corner + 1 if corner + 1 < end else begin
+        for corner in range(len(corners)):
+            beyond = corner + 1 if corner + 1 < len(corners) else 0
             x1, y1, x2, y2 = corners[corner, 0], corners[corner, 1], corners[beyond, 0], corners[beyond, 1]
             if (y1 <= y) != (y2 <= y):
                 crossed[count] = ((x2 - x1) * (y - y1)) / (y2 - y1) + x1
@@ -76,18 +73,6 @@ def clear_inside(
                 is_inside = is_inside != (x < crossed[number])
             if is_inside:
                 free[row, column] = False
-
-
-@inlined
-def is_inner(region: BoolArray, row: int, column: int) -> bool:
-    """Whether a cell and all cells around it belong to a region."""
-    rows, columns = region.shape
-    if not (0 < row < rows - 1 and 0 < column < columns - 1):
-        return False
-    is_all = True
-    for other in range(row - 1, row + 2):
-        is_all &= region[other, column - 1] & region[other, column] & region[other, column + 1]
-    return is_all
 
 
 @merged
@@ -114,46 +99,14 @@ def look_around(
 
 
 @lean_entry
-def mark_free(
-    edges: FloatArray,
-    corners: FloatArray,
-    firsts: IntArray,
-    radius: float,
-    space: FloatArray,
-    crossed: FloatArray,
-    free: BoolArray,
-) -> None:
-    """Clear the cells where a disc does not fit.
-
-    Parameters
-    ----------
-    edges
-        All that the disc must not touch (k, 4), m.
-    corners, firsts
-        Corners (c, 2), m, of all polygons that it must be outside of, and where each polygon's begin (p + 1,).
-    radius
-        The disc's, m.
-    space, free
-        A grid: lower left corner x, y and cell side, m; and its cells (rows, columns), changed.
-    crossed
-        (c,), scratch memory.
-    """
-    clear_near_walls(edges, space, radius, free)
-    for polygon in range(len(firsts) - 1):
-        clear_inside(corners, firsts[polygon], firsts[polygon + 1], space, crossed, free)
-
-
-@lean_entry
 def look_out(
-    edges: FloatArray,
-    cell_starts: IntArray,
-    cell_edges: IntArray,
-    grid: FloatArray,
+    walls: Walls,
     views: FloatArray,
     reach: float,
     loose: FloatArray,
     space: FloatArray,
     region: BoolArray,
+    inner: BoolArray,
     area: FloatArray,
     coverable: BoolArray,
     is_taken: BoolArray,
@@ -165,14 +118,11 @@ def look_out(
 
     Parameters
     ----------
-    edges, cell_starts, cell_edges, grid
-        The walls and the edges of the obstacles.
-    views, reach
-        Unit vectors (v, 2) to look along, and how far robots see, m.
-    loose
-        Further places (n, 2), m, to look from.
-    space, region
-        The grid of free space: lower left corner x, y and cell side, m; and the cells of the region (rows, columns).
+    views, reach, loose
+        Unit vectors (v, 2) to look along, how far robots see, m, and further places (n, 2), m, to look from.
+    space, region, inner
+        The grid of free space: lower left corner x, y and cell side, m; the cells of the region (rows, columns), and
+        those with all of their neighbours in it.
     area, coverable
         The coverage grid: lower left corner and cell side, m; and its cells, changed.
     is_taken
@@ -180,7 +130,6 @@ def look_out(
     """
     low_x, low_y, side, cell = space[0], space[1], space[2], area[2]
     rows, columns = region.shape
-    walls = scene_walls(edges, cell_starts, cell_edges, grid)
     first_x, first_y = math.floor(low_x / cell), math.floor(low_y / cell)
     for row in range(rows):
         y = low_y + (row + 0.5) * side
@@ -189,7 +138,7 @@ def look_out(
                 continue
             x = low_x + (column + 0.5) * side
             coverable[math.floor((y - area[1]) / cell), math.floor((x - area[0]) / cell)] = True
-            if is_inner(region, row, column):
+            if inner[row, column]:
                 continue
             place = math.floor(y / cell) - first_y, math.floor(x / cell) - first_x
             if not is_taken[place]:

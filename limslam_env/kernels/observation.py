@@ -4,11 +4,10 @@ import math
 
 from limslam_env.compilation import inlined, lean_entry, merged
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray, se2
-from limslam_env.kernels import tables
+from limslam_env.kernels import readings as tables
 from limslam_env.kernels.coverage import mark_disc, mark_ray
-from limslam_env.kernels.rays import is_due, measure, nearest_in_cone, turned
-from limslam_env.kernels.readings import noisy_reading, reported_travel
-from limslam_env.kernels.wall_cells import scene_walls
+from limslam_env.kernels.rays import Walls, measure, nearest_in_cone, turned
+from limslam_env.kernels.readings import is_due, noisy_reading, reported_travel, way_over_ground
 
 AXLE, CLEARANCE, LONGEST = range(3)
 """What a motion depends on besides the wheels, m: the distance between them, the distance that the robots can travel in
@@ -38,19 +37,16 @@ def move_freely(poses: FloatArray, ground: FloatArray, motion: FloatArray) -> bo
 @lean_entry
 def drive_and_observe(
     is_moved: bool,
-    ground: FloatArray,
+    step: int,
+    draws: FloatArray,
     poses: FloatArray,
     motion: FloatArray,
     travel: FloatArray,
-    step: int,
-    draws: FloatArray,
+    ground: FloatArray,
     radius: float,
     beams: FloatArray,
     noise: FloatArray,
-    edges: FloatArray,
-    cell_starts: IntArray,
-    cell_edges: IntArray,
-    grid: FloatArray,
+    walls: Walls,
     seen: BoolArray,
     coverable: BoolArray,
     area: FloatArray,
@@ -62,50 +58,41 @@ def drive_and_observe(
 ) -> bool:
     """Move all robots if none can touch anything, take their measurements, and mark what beams and bodies cover.
 
+    If a robot may touch something, False is returned, and all stay where they are: they have to be moved with a check
+    for contact.
+
     Parameters
     ----------
     is_moved
         Whether the robots are where they are to be; then they are not moved.
-    ground
-        Distance (n, 2), m, that the wheels move over the ground.
-    poses
-        Robots (n, 3), m and rad; changed in place.
-    motion
-        (3,), see ``AXLE``; the clearance changes.
-    travel
-        How far the wheels have turned (n, 2), m.
     step
         Number of this step; beams whose turn it is not keep ``hits`` and ``ranges``.
     draws
         (n, n_beams + 2, 2) numbers from N(0, 1) and U(0, 1): for each beam, then for each wheel.
-    radius
-        Of their bodies, m.
-    beams
-        (n_beams, 11), see :mod:`limslam_env.kernels.tables`.
-    noise
-        (14,), see :mod:`limslam_env.kernels.tables`.
-    edges, cell_starts, cell_edges, grid
-        The walls.
+    poses, motion
+        Robots (n, 3), m and rad, changed in place; and (3,), see ``AXLE``, of which the clearance changes.
+    travel, ground
+        How far the wheels turn (n, 2), m, and the distance (n, 2), m, that they move over the ground, which is set.
+    radius, beams, noise
+        Of their bodies, m; (n_beams, 11) and (14,), see :mod:`limslam_env.kernels.readings`.
     seen, coverable, area
         The grid of what has been seen.
-    unreported
-        (n, 2), kept from step to step: travel that the encoders have not reported so far, m.
-    hits, ranges
-        (n, n_beams), kept from step to step: the wall that each beam hit, and its reading, m.
-    wheels
-        (n, 2), set to what the encoders say, m.
-    new_cells
-        (n,), set to the number of cells that each robot covered as the first.
-
-    Returns
-    -------
-    is_done
-        False if a robot may touch something, so that it has to be moved with a check for contact. Nothing has changed.
+    unreported, hits, ranges
+        Kept from step to step: travel that the encoders have not reported so far (n, 2), m; and the wall that each beam
+        hit, and its reading, m, (n, n_beams).
+    wheels, new_cells
+        Set to what the encoders say (n, 2), m, and to the number of cells (n,) that each robot covered as the first.
     """
-    if not is_moved and not move_freely(poses, ground, motion):
-        return False
+    if not is_moved:
+        for robot in range(len(poses)):
+            for side in range(2):
+                ground[robot, side] = way_over_ground(
+                    travel[robot, side], noise[tables.SLIP_RATE], noise[tables.SLIP_SHARE],
+                    draws[robot, len(beams) + side, 1],
+                )  # fmt: skip
+        if not move_freely(poses, ground, motion):
+            return False
     # Numbers are taken out of the arrays one by one: a slice costs as much as a ray.
-    walls = scene_walls(edges, cell_starts, cell_edges, grid)
     for robot in range(len(poses)):
         body_x, body_y, heading = poses[robot, 0], poses[robot, 1], poses[robot, 2]
         cos, sin = math.cos(heading), math.sin(heading)

@@ -148,21 +148,10 @@ def draw_start(
 ) -> bool:
     """Put robots from the ``num_given``-th on at random free cells; returns whether there was enough space.
 
-    Parameters
-    ----------
-    key
-        Of random numbers.
-    runs, count
-        Free cells, row by row: (r, 2), number of the first of some cells side by side, and how many cells come before
-        it; and how many cells there are.
-    space
-        The grid of these cells: lower left corner x, y, cell side (m) and columns.
-    apart
-        Least distance of two robots, m.
-    poses
-        (m, 3), those that are given set already, m and rad.
-    tries
-        How many places are tried for all robots.
+    The free cells are ``runs`` (r, 2): the number of the first of some cells side by side, and how many cells come
+    before it; there are ``count`` cells. Their grid is ``space``: lower left corner x, y, cell side (m) and columns.
+    Robots are ``apart`` (m) at least. Of ``poses`` (m, 3), m and rad, those that are given are set already. For all
+    robots together so many places are tried.
     """
     columns, state, placed = int(space[3]), key, num_given
     for _ in range(tries):

@@ -1,51 +1,95 @@
-"""Rays: the first wall or robot that a ray meets."""
+"""Walls sorted into the cells of a grid, so that rays and bodies look at those near them only; and what a ray meets."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from limslam_env.compilation import compiled, floored, inlined, lean_entry, merged
 from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.kernels.tables import PERIOD
-from limslam_env.kernels.wall_cells import Walls, scene_walls
+from limslam_env.kernels.readings import NOTHING, ROBOT
+
+# Of a cell, in its sides; a little more, for rounding.
+_HALF_DIAGONAL = 0.70711
 
 # Rays that pass exactly through the joint of two walls must hit one of them.
 _END_SLACK = 1e-9
-
-NOTHING, ROBOT = -1, -2
-"""What a beam hits that hits no wall."""
 
 SHARES = (-1.0, -0.5, 0.5, 1.0)
 """Directions of the further rays of a cone, besides its middle, in shares of half its opening angle."""
 
 
-@inlined
-def is_due(beams: FloatArray, number: int, step: int) -> bool:
-    """Whether a beam measures in a step."""
-    return beams[number, PERIOD] == 1.0 or step % int(beams[number, PERIOD]) == 0
+class Walls(NamedTuple):
+    """The walls of one world as the kernels hand them on: a cell list that may lie among those of other worlds.
+
+    Attributes
+    ----------
+    edges
+        (k, 4): x1, y1, x2, y2 of each wall, m.
+    cell_starts, cell_edges, first_cell
+        ``cell_edges[cell_starts[c]:cell_starts[c + 1]]`` are the walls that cross cell ``c - first_cell``.
+    low_x, low_y, side, columns, rows
+        Lower left corner of the grid and side of a cell, m, and its size in cells.
+    """
+
+    edges: FloatArray
+    cell_starts: IntArray
+    cell_edges: IntArray
+    low_x: float
+    low_y: float
+    side: float
+    columns: int
+    rows: int
+    first_cell: int
+
+
+@lean_entry
+def list_walls(walls: Walls, border: float, taken: IntArray, cell_starts: IntArray, cell_edges: IntArray) -> None:
+    """Sort walls into the cells that they cross, or come as near to as ``border``, m.
+
+    Called twice: with an empty ``cell_edges`` it fills ``cell_starts`` (cells + 1,), all 0 before; with one of
+    ``cell_starts[-1]`` places it fills that. ``taken`` (cells,) is scratch memory, all 0 before.
+    """
+    edges, columns, rows, side = walls.edges, walls.columns, walls.rows, walls.side
+    is_filling = len(cell_edges) > 0
+    for edge in range(len(edges)):
+        x1, y1, x2, y2 = edges[edge, 0], edges[edge, 1], edges[edge, 2], edges[edge, 3]
+        normal_x, normal_y = y1 - y2, x2 - x1
+        # Half a cell's width across the wall. Walls that run along the border of a cell are in both.
+        half = 0.5 * side * (abs(normal_x) + abs(normal_y)) + border * math.hypot(normal_x, normal_y)
+        squared, farthest = normal_x * normal_x + normal_y * normal_y, border + _HALF_DIAGONAL * side
+        for row in range(
+            max(math.floor((min(y1, y2) - border - walls.low_y) / side), 0),
+            min(math.floor((max(y1, y2) + border - walls.low_y) / side), rows - 1) + 1,
+        ):
+            for column in range(
+                max(math.floor((min(x1, x2) - border - walls.low_x) / side), 0),
+                min(math.floor((max(x1, x2) + border - walls.low_x) / side), columns - 1) + 1,
+            ):
+                x, y = walls.low_x + (column + 0.5) * side, walls.low_y + (row + 0.5) * side
+                if abs((x - x1) * normal_x + (y - y1) * normal_y) > half:
+                    continue
+                # The ends of the wall, too, must come that near.
+                share = min(max(((x - x1) * normal_y - (y - y1) * normal_x) / squared, 0.0), 1.0)
+                if math.hypot(x - x1 - share * normal_y, y - y1 + share * normal_x) > farthest:
+                    continue
+                cell = row * columns + column
+                if is_filling:
+                    cell_edges[cell_starts[cell] + taken[cell]] = edge
+                taken[cell] += 1
+    if not is_filling:
+        for cell in range(columns * rows):
+            cell_starts[cell + 1] = cell_starts[cell] + taken[cell]
 
 
 @inlined
 def crossings(place: float, direction: float, side: float) -> tuple[int, int, float, float]:
-    """How a ray crosses the cells of a grid along one axis.
+    """How a ray crosses the cells of a grid along one axis, for the walk from cell to cell.
 
-    The walk from cell to cell is that of Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing" (1987).
-
-    Parameters
-    ----------
-    place
-        Where it starts, in cells.
-    direction
-        Its unit vector's part on this axis.
-    side
-        Of a cell, in the unit of the ray's length.
-
-    Returns
-    -------
-    cell, step
-        Where it starts, and 1 or -1.
-    first, spacing
-        How far along the ray its first crossing lies, and further ones from each other; infinite if there are none.
+    The walk is that of Amanatides and Woo, "A fast voxel traversal algorithm for ray tracing" (1987). The ray starts at
+    ``place``, in cells, and ``direction`` is its unit vector's part on this axis. A cell's ``side`` is in the unit of
+    the ray's length. Returns the first cell and the step, 1 or -1; then how far along the ray the first crossing lies,
+    and further ones from each other, infinite if there are none.
     """
     cell = floored(place)
     if direction == 0.0:
@@ -120,15 +164,7 @@ def cast_at_discs(
 
 @merged
 def measure(
-    robot: int,
-    poses: FloatArray,
-    radius: float,
-    x: float,
-    y: float,
-    dx: float,
-    dy: float,
-    reach: float,
-    walls: Walls,
+    robot: int, poses: FloatArray, radius: float, x: float, y: float, dx: float, dy: float, reach: float, walls: Walls
 ) -> tuple[float, int]:
     """Distance (m) of the first wall or other robot on a ray of one robot, and which it is."""
     distance, hit = first_wall(x, y, dx, dy, reach, walls)
@@ -172,15 +208,11 @@ def cast_rays(
     origins: FloatArray,
     directions: FloatArray,
     lengths: FloatArray,
-    edges: FloatArray,
-    cell_starts: IntArray,
-    cell_edges: IntArray,
-    grid: FloatArray,
+    walls: Walls,
     distances: FloatArray,
     hits: IntArray,
 ) -> None:
     """Fill in distance (n,), m, and wall (n,) of rays from (n, 2) along unit vectors (n, 2) of reaches (n,), m."""
-    walls = scene_walls(edges, cell_starts, cell_edges, grid)
     for ray in range(len(origins)):
         distances[ray], hits[ray] = first_wall(
             origins[ray, 0], origins[ray, 1], directions[ray, 0], directions[ray, 1], lengths[ray], walls

@@ -1,9 +1,48 @@
-"""Readings of range sensors and wheel encoders: noise, resolution and limits."""
+"""The tables of beams and of noise that kernels read; readings of range sensors and wheel encoders; slip of wheels."""
 
 import math
 
-from limslam_env.compilation import merged
-from limslam_env.kernels.rays import NOTHING
+from limslam_env.compilation import inlined, merged
+from limslam_env.geometry import FloatArray
+
+NOTHING, ROBOT = -1, -2
+"""What a beam hits that hits no wall."""
+
+FROM_X, FROM_Y, TOWARDS_X, TOWARDS_Y, _, _, ANGLE, LONGEST_RANGE, OFFSET, SHORTEST_RANGE, PERIOD = range(11)
+"""Columns of a table of beams (n_beams, 11), of which the first are those of ``RobotSpec.beam_table``: origin (m) and
+direction as a unit vector in the robot's frame, angle (rad), longest reading (m), how far before its origin a ray
+starts (m), shortest reading (m), and period in steps."""
+
+RANGE_STD, STD_GROWTH, DROPOUT, RANGE_RESOLUTION, FOLD_BACK, CONE = range(6)
+"""Columns of a table of noise for the range sensors: what :func:`noisy_reading` needs,
+and half the opening angle of the beams, rad."""
+
+LEFT_WHEEL, RIGHT_WHEEL, WHEEL_VARIANCE, ENCODER_RESOLUTION, LARGEST_TRAVEL = range(6, 11)
+"""Columns of the same table for the encoders: the factor of each wheel, and what follows it in
+:func:`reported_travel`."""
+
+SLIP_RATE, SLIP_SHARE, TRUE_AXLE = range(11, 14)
+"""Further columns: slips per metre, the share of the travel that a slip takes, and the true distance between
+the wheels, m."""
+
+NUM_NOISES = 14
+"""Number of columns of the table of noise."""
+
+
+@inlined
+def is_due(beams: FloatArray, number: int, step: int) -> bool:
+    """Whether a beam measures in a step."""
+    return beams[number, PERIOD] == 1.0 or step % int(beams[number, PERIOD]) == 0
+
+
+@inlined
+def way_over_ground(turn: float, rate: float, share: float, uniform: float) -> float:
+    """How far a wheel moves over the ground, m, that turns by ``turn``, m: less when it slips.
+
+    Slips are a Poisson process along the path: ``rate`` per metre, each of which takes a ``share`` of the way.
+    ``uniform`` is a random number from U(0, 1).
+    """
+    return turn * (1.0 - share) if uniform < -math.expm1(-rate * abs(turn)) else turn
 
 
 @merged

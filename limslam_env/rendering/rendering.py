@@ -2,8 +2,7 @@
 
 import functools
 import math
-import weakref
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeAlias
 
@@ -14,7 +13,8 @@ from numpy.typing import NDArray
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.shapes import ellipse, thinned
 from limslam_env.interface import RobotSpec
-from limslam_env.rendering.overlay import Overlay
+from limslam_env.rendering.painter import Overlay
+from limslam_env.simulation.coverage import CELL
 from limslam_env.worlds.world import World
 
 HEIGHT = 640
@@ -50,27 +50,16 @@ class RenderState:
         What is drawn.
     poses
         (n, 3), m and rad.
-    hits
-        (n, n_beams), the wall that a beam hit, -1 for nothing and -2 for a robot.
-    ranges
-        (n, n_beams), the readings, m.
+    hits, ranges
+        (n, n_beams): the wall that a beam hit, -1 for nothing and -2 for a robot; and the readings, m.
     paths
         For each robot its past positions (k, 2), m.
     time, coverage
         s, and 0 to 1.
-    seen
-        (rows, columns), which cells have been seen, row 0 at the bottom. None shades nothing.
-    seen_low
-        Lower left corner of those cells (2,), m.
-    seen_cell
-        Their side, m.
+    seen, seen_low
+        (rows, columns), which cells of the coverage grid have been seen; and its lower left corner (2,), m.
     overlay
         The agents' estimates; each has the colour of the robot with the same number.
-
-    Raises
-    ------
-    ValueError
-        If there is ``seen`` without ``seen_low``.
     """
 
     world: World
@@ -81,14 +70,9 @@ class RenderState:
     paths: Sequence[FloatArray]
     time: float
     coverage: float
-    seen: BoolArray | None = None
-    seen_low: FloatArray | None = None
-    seen_cell: float = 0.10
+    seen: BoolArray
+    seen_low: FloatArray
     overlay: Sequence[Overlay] = ()
-
-    def __post_init__(self) -> None:
-        if self.seen is not None and self.seen_low is None:
-            raise ValueError("seen cells need seen_low, their lower left corner")
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +115,10 @@ class _Canvas:
         (x, y), size = self.pixels(centre[None])[0].tolist(), round(radius * (1 << _SHIFT))
         cv2.circle(self.image, (x, y), size, colour, width, cv2.LINE_AA, _SHIFT)
 
+    def dots(self, centres: Iterable[FloatArray], colour: Colour) -> None:
+        for centre in centres:
+            self.disc(centre, max(0.03 * self.scale, 1.5), colour)
+
     def arrow(self, pose: FloatArray, length: float, colour: Colour) -> None:
         """A small arrow head around a pose (3,), as long as a number of pixels."""
         corners = np.array([(0.55, 0.0), (-0.45, 0.4), (-0.25, 0.0), (-0.45, -0.4)]) * (length / self.scale)
@@ -146,18 +134,9 @@ class Background:
     light: Image
 
 
-_SQUARES: weakref.WeakValueDictionary[World, Background] = weakref.WeakValueDictionary()
-
-
 def square_background(world: World) -> Background:
-    """The background of a picture that is as wide as high whatever the world.
-
-    It is drawn once for equal worlds as long as a caller keeps it, since nothing else in a picture takes as long.
-    """
-    background = _SQUARES.get(world)
-    if background is None:
-        background = _SQUARES[world] = _background(world, least_width=HEIGHT, most_width=HEIGHT, least_height=HEIGHT)
-    return background
+    """The background of a picture that is as wide as high whatever the world."""
+    return _background(world, HEIGHT, HEIGHT, HEIGHT)
 
 
 def render(state: RenderState, *, background: Background | None = None) -> Image:
@@ -170,13 +149,10 @@ def render(state: RenderState, *, background: Background | None = None) -> Image
     background
         Of the same world, by :func:`square_background`. None makes a picture as wide as its world needs it.
     """
-    background = background or _fitting_background(state.world)
+    background = background or _background(state.world, _NARROWEST, _WIDEST)
     canvas = background.canvas.on(background.canvas.image.copy())
-    if state.seen is not None and state.seen_low is not None:
-        mask = _seen_mask(canvas, state.seen, state.seen_low, state.seen_cell)
-        cv2.add(
-            canvas.image, cv2.multiply(background.light, cv2.merge((mask, mask, mask)), scale=1 / 255), canvas.image
-        )
+    mask = _seen_mask(canvas, state.seen, state.seen_low)
+    cv2.add(canvas.image, cv2.multiply(background.light, cv2.merge((mask, mask, mask)), scale=1 / 255), canvas.image)
     for number, path in enumerate(state.paths):
         if len(path) > 1:
             canvas.path(thinned(path, _TRAIL_POINTS), _mixed(_robot_colour(number), _SEEN, 0.45), canvas.width(0.02, 2))
@@ -190,14 +166,10 @@ def render(state: RenderState, *, background: Background | None = None) -> Image
     return canvas.image
 
 
-@functools.lru_cache(maxsize=8)
-def _fitting_background(world: World) -> Background:
-    """The background of a picture that is as wide as its world needs it."""
-    return _background(world, least_width=_NARROWEST, most_width=_WIDEST)
-
-
-def _background(world: World, *, least_width: int, most_width: int, least_height: int = 0) -> Background:
-    canvas = _new_canvas(world, least_width=least_width, most_width=most_width, least_height=least_height)
+# Nothing else in a picture takes as long.
+@functools.lru_cache(maxsize=16)
+def _background(world: World, least_width: int, most_width: int, least_height: int = 0) -> Background:
+    canvas = _new_canvas(world, least_width, most_width, least_height)
     everything_seen = canvas.on(canvas.image.copy())
     for layer, floor in ((canvas, _UNSEEN), (everything_seen, _SEEN)):
         _draw_floor(layer, world, floor)
@@ -207,7 +179,7 @@ def _background(world: World, *, least_width: int, most_width: int, least_height
     return Background(canvas, light)
 
 
-def _new_canvas(world: World, *, least_width: int, most_width: int, least_height: int) -> _Canvas:
+def _new_canvas(world: World, least_width: int, most_width: int, least_height: int) -> _Canvas:
     """A canvas around a world; the sizes are in pixels."""
     corners = world.edges.reshape(-1, 2)
     low, extent = corners.min(axis=0), np.maximum(np.ptp(corners, axis=0), 1e-3)
@@ -247,11 +219,11 @@ def _draw_scale(canvas: _Canvas) -> None:
     _text(canvas.image, words, left - _text_width(words) - 8, 24)
 
 
-def _seen_mask(canvas: _Canvas, seen: BoolArray, low: FloatArray, cell: float) -> Image:
+def _seen_mask(canvas: _Canvas, seen: BoolArray, low: FloatArray) -> Image:
     """How far each pixel has been seen, 0 to 255: the corners of the cells are rounded off, and their edges soft."""
     # From the centre of a pixel to a column and a row; a cell's centre has a whole number.
-    step = 1.0 / (canvas.scale * cell)
-    column, row = (canvas.low - low) / cell - 0.5
+    step = 1.0 / (canvas.scale * CELL)
+    column, row = (canvas.low - low) / CELL - 0.5
     x, y = canvas.origin
     to_cells = np.array([[step, 0.0, column - x * step], [0.0, -step, row + y * step]])
     size = (canvas.image.shape[1], canvas.image.shape[0])
@@ -270,8 +242,7 @@ def _draw_beams(canvas: _Canvas, state: RenderState, number: int) -> None:
     for chosen, colour in ((hits == -1, _NO_HIT), (hits >= 0, _WALL_HIT), (hits == -2, _ROBOT_HIT)):
         if chosen.any():
             canvas.lines(np.hstack((origins[chosen], ends[chosen])), colour, 1)
-            for end in ends[chosen & (hits != -1)]:
-                canvas.disc(end, max(0.03 * canvas.scale, 1.5), colour)
+            canvas.dots(ends[chosen & (hits != -1)], colour)
 
 
 def _draw_robot(canvas: _Canvas, pose: FloatArray, radius: float, colour: Colour) -> None:
@@ -282,17 +253,15 @@ def _draw_robot(canvas: _Canvas, pose: FloatArray, radius: float, colour: Colour
 
 
 def _draw_overlay(canvas: _Canvas, overlay: Overlay, radius: float, colour: Colour) -> None:
-    for place in overlay.frontier:
-        canvas.disc(place, max(0.03 * canvas.scale, 1.5), _FRONTIER)
+    canvas.dots(overlay.frontier, _FRONTIER)
     if len(overlay.segments):
         canvas.lines(overlay.segments, _BELIEF, canvas.width(0.025, 2))
-        for end in overlay.segments.reshape(-1, 2):
-            canvas.disc(end, max(0.03 * canvas.scale, 1.5), _BELIEF)
+        canvas.dots(overlay.segments.reshape(-1, 2), _BELIEF)
     if len(overlay.plan):
         canvas.path(overlay.plan, colour, 1)
         goal = overlay.plan[-1]
         canvas.disc(goal, max(0.07 * canvas.scale, 4.0), colour, 1)
-        canvas.disc(goal, max(0.03 * canvas.scale, 1.5), colour)
+        canvas.dots([goal], colour)
     if overlay.pose is not None:
         _draw_ghost(canvas, overlay.pose, overlay.covariance, radius)
 

@@ -20,17 +20,9 @@ class Window:
 
     One process has one window: where several are open, the last one to show a picture has it.
 
-    Parameters
-    ----------
-    title
-        What stands on the window.
-    fps
-        Pictures a second at most: :meth:`show` waits until the next one is due.
-
-    Attributes
-    ----------
-    message
-        A line that is shown over the lower margin of the pictures; empty for none.
+    It has a ``title``, and shows at most ``fps`` pictures a second: :meth:`show` waits until the next one is due. The
+    attribute ``message`` is a line that is shown over the lower margin of the pictures, empty for none, and ``closed``
+    whether the window has been closed, by its user or by :meth:`close`.
 
     Raises
     ------
@@ -43,14 +35,9 @@ class Window:
         self._pygame = _load_pygame()
         self._clock = self._pygame.time.Clock()
         self._screen: pygame.Surface | None = None
-        self._closed = False
+        self.closed = False
         self._held: set[str] = set()
         self._pressed: set[str] = set()
-
-    @property
-    def closed(self) -> bool:
-        """Whether the window has been closed, by its user or by :meth:`close`."""
-        return self._closed
 
     def show(self, image: NDArray[np.uint8]) -> None:
         """Show a picture (height, width, 3), RGB, when it is due. A closed window stays closed.
@@ -60,7 +47,7 @@ class Window:
         gymnasium.error.Error
             If there is no display to open a window on.
         """
-        if self._closed:
+        if self.closed:
             return
         pygame, size = self._pygame, (image.shape[1], image.shape[0])
         if self._screen is None or pygame.display.get_surface() is not self._screen or self._screen.get_size() != size:
@@ -83,7 +70,7 @@ class Window:
         """Close the window; closing it again does nothing."""
         if self._screen is not None and self._pygame.display.get_surface() is self._screen:
             self._pygame.display.quit()
-        self._screen, self._closed = None, True
+        self._screen, self.closed = None, True
         self._held.clear()
 
     def _open(self, size: tuple[int, int]) -> None:

@@ -9,12 +9,15 @@ from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.floor import look_out
 from limslam_env.simulation.sensors import build_wall_index
+from limslam_env.worlds.free_space import eroded
 from limslam_env.worlds.world import World
 
 CELL = 0.10
 """Side of a cell of the coverage grid, m."""
 
-_VIEWS = 240
+# The directions (n, 2), unit vectors, in which what can be covered is looked for.
+_TURNS = np.arange(240) * (2.0 * np.pi / 240)
+_VIEWS = np.column_stack((np.cos(_TURNS), np.sin(_TURNS)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,10 +26,8 @@ class CoverageGrid:
 
     Attributes
     ----------
-    low
-        Lower left corner of the grid (2,), m.
-    coverable
-        (rows, columns), row 0 at the bottom.
+    low, coverable
+        Lower left corner of the grid (2,), m; and its cells (rows, columns), row 0 at the bottom.
     """
 
     low: FloatArray
@@ -51,13 +52,6 @@ def grid_over(edges: FloatArray) -> tuple[FloatArray, tuple[int, int]]:
     return low, (int(rows), int(columns))
 
 
-@functools.cache
-def _views() -> FloatArray:
-    """The directions (n, 2), unit vectors, in which what can be covered is looked for."""
-    angles = np.arange(_VIEWS) * (2.0 * np.pi / _VIEWS)
-    return np.column_stack((np.cos(angles), np.sin(angles)))
-
-
 @functools.lru_cache(maxsize=16)
 def _coverage_grid(
     world: World, robot: RobotSpec, regions: frozenset[int], loose: tuple[tuple[float, float], ...]
@@ -69,8 +63,9 @@ def _coverage_grid(
         reachable |= space.labels == region
     around = np.array(space.free.shape) * (space.cell / CELL) + 3.0
     look_out(
-        *walls.scene, _views(), robot.reach,
+        walls, _VIEWS, robot.reach,
         np.array(loose).reshape(-1, 2), np.array([*space.origin, space.cell]), reachable,
+        eroded(reachable),
         grid.area, grid.coverable,
         np.zeros(around.astype(int), dtype=bool),
     )  # fmt: skip

@@ -28,16 +28,7 @@ _Pose: TypeAlias = tuple[float, float, float]
 
 
 class Physics:
-    """Round robots among walls.
-
-    Parameters
-    ----------
-    edges
-        Walls (k, 4), m.
-    radius
-        Of every robot, m.
-    num_robots
-        Number of robots; :meth:`place` them before the first step.
+    """Round robots of one ``radius``, m, among walls (k, 4), m; :meth:`place` them before the first step.
 
     Attributes
     ----------
@@ -73,32 +64,27 @@ class Physics:
         """Where the robots are (n, 3); headings wrapped; a copy."""
         return self.current.copy()
 
-    def step(self, travel: Sequence[tuple[float, float]], period: float) -> list[bool]:
-        """Carry each robot's left and right wheel on by ``travel``, m, in ``period`` s.
+    def step(self, travel: Sequence[Sequence[float]], period: float) -> list[bool]:
+        """Carry each robot's wheels on by ``travel``, m, in ``period`` s; returns whether each robot touched something.
 
         Without contact the new pose is the end of the exact arc of constant wheel speeds:
         a body that pymunk moves gets the velocity of the arc's chord.
-
-        Returns
-        -------
-        contact
-            Whether each robot touched something.
         """
-        farthest = 0.5 * max([abs(left + right) for left, right in travel])
+        farthest = 0.5 * max(abs(left + right) for left, right in travel)
         if farthest <= self.motion[LONGEST]:
             return self._move(travel, period, farthest)
         # A move of more than the radius could end beyond a wall; an arc in pieces is the same arc.
         parts = math.ceil(farthest / self.motion[LONGEST])
-        pieces = [(left / parts, right / parts) for left, right in travel]
+        pieces = [[wheel / parts for wheel in robot] for robot in travel]
         contacts = [self._move(pieces, period / parts, farthest / parts) for _ in range(parts)]
         return [any(robot) for robot in zip(*contacts, strict=True)]
 
-    def _move(self, travel: Sequence[tuple[float, float]], period: float, farthest: float) -> list[bool]:
+    def _move(self, travel: Sequence[Sequence[float]], period: float, farthest: float) -> list[bool]:
         # Two robots may approach each other.
         self.motion[CLEARANCE] -= farthest if len(travel) == 1 else 2.0 * farthest
         before: list[_Pose] = [(x, y, heading) for x, y, heading in self.current.tolist()]
         axle = float(self.motion[AXLE])
-        goals = [arc_end(*pose, *wheels, axle) for pose, wheels in zip(before, travel, strict=True)]
+        goals = [arc_end(*pose, left, right, axle) for pose, (left, right) in zip(before, travel, strict=True)]
         if self.motion[CLEARANCE] <= 0.0:
             return self._move_bodies(before, goals, period)
         # No robot can touch anything: pymunk is not needed.
@@ -173,13 +159,9 @@ class Physics:
         self._space.reindex_shapes_for_body(body)
 
     def __getstate__(self) -> dict[str, Any]:
-        return {
-            "edges": self._edges,
-            "radius": self._radius,
-            "poses": self.current,
-            "motion": self.motion,
-        }
+        return {"edges": self._edges, "radius": self._radius, "poses": self.current, "motion": self.motion}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         Physics.__init__(self, state["edges"], state["radius"], len(state["poses"]))
-        self.current[:], self.motion[:] = state["poses"], state["motion"]
+        # The simulation holds the same arrays.
+        self.current, self.motion = state["poses"], state["motion"]

@@ -10,11 +10,10 @@ from limslam_env.config import NoiseConfig
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, ReadingArray
 from limslam_env.interface import RobotSpec
 from limslam_env.kernels.observation import drive_and_observe
-from limslam_env.kernels.tables import SLIP_RATE, TRUE_AXLE
+from limslam_env.kernels.readings import TRUE_AXLE
 from limslam_env.simulation.coverage import CELL, CoverageGrid, coverage_grid
-from limslam_env.simulation.noise import StepDraws, ground_travel, noise_table
 from limslam_env.simulation.physics import Physics
-from limslam_env.simulation.sensors import beam_table, build_wall_index
+from limslam_env.simulation.sensors import StepDraws, beam_table, build_wall_index, noise_table
 from limslam_env.simulation.starts import drawn_starts, starting_places
 from limslam_env.worlds.world import World
 
@@ -24,12 +23,7 @@ _CELL_AREA = CELL**2
 class Readings(NamedTuple):
     """The measurements of all robots after a step, in new arrays.
 
-    Attributes
-    ----------
-    ranges
-        (n, n_beams), float32, m.
-    wheels
-        (n, 2), float32: left and right wheel travel, m.
+    ``ranges`` (n, n_beams) and ``wheels`` (n, 2), left and right wheel travel, are float32, in m.
     """
 
     ranges: ReadingArray
@@ -41,17 +35,13 @@ class Truth(NamedTuple):
 
     Attributes
     ----------
-    poses
-        (n, 3), m and rad.
-    time
-        Since the reset, s.
-    coverage
-        Share of the coverable cells that have been seen by any robot, 0 to 1.
+    poses, contact
+        (n, 3), m and rad; and which robots touched something.
+    time, coverage
+        Since the reset, s; and the share of the coverable cells that have been seen by any robot, 0 to 1.
     new_area
         Coverable area that each robot was the first to see in this step, m^2. Area that two robots see in the same
         step counts for the robot with the lower number.
-    contact
-        Which robots touched something.
     wall_seen
         (n, n_beams): index of the wall that each beam's latest measurement hit, -1 nothing, -2 a robot.
     """
@@ -65,21 +55,9 @@ class Truth(NamedTuple):
 
 
 class Simulation:
-    """Robots of one kind in a world.
+    """``num_robots`` robots of one kind in a world.
 
-    Parameters
-    ----------
-    world
-        The world.
-    robot
-        The specification of each robot.
-    num_robots
-        Number of robots.
-
-    Attributes
-    ----------
-    coverage_grid
-        The cells that count for coverage, and where they lie. Known after the first reset.
+    The attribute ``coverage_grid``, the cells that count for coverage, is known after the first reset.
 
     Raises
     ------
@@ -91,7 +69,7 @@ class Simulation:
         world.check(robot.radius)
         self.world, self.robot, self.num_robots = world, robot, num_robots
         self.coverage_grid: CoverageGrid
-        self._scene = build_wall_index(world.edges).scene
+        self._walls = build_wall_index(world.edges)
         self._physics = Physics(world.edges, robot.radius, num_robots)
         self._beams = beam_table(robot)
         self._farthest = robot.max_wheel_speed * robot.control_period
@@ -109,17 +87,10 @@ class Simulation:
     def reset(
         self, seeds: np.random.SeedSequence, noise: NoiseConfig, start: FloatArray | None = None
     ) -> tuple[Readings, Truth]:
-        """Begin again.
+        """Begin again at ``start``, pose (3,) of robot 0 or poses (num_robots, 3), or else at the world's starts.
 
-        Parameters
-        ----------
-        seeds
-            Start, ranges, wheels and settings get a generator each from it, so that runs with
-            other noise share their starts and their draws.
-        noise
-            Ranges in it are drawn from now.
-        start
-            Pose (3,) of robot 0, or poses (num_robots, 3); the world's starts otherwise.
+        Start, ranges, wheels and settings get a generator each from the seeds, so that runs with other noise share
+        their starts and their draws. Ranges in ``noise`` are drawn from now.
 
         Raises
         ------
@@ -138,55 +109,34 @@ class Simulation:
         self._covered = self._steps = 0
         shape = (count, len(robot.beams))
         self._hits, self._ranges = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.float32)
-        self._travel, self._reported = np.zeros((count, 2)), np.zeros((count, 2), dtype=np.float32)
-        self._unreported, self._new_cells = np.zeros((count, 2)), np.zeros(count, dtype=np.int64)
+        self._travel, self._ground, self._unreported = (np.zeros((count, 2)) for _ in range(3))
+        self._reported, self._new_cells = np.zeros((count, 2), dtype=np.float32), np.zeros(count, dtype=np.int64)
         self._arrays = (
-            robot.radius, self._beams, self._noise, *self._scene, self._seen, grid.coverable, grid.area,
-            self._unreported, self._hits, self._ranges, self._reported, self._new_cells,
+            self._physics.current, self._physics.motion, self._travel, self._ground, robot.radius, self._beams,
+            self._noise, self._walls, self._seen, grid.coverable, grid.area, self._unreported, self._hits, self._ranges,
+            self._reported, self._new_cells,
         )  # fmt: skip
-        self._measure(self._travel, self._draws.next(), is_moved=True)
+        drive_and_observe(True, 0, self._draws.next(), *self._arrays)  # noqa: FBT003 (kernels take no keywords)
         return self._results([False] * count)
 
     def carry(self, number: int, pose: FloatArray) -> None:
-        """Carry a robot to another pose (3,). Its wheels do not turn on the way. It reads its beams in the next step.
-
-        Raises
-        ------
-        WorldError
-            If the robot collides there or is outside.
-        """
+        """Carry a robot to another pose (3,), where it reads its beams in the next step. Its wheels do not turn."""
         self.world.check_poses(np.asarray(pose, dtype=float)[None], self.robot.radius)
         poses = self._physics.poses
         poses[number] = pose
         self._physics.place(poses, float(self._noise[TRUE_AXLE]))
 
     def step(self, actions: Sequence[tuple[float, float]]) -> tuple[Readings, Truth]:
-        """Drive for one control period with each robot's left and right wheel speed, fractions of the maximum.
-
-        Raises
-        ------
-        ValueError
-            If there is not one action for each robot.
-        """
-        if len(actions) != self.num_robots:
-            raise ValueError(f"there must be an action for each of {self.num_robots} robots, not {len(actions)}")
+        """Drive for one control period with each robot's left and right wheel speed, fractions of the maximum."""
         self._steps += 1
-        draws, travel, noise = self._draws.next(), self._travel, self._noise
+        draws, travel = self._draws.next(), self._travel
         for robot, (left, right) in enumerate(actions):
             travel[robot, 0], travel[robot, 1] = _clipped(left) * self._farthest, _clipped(right) * self._farthest
-        ground = ground_travel(travel, noise, draws[:, -2:, 1]) if noise[SLIP_RATE] else travel
         contact = [False] * self.num_robots
-        if not self._measure(ground, draws, is_moved=False):
-            contact = self._physics.step(ground.tolist(), self.robot.control_period)
-            self._measure(ground, draws, is_moved=True)
+        if not drive_and_observe(False, self._steps, draws, *self._arrays):  # noqa: FBT003
+            contact = self._physics.step(self._ground.tolist(), self.robot.control_period)
+            drive_and_observe(True, self._steps, draws, *self._arrays)  # noqa: FBT003
         return self._results(contact)
-
-    def _measure(self, ground: FloatArray, draws: FloatArray, *, is_moved: bool) -> bool:
-        """Move the robots unless one of them may touch something or all are moved, and take all measurements."""
-        body = self._physics
-        return drive_and_observe(
-            is_moved, ground, body.current, body.motion, self._travel, self._steps, draws, *self._arrays
-        )
 
     def _results(self, contact: list[bool]) -> tuple[Readings, Truth]:
         new_cells = self._new_cells.tolist()

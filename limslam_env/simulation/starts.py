@@ -20,10 +20,9 @@ class StartingPlaces:
     ----------
     given
         Poses (g, 3) of the first robots, m and rad.
-    cells
-        (k,), numbers of the free cells, row by row, for robots without a pose; empty if each robot has one.
-    space
-        (4,): lower left corner x, y and side of the cells, m, and columns.
+    cells, space
+        Numbers (k,) of the free cells, row by row, for robots without a pose, none if each robot has one; and their
+        grid (4,): lower left corner x, y and side of the cells, m, and columns.
     is_pocket
         (k,), which of the cells lie in a pocket (:meth:`limslam_env.worlds.free_space.FreeSpace.pockets`). No robot is
         put there, since it could hardly get out.
@@ -55,10 +54,7 @@ def least_distance(robot: RobotSpec) -> float:
 def starting_places(world: World, robot: RobotSpec, num_robots: int, start: FloatArray | None) -> StartingPlaces:
     """Find the places that robots may start at: ``start``, pose (3,) or poses (n, 3), then the world's, then free ones.
 
-    Raises
-    ------
-    WorldError
-        If a given start collides or lies outside, if two start in one place, or if there is no room at all.
+    A WorldError says that a given start cannot be used (:func:`known_poses`), or that there is no room at all.
     """
     given = np.zeros((0, 3)) if start is None else np.atleast_2d(np.asarray(start, dtype=float))
     known, counts = known_poses(world, robot, num_robots, given[None])
@@ -77,17 +73,8 @@ def starting_places(world: World, robot: RobotSpec, num_robots: int, start: Floa
 def known_poses(world: World, robot: RobotSpec, num_robots: int, given: FloatArray) -> tuple[FloatArray, IntArray]:
     """The given poses (k, s, 3) of the first robots in k environments, and after them those of the world that fit in.
 
-    Returns
-    -------
-    poses
-        (k, num_robots, 3), m and rad; 0 where a robot has none.
-    counts
-        (k,), how many poses each environment has.
-
-    Raises
-    ------
-    WorldError
-        If a given start collides or lies outside, or if two start in one place.
+    Returns poses (k, num_robots, 3), m and rad, 0 where a robot has none, and how many there are (k,). A WorldError
+    says that a given start collides or lies outside, or that two start in one place.
     """
     count, number = given.shape[:2]
     if number > num_robots:
@@ -110,13 +97,7 @@ def known_poses(world: World, robot: RobotSpec, num_robots: int, given: FloatArr
 def drawn_starts(
     places: StartingPlaces, world: World, robot: RobotSpec, num_robots: int, generator: np.random.Generator
 ) -> FloatArray:
-    """Poses (num_robots, 3) of all robots, m and rad. Robots without a pose get a random free one.
-
-    Raises
-    ------
-    WorldError
-        If there is no room for all.
-    """
+    """Poses (num_robots, 3) of all robots, m and rad, random free ones for some; a WorldError if there is no room."""
     poses = list(places.given)
     if len(poses) == num_robots:
         return places.given

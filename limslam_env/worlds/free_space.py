@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from limslam_env.geometry import BoolArray, FloatArray, IntArray, no_rows
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 CELL = 0.025
 """Side of a cell of the reachability grid, m; coarser in worlds that would have more than MAX_CELLS of them."""
@@ -31,10 +31,8 @@ class FreeSpace:
 
     Attributes
     ----------
-    origin
-        Lower left corner of the grid, (2,), m. The grid reaches past the walls on all sides.
-    cell
-        Side of a cell, m.
+    origin, cell
+        Lower left corner of the grid, (2,), m, and side of a cell, m. The grid reaches past the walls on all sides.
     free
         (rows, columns), row 0 at the bottom.
     """
@@ -84,7 +82,7 @@ class FreeSpace:
         for part in np.array_split(labels, labels.size // _COUNTED + 1):
             sizes += np.bincount(part.ravel(), minlength=len(sizes))
         sizes[0] = 0
-        sizes[self._border_labels] = 0
+        sizes[self.border_labels] = 0
         return np.asarray(labels == np.argmax(sizes)) if sizes.any() else np.zeros_like(self.free)
 
     def pockets(self, region: BoolArray) -> BoolArray:
@@ -105,10 +103,11 @@ class FreeSpace:
     def is_open(self, points: FloatArray) -> BoolArray:
         """Whether a disc at each point (n, 2) does not fit, or can reach the outermost cells, beyond every wall."""
         labels = self.labels_of(points)
-        return np.asarray((labels == 0) | np.isin(labels, self._border_labels))
+        return np.asarray((labels == 0) | np.isin(labels, self.border_labels))
 
     @functools.cached_property
-    def _border_labels(self) -> IntArray:
+    def border_labels(self) -> IntArray:
+        """The numbers of the regions that reach the border of the grid, and 0."""
         labels = self.labels
         return np.unique(np.concatenate((labels[0], labels[-1], labels[:, 0], labels[:, -1])))
 
@@ -145,18 +144,9 @@ def cell_for(edges: FloatArray, radius: float) -> float:
 
 
 def free_space(edges: FloatArray, radius: float, cell: float, polygons: Sequence[FloatArray] = ()) -> FreeSpace:
-    """Mark the cells where a disc fits: far enough from every edge and outside of every polygon.
+    """Mark the cells, of a side ``cell``, m, where a disc fits: ``radius``, m, from every edge and outside of polygons.
 
-    Parameters
-    ----------
-    edges
-        (k, 4), m: all that the disc must not touch, the polygons' edges among them.
-    radius
-        The disc's, m.
-    cell
-        Side of a cell of the grid, m.
-    polygons
-        Simple ones, each (k, 2), m.
+    ``edges`` (k, 4), m, are all that the disc must not touch, those of the simple polygons, each (k, 2), m, among them.
     """
     origin, shape = _grid_around(edges, radius, cell)
     free = np.ones(shape, dtype=bool)
@@ -165,21 +155,18 @@ def free_space(edges: FloatArray, radius: float, cell: float, polygons: Sequence
 
 
 def clear(
-    free: BoolArray,
-    edges: FloatArray,
-    polygons: Sequence[FloatArray],
-    radius: float,
-    origin: FloatArray,
-    cell: float,
+    free: BoolArray, edges: FloatArray, polygons: Sequence[FloatArray], radius: float, origin: FloatArray, cell: float
 ) -> None:
     """Clear the cells (rows, columns) of a grid whose centres lie less than ``radius`` (m) from an edge or inside of a
     polygon. The grid has its lower left corner at ``origin`` (2,), and ``cell`` is the side of a cell, m.
     """
     # numba takes long to load, and worlds that are only read do without it.
-    from limslam_env.kernels.floor import mark_free
+    from limslam_env.kernels.floor import clear_inside, clear_near_walls
 
-    corners, firsts = np.vstack((no_rows(2), *polygons)), np.cumsum([0, *map(len, polygons)])
-    mark_free(np.array(edges), corners, firsts, radius, np.array([*origin, cell]), np.empty(len(corners)), free)
+    space = np.array([*origin, cell])
+    clear_near_walls(np.array(edges), space, radius, free)
+    for polygon in polygons:
+        clear_inside(np.array(polygon), space, np.empty(len(polygon)), free)
 
 
 def _grid_around(edges: FloatArray, radius: float, cell: float) -> tuple[FloatArray, tuple[int, int]]:

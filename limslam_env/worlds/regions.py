@@ -24,10 +24,9 @@ class StartRegion:
     ----------
     area
         Floor that robots can cover from the starts, m^2. In a world without starts, that of the largest closed region.
-    floor
-        All floor that is enclosed by walls, m^2; where that is little, the rectangle around all walls.
-    is_open
-        Whether so little is enclosed that the outer wall must be open.
+    floor, is_open
+        All floor that is enclosed by walls, m^2, or the rectangle around all walls, if so little is enclosed that the
+        outer wall must be open.
     """
 
     area: float
@@ -59,9 +58,7 @@ class StartRegion:
 def start_region(world: World, radius: float) -> StartRegion:
     """Measure the start region of robots of a ``radius`` (m)."""
     space = world.free_space(radius)
-    labels = space.labels
-    border = np.unique(np.concatenate((labels[0], labels[-1], labels[:, 0], labels[:, -1])))
-    closed = space.free & ~np.isin(labels, border[border > 0])
+    closed = space.free & ~np.isin(space.labels, space.border_labels)
     area, floor = covered_area(starting_cells(world, space), space, radius), covered_area(closed, space, radius)
     around = float(np.prod(np.ptp(world.edges.reshape(-1, 2), axis=0)))
     is_open = floor < _OPEN_SHARE * around

@@ -108,13 +108,7 @@ class World:
         return _free_space(self, radius)
 
     def check(self, radius: float) -> None:
-        """Make sure that a robot of ``radius`` (m) can start here and never leave.
-
-        Raises
-        ------
-        WorldError
-            If a start collides, if the robot's disc could escape, or if it fits nowhere.
-        """
+        """Raise a WorldError if a start collides with a robot of ``radius`` (m), if it fits nowhere, or could leave."""
         if len(self.starts):
             self._check_starts(self.starts, radius, "starts[{}]".format)
             self._check_closed(self.starts[:, :2], radius, "starts[{}]".format)
@@ -126,13 +120,7 @@ class World:
         self._check_closed(space.first_centre(region)[None], radius, lambda _: "its largest region")
 
     def check_poses(self, poses: FloatArray, radius: float) -> None:
-        """Make sure that a robot of ``radius`` (m) may start at each of ``poses`` (n, 3).
-
-        Raises
-        ------
-        WorldError
-            If a pose is not finite, collides, or lies where the robot could leave the world.
-        """
+        """Raise a WorldError if one of the poses (n, 3) is not finite, or no start for a robot of ``radius`` (m)."""
         self._check_starts(poses, radius, lambda _: "start")
         self._check_closed(poses[:, :2], radius, lambda number: f"start {_text(poses[number])}")
 

@@ -1,4 +1,4 @@
-"""Reads any world: a shipped one by its name, a random floor plan by its seed, or a file in any supported format."""
+"""Reads any world: a shipped one by its name, a random floor plan by its seed, or any supported file; and writes it."""
 
 import os
 import re
@@ -10,9 +10,14 @@ from typing import TypeAlias
 import numpy as np
 
 from limslam_env.messages import announce
-from limslam_env.worlds.formats.json_files import read_json
-from limslam_env.worlds.formats.text_files import MAX_FILE_BYTES, read_text
-from limslam_env.worlds.formats.toml import parse_world
+from limslam_env.worlds.formats.tables import (
+    MAX_FILE_BYTES,
+    parse_world,
+    read_json,
+    read_text,
+    replace_file,
+    world_toml,
+)
 from limslam_env.worlds.world import World, WorldError, named
 
 RANDOM = "random:"
@@ -105,3 +110,27 @@ def shipped_worlds() -> list[str]:
     """Names of the worlds that come with the package."""
     files = resources.files("limslam_env.worlds").iterdir()
     return sorted(Path(file.name).stem for file in files if file.name.endswith(".toml"))
+
+
+def write_world(world: World, path: str | os.PathLike[str], resolution: float = 0.05) -> None:
+    """Write a world as ``.toml``, or as ``.yaml`` for map_server with a ``.pgm`` beside it.
+
+    A map holds walls and obstacles only: doors, starts and the loop are not written. Walls are one cell of a side
+    ``resolution``, m, thick; enclosed cells are free, and cells outside are unknown. A file that is there already is
+    replaced, and stays as it was if the new one cannot be written.
+
+    Raises
+    ------
+    WorldError
+        If the suffix is neither, the map would have too many cells, or nothing can be written there.
+    """
+    path = Path(path)
+    if path.suffix == ".toml":
+        replace_file(path, world_toml(world).encode())
+    elif path.suffix in {".yaml", ".yml"}:
+        # Needs YAML, which worlds in TOML do without.
+        from limslam_env.worlds.formats.map_server import write_map
+
+        write_map(world, path, resolution)
+    else:
+        raise WorldError(f"{path}: a world is written as .toml or .yaml, not {path.suffix!r}")

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from limslam_env.config import Setting, bounds_of
-from limslam_env.worlds.generation.furnishing import Furniture, Polygon, Segment, corner_cut, furnish
+from limslam_env.worlds.generation.furnishing import Polygon, Segment, corner_cut, furnish
 from limslam_env.worlds.generation.room_layout import (
     DOOR_MARGIN,
     Measures,
@@ -86,31 +86,40 @@ class FloorPlanConfig:
             raise ValueError(f"obstacle_size must be {SMALLEST_OBSTACLE:g} m or more, not {self.obstacle_size}")
         _check_rooms(self)
 
+    def check(self, radius: float) -> None:
+        """Raise a ValueError if a robot of ``radius`` (m) does not get through all doors and corridors."""
+        if not (math.isfinite(radius) and radius > 0.0):
+            raise ValueError(f"a robot's radius must be a positive length, not {radius}")
+        needed = round(2.0 * radius + DOOR_SPARE, 6)
+        for name in ("door_width", "corridor_width"):
+            narrowest = bounds_of(getattr(self, name))[0]
+            if narrowest < needed:
+                raise ValueError(
+                    f"{name} {narrowest:g} m is too narrow for a robot of {radius:g} m radius, which needs {needed:g} m"
+                )
+
 
 def floor_plan(config: FloorPlanConfig, generator: np.random.Generator, radius: float) -> World:
     """Draw a closed building in which a robot of ``radius`` (m) can get everywhere but into obstacles.
 
     The same state of the generator, for the same settings and radius, gives the same plan on every machine, to the last
     bit; coordinates are whole millimetres. ``doors`` holds every opening between two rooms. There are no starts and no
-    loop.
-
-    Raises
-    ------
-    ValueError
-        If doors or corridors may be too narrow for the robot.
+    loop. A ValueError says that doors or corridors may be too narrow for the robot.
     """
-    _check_radius(config, radius)
+    config.check(radius)
     size = _drawn_mm(config.width, generator), _drawn_mm(config.height, generator)
-    measures = Measures(_mm(config.min_room), _range_mm(config.corridor_width), config.corridor)
+    measures = Measures(
+        _mm(config.min_room), _range_mm(config.corridor_width), config.corridor,
+        math.ceil(round(1000.0 * (2.0 * radius + SPARE), 6)), config.slanted, config.obstacles,
+        _range_mm(config.obstacle_size),
+    )  # fmt: skip
     rooms, walls = layout(size, measures, generator)
     doors, doors_of = _doors(rooms, config, generator)
-    clearance = math.ceil(round(1000.0 * (2.0 * radius + SPARE), 6))
-    furniture = Furniture(clearance, config.slanted, config.obstacles, _range_mm(config.obstacle_size))
-    outline, cuts_of = _outline(rooms, size, furniture, generator)
+    outline, cuts_of = _outline(rooms, size, measures, generator)
     segments = outline + [wall.ends() for wall in with_openings(walls, doors)]
     obstacles: list[Polygon] = []
     for room in rooms:
-        slanted, polygons = furnish(room, doors_of[room], cuts_of[room], furniture, generator)
+        slanted, polygons = furnish(room, doors_of[room], cuts_of[room], measures, generator)
         segments += slanted
         obstacles += polygons
     return _world(size, segments, obstacles, [door.ends() for door in doors])
@@ -133,7 +142,7 @@ def _doors(
 
 
 def _outline(
-    rooms: list[Room], size: tuple[int, int], furniture: Furniture, generator: np.random.Generator
+    rooms: list[Room], size: tuple[int, int], measures: Measures, generator: np.random.Generator
 ) -> tuple[list[Segment], dict[Room, list[Segment]]]:
     """The outer walls, counter-clockwise, with some corners cut off; and the cuts of each room."""
     points: Polygon = []
@@ -141,8 +150,8 @@ def _outline(
     for is_right, is_top in ((0, 0), (1, 0), (1, 1), (0, 1)):
         x, y = is_right * size[0], is_top * size[1]
         (room,) = [room for room in rooms if x in (room.low[0], room.high[0]) and y in (room.low[1], room.high[1])]
-        is_cut = generator.random() < furniture.slanted
-        cut = corner_cut(room, furniture.clearance, generator) if is_cut else None
+        is_cut = generator.random() < measures.slanted
+        cut = corner_cut(room, measures.clearance, generator) if is_cut else None
         if cut is None:
             points.append((x, y))
             continue
@@ -182,18 +191,6 @@ def _check_rooms(config: FloorPlanConfig) -> None:
         raise ValueError(
             f"min_room must be {needed:g} m or more, not {config.min_room:g}: the widest door needs that much wall"
         )
-
-
-def _check_radius(config: FloorPlanConfig, radius: float) -> None:
-    if not (math.isfinite(radius) and radius > 0.0):
-        raise ValueError(f"a robot's radius must be a positive length, not {radius}")
-    needed = round(2.0 * radius + DOOR_SPARE, 6)
-    for name in ("door_width", "corridor_width"):
-        narrowest = bounds_of(getattr(config, name))[0]
-        if narrowest < needed:
-            raise ValueError(
-                f"{name} {narrowest:g} m is too narrow for a robot of {radius:g} m radius, which needs {needed:g} m"
-            )
 
 
 def _mm(length: float) -> int:

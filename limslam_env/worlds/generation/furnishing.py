@@ -10,7 +10,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
-from limslam_env.worlds.generation.room_layout import Room
+from limslam_env.worlds.generation.room_layout import Measures, Room
 
 Point: TypeAlias = tuple[int, int]
 Segment: TypeAlias = tuple[int, int, int, int]
@@ -28,51 +28,24 @@ _FREE_HALF = (150, 500)
 _AT_WALL_SHARE, _RECTANGLE_SHARE, _UPRIGHT_SHARE = 0.4, 0.3, 0.7
 
 
-class Furniture(NamedTuple):
-    """The amount of obstacles in rooms.
-
-    Attributes
-    ----------
-    clearance
-        Least distance between things that do not touch, mm.
-    slanted
-        Chance of a slanted wall, for each room.
-    obstacles
-        Expected number of obstacles per 10 m^2.
-    obstacle_size
-        Least and largest distance across, mm.
-    """
-
-    clearance: int
-    slanted: float
-    obstacles: float
-    obstacle_size: tuple[int, int]
-
-
 def furnish(
-    room: Room, doors: list[Segment], cuts: list[Segment], furniture: Furniture, generator: np.random.Generator
+    room: Room, doors: list[Segment], cuts: list[Segment], measures: Measures, generator: np.random.Generator
 ) -> tuple[list[Segment], list[Polygon]]:
     """Slanted walls and obstacles for a room with its doors and cut corners; objects that do not fit are left out.
 
     All keep the clearance from everything but the one wall that they may stand at. So what is free is still one
-    piece, for every robot that the clearance lets pass. Corridors stay empty.
-
-    Returns
-    -------
-    walls
-        The slanted walls, in mm.
-    obstacles
-        Convex polygons, counter-clockwise, in mm.
+    piece, for every robot that the clearance lets pass. Corridors stay empty. The polygons are convex, with
+    their corners counter-clockwise.
     """
     contents = _Contents(room, doors, cuts)
     if room.is_corridor:
         return [], []
-    if generator.random() < furniture.slanted:
-        _put_slanted_wall(contents, furniture.clearance, generator)
-    expected = furniture.obstacles * (room.side(0) * room.side(1)) / 1e7
+    if generator.random() < measures.slanted:
+        _put_slanted_wall(contents, measures.clearance, generator)
+    expected = measures.obstacles * (room.side(0) * room.side(1)) / 1e7
     # The fraction of the expected number is the probability of one more obstacle.
     for _ in range(int(expected + generator.random())):
-        _put_obstacle(contents, furniture, generator)
+        _put_obstacle(contents, measures, generator)
     return contents.walls, contents.obstacles
 
 
@@ -95,18 +68,10 @@ class _Disc(NamedTuple):
 
 @dataclass
 class _Contents:
-    """The content of a room during generation.
+    """The content of a room during generation: its openings, the corners that are cut off, and slanted walls.
 
-    Attributes
-    ----------
-    room, doors, cuts
-        Its sides, its openings, and its corners that are cut off.
-    walls
-        Slanted walls.
-    discs, boxes
-        Circles around what stands free; lower left and upper right corners of what stands at a wall.
-    obstacles
-        The polygons within them.
+    ``discs`` are circles around what stands free, ``boxes`` lower left and upper right corners of what stands at a
+    wall, and ``obstacles`` the polygons within them.
     """
 
     room: Room
@@ -153,15 +118,15 @@ def _stub(room: Room, clearance: int, generator: np.random.Generator) -> Segment
     return (foot, base, head, tip) if axis == 0 else (base, foot, tip, head)
 
 
-def _put_obstacle(contents: _Contents, furniture: Furniture, generator: np.random.Generator) -> None:
-    radius = int(generator.integers(*furniture.obstacle_size, endpoint=True)) // 2
+def _put_obstacle(contents: _Contents, measures: Measures, generator: np.random.Generator) -> None:
+    radius = int(generator.integers(*measures.obstacle_size, endpoint=True)) // 2
     if generator.random() < _AT_WALL_SHARE:
-        box = _box_at_wall(contents, radius, furniture.clearance, generator)
+        box = _box_at_wall(contents, radius, measures.clearance, generator)
         if box is not None:
             contents.boxes.append(box)
             contents.obstacles.append(_corners(box))
             return
-    disc = _placed(contents, radius, furniture.clearance, generator)
+    disc = _placed(contents, radius, measures.clearance, generator)
     if disc is not None:
         contents.discs.append(disc)
         # The radius is a millimetre smaller, since corners are rounded to millimetres.
@@ -181,7 +146,10 @@ def _box_at_wall(contents: _Contents, radius: int, clearance: int, generator: np
         corners = _corners(box)
         edges = [(*start, *end) for start, end in zip(corners, corners[1:] + corners[:1], strict=True)]
         if (
-            all(_is_outside((disc.x, disc.y), box, disc.radius + clearance) for disc in contents.discs)
+            all(
+                _boxes_are_apart((disc.x, disc.y, disc.x, disc.y), box, disc.radius + clearance)
+                for disc in contents.discs
+            )
             and all(_boxes_are_apart(box, other, clearance) for other in contents.boxes)
             and all(_keeps_clear(edge, contents, clearance) for edge in edges)
         ):
@@ -205,7 +173,7 @@ def _placed(contents: _Contents, radius: int, clearance: int, generator: np.rand
         x, y = (int(place) for place in generator.integers(low, high, endpoint=True))
         if (
             all((x - disc.x) ** 2 + (y - disc.y) ** 2 >= (keep + disc.radius) ** 2 for disc in contents.discs)
-            and all(_is_outside((x, y), box, keep) for box in contents.boxes)
+            and all(_boxes_are_apart((x, y, x, y), box, keep) for box in contents.boxes)
             and not any(_is_near((x, y), wall, keep) for wall in (*contents.cuts, *contents.walls))
             and not any(_is_near((x, y), door, keep + _BEFORE_DOORS) for door in contents.doors)
         ):
@@ -252,14 +220,8 @@ def _corners(box: Segment) -> Polygon:
     return [(x1, y1), (x2, y1), (x2, y2), (x1, y2)]
 
 
-def _is_outside(point: Point, box: Segment, distance: int) -> bool:
-    """Whether a point is outside a box and keeps a distance (mm)."""
-    beside = max(box[0] - point[0], 0, point[0] - box[2])
-    above = max(box[1] - point[1], 0, point[1] - box[3])
-    return beside * beside + above * above >= distance * distance
-
-
 def _boxes_are_apart(first: Segment, second: Segment, distance: int) -> bool:
+    """Whether two boxes, which may be points, keep a distance (mm)."""
     beside = max(first[0] - second[2], 0, second[0] - first[2])
     above = max(first[1] - second[3], 0, second[1] - first[3])
     return beside * beside + above * above >= distance * distance

@@ -29,17 +29,7 @@ _Interval: TypeAlias = tuple[int, int]
 
 
 class Span(NamedTuple):
-    """A line segment parallel to an axis.
-
-    Attributes
-    ----------
-    axis
-        0 where it runs along x, 1 along y.
-    at
-        Its place on the other axis, mm.
-    low, high
-        Where it begins and ends, mm.
-    """
+    """A line segment from ``low`` to ``high`` (mm) along an axis, 0 for x, 1 for y, ``at`` a place on the other."""
 
     axis: int
     at: int
@@ -79,22 +69,22 @@ class Section(NamedTuple):
 
 
 class Measures(NamedTuple):
-    """The constraints of a layout: shortest side of a room and width of corridors, mm; chance of a corridor."""
+    """What rooms are drawn by: the settings of ``FloorPlanConfig``, lengths in mm.
+
+    ``clearance`` is the least distance between things that do not touch.
+    """
 
     min_room: int
     corridor_width: _Interval
     corridor: float
+    clearance: int
+    slanted: float
+    obstacles: float
+    obstacle_size: _Interval
 
 
-class Layout(NamedTuple):
-    """Rooms that fill a rectangle, and the walls between them, still without doors."""
-
-    rooms: list[Room]
-    walls: list[Span]
-
-
-def layout(size: tuple[int, int], measures: Measures, generator: np.random.Generator) -> Layout:
-    """Cut a rectangle of a size (x, y), mm, into rooms and corridors that doors can join into one.
+def layout(size: tuple[int, int], measures: Measures, generator: np.random.Generator) -> tuple[list[Room], list[Span]]:
+    """Cut a rectangle of a size (x, y), mm, into rooms and corridors, and walls between them, still without doors.
 
     Where a wall ends, the rooms on its two sides share it for the length of a shortest side at least, for no corridor
     lies in a corner. So all rooms can be joined if that length is enough for a door, however the cuts fall.
@@ -107,7 +97,7 @@ def layout(size: tuple[int, int], measures: Measures, generator: np.random.Gener
         todo += parts
         if not parts:
             cutter.rooms.append(part)
-    return Layout(cutter.rooms, cutter.walls)
+    return cutter.rooms, cutter.walls
 
 
 # A part of the building that may be cut, and the axis that a corridor through it runs along; None: the longer side.

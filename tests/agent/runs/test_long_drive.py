@@ -10,7 +10,7 @@ from limslam_agent.config.smoother import RenewalConfig
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_env.interface import NominalNoise
-from limslam_env.metrics.metrics import consistency_metrics
+from limslam_env.metrics import consistency_metrics
 
 
 @pytest.mark.slow

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from limslam_env import RobotSpec, World, load_world
-from limslam_env.bounds.roadmap import Roadmap
-from limslam_env.bounds.tours import Speeds, loop_tour, poses_along
+from limslam_env.bounds import Roadmap, Speeds, loop_tour, poses_along
 from limslam_env.worlds.world import WorldError
 
 ROBOT = RobotSpec()

@@ -11,19 +11,17 @@ from limslam_env import World, load_world
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, transform_points
 from limslam_env.geometry.segment import distances
-from limslam_env.metrics.association import (
+from limslam_env.metrics import (
     AssociationEvent,
+    WallSamples,
     association_metrics,
     closure_metrics,
-    dropped_beam_metrics,
-)
-from limslam_env.metrics.metrics import (
-    WallSamples,
     consistency_metrics,
     contacts_begun,
     coverage_claims,
     coverage_times,
     doors_open,
+    dropped_beam_metrics,
     path_length,
     rigid_alignment,
     trajectory_metrics,

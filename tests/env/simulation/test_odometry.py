@@ -8,8 +8,8 @@ import pytest
 from limslam_env import NoiseConfig, RobotSpec, World
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
-from limslam_env.kernels.readings import reported_travel
-from limslam_env.simulation.noise import ground_travel, noise_table
+from limslam_env.kernels.readings import reported_travel, way_over_ground
+from limslam_env.simulation.sensors import noise_table
 from limslam_env.simulation.simulation import Readings, Simulation, Truth
 
 ROBOT = RobotSpec()
@@ -130,9 +130,8 @@ def test_in_contact_the_encoders_go_on_reporting_the_wheels():
 @pytest.mark.parametrize(("rate", "travel"), [(1.0, 0.03), (10.0, 0.03), (30.0, -0.01), (1e6, 0.001)])
 def test_a_wheel_slips_as_often_per_metre_as_asked(rate, travel):
     count = 50_000
-    noise = noise_table(vars(NoiseConfig(slip_rate=rate, slip_share=0.25)), ROBOT)
-    uniforms = np.random.default_rng(0).random((count, 2))
-    carried = ground_travel(np.full((count, 2), travel), noise, uniforms)
+    uniforms = np.random.default_rng(0).random(2 * count).tolist()
+    carried = np.array([way_over_ground(travel, rate, 0.25, uniform) for uniform in uniforms]).reshape(count, 2)
     slips = carried != travel
     # At least one event of a Poisson process along the way.
     chance = 1.0 - math.exp(-rate * abs(travel))

@@ -10,7 +10,7 @@ from limslam_env import World, load_world
 from limslam_env.geometry import FloatArray
 from limslam_env.worlds.formats import loading
 from limslam_env.worlds.formats.loading import shipped_worlds
-from limslam_env.worlds.formats.toml import parse_world
+from limslam_env.worlds.formats.tables import parse_world
 from limslam_env.worlds.world import WorldError
 
 RADIUS = 0.10

@@ -28,7 +28,7 @@ from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import nearest_form, through
 from limslam_env.geometry.se2 import compose, inverse, wrap_angle
 from limslam_env.geometry.segment import distances, lengths, polygon_edges
-from limslam_env.metrics.association import AssociationEvent, association_metrics, closure_metrics
+from limslam_env.metrics import AssociationEvent, association_metrics, closure_metrics
 from limslam_env.robots import four_beam_drone, ring
 
 Change = Callable[[int, FloatArray], FloatArray | None]

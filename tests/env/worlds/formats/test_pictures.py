@@ -9,7 +9,7 @@ import pytest
 from PIL import Image
 
 from limslam_env import load_world
-from limslam_env.worlds.formats.pictures import read_levels
+from limslam_env.worlds.formats.map_server import read_levels
 from limslam_env.worlds.world import WorldError
 
 ABOUT = "image: {}\nresolution: 0.1\norigin: [0.0, 0.0, 0.0]\nnegate: {}\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"

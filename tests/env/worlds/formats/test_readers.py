@@ -15,9 +15,9 @@ from support.data import data_folder
 from limslam_env import World, load_world
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.segment import distances, inside_polygon, lengths
-from limslam_env.worlds.formats import json_files
-from limslam_env.worlds.formats.json_files import read_json
+from limslam_env.worlds.formats import tables
 from limslam_env.worlds.formats.map_server import read_map_server
+from limslam_env.worlds.formats.tables import read_json
 from limslam_env.worlds.free_space import cell_for, free_space
 from limslam_env.worlds.world import WorldError
 
@@ -335,7 +335,7 @@ class TestPlans:
         path = write_json(tmp_path, {"id": "n", "walls": [[0, 0, 1, 1]] * 100_001})
         with pytest.raises(WorldError, match=r"plan\.json: 100001 walls and obstacle edges"):
             load_world(path)
-        monkeypatch.setattr(json_files, "MAX_FILE_BYTES", 100)
+        monkeypatch.setattr(tables, "MAX_FILE_BYTES", 100)
         with pytest.raises(WorldError, match=r"plan\.json: larger than 0\.0001 MB"):
             load_world(path)
 

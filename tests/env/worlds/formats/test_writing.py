@@ -11,8 +11,8 @@ from hypothesis import strategies as st
 
 from limslam_env import World, load_world
 from limslam_env.geometry.segment import distances, sample
-from limslam_env.worlds.formats.toml import parse_world, world_toml
-from limslam_env.worlds.formats.writing import write_world
+from limslam_env.worlds.formats.loading import write_world
+from limslam_env.worlds.formats.tables import parse_world, world_toml
 from limslam_env.worlds.world import WorldError
 
 BOX = np.array([[0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 1.0, 1.0], [1.0, 1.0, 0.0, 1.0], [0.0, 1.0, 0.0, 0.0]])

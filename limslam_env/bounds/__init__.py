@@ -1,1 +1,0 @@
-"""Bounds for comparison: exploration tours that are planned with the true map."""

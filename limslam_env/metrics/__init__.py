@@ -1,1 +1,0 @@
-"""Metrics that compare an estimate with the ground truth."""
