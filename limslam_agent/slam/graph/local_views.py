@@ -6,28 +6,12 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.key_poses import LogData, integrate, to_world
-from limslam_agent.slam.graph.local_maps import LocalMap, draw_grid, grid_size, thinned
+from limslam_agent.slam.graph.local_maps import draw_grid, thinned
 from limslam_agent.slam.graph.matching import LEAST_POINTS, NO_MATCH, SearchGrid, Window, match, search_grid
 from limslam_env.geometry import FloatArray, IntArray, se2
 
 BEFORE, AFTER = 3.5, 2.0
 """Metres of driving that are compared: those before an event with those after it."""
-
-
-@dataclass(frozen=True)
-class Fit:
-    """How well what was seen next fits to what was seen before.
-
-    Attributes
-    ----------
-    score
-        Score of the best match.
-    contradicted
-        Share of the points that the best match places where only free space was seen before.
-    """
-
-    score: float
-    contradicted: float
 
 
 @dataclass(eq=False)
@@ -68,23 +52,25 @@ class LocalViews:
         if len(places) < LEAST_POINTS:
             return None
         maps = self.config.maps
-        grid = draw_grid(places, origins, grid_size(maps, self.data.max_range), maps)
-        chunk = LocalMap(event, float(self.travel[event]), places, origins, places, grid, maps.cell)
-        return search_grid(chunk, self.window.shift)
+        grid = draw_grid(places, origins, self.data.max_range, maps)
+        return search_grid(grid, maps.cell, self.window.shift)
 
     def next_moves(self, event: int, most: float = AFTER) -> FloatArray:
         """A copy of the motions (k, 3) of the first metres after an event, of at most ``most`` m."""
         end = np.searchsorted(self.travel, self.travel[event] + min(AFTER, most), side="right")
         return self.moves[event : end - 1].copy()
 
-    def fit(self, known: SearchGrid, event: int, moves: FloatArray) -> Fit:
-        """How well that fits which was seen from an event on, along motions (k, 3)."""
+    def fit(self, known: SearchGrid, event: int, moves: FloatArray) -> tuple[float, float]:
+        """How well that fits which was seen from an event on, along motions (k, 3).
+
+        The score of the best match, and the share of the points that it places where only free space was seen before.
+        """
         events = np.arange(event, event + len(moves) + 1)
         places, _ = self._seen(events, integrate(np.zeros(3), moves))
         points = thinned(places, self.config.maps.cell)
         found = match(known, points, np.zeros(3), self.window, NO_MATCH)
         cells = _cells_at(known, se2.transform_points(found.pose, points))
-        return Fit(found.score, float(np.mean(cells < 0)) if len(cells) else 0.0)
+        return found.score, float(np.mean(cells < 0)) if len(cells) else 0.0
 
     def _seen(self, events: IntArray, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Points and origins of their beams, (p, 2) each, at events (k,) with poses (k, 3)."""

@@ -1,10 +1,12 @@
-"""The local frame: the last metres of driving, smoothed with the errors of odometry that are known so far.
+"""The latest events, and the local frame: the last metres of driving, smoothed with the known errors of odometry.
 
 The constant errors of odometry are estimated in each window anew. A window alone says little about them, and successive
 windows overlap. The information of all windows is therefore added up, each with the share of driving that is new in it,
 and the sum is the prior of the next window.
 """
 
+import math
+from bisect import bisect_left
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -18,15 +20,84 @@ from limslam_agent.slam.graph.key_poses import (
     choose_keys,
     corrected,
     event_poses,
+    integrate,
     joined_bias,
     odometry_trajectory,
 )
-from limslam_agent.slam.graph.local_smoothing import cautious_equations, motion_covariances, smooth_locally
+from limslam_agent.slam.graph.smoothing import cautious_equations, motion_covariances, smooth_locally
 from limslam_agent.slam.least_squares.normal_equations import NormalEquations
-from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.se2 import between
 
 _ITERATIONS = SmoothingConfig(link_iterations=3, line_iterations=5)
 """Fewer iterations than for a whole log: the errors of odometry are nearly known, and a window is short."""
+
+
+class RecentEvents:
+    """The latest events of a robot that reports poses of odometry, with their numbers since the beginning.
+
+    Attributes
+    ----------
+    first
+        Number of the first event that is still known.
+    travel, turned, backwards
+        Distance driven, m, angle turned, rad, and distance driven backwards, m, by odometry up to the last event.
+    """
+
+    def __init__(self) -> None:
+        self.first, self.travel, self.turned, self.backwards = 0, 0.0, 0.0, 0.0
+        self._odometry: FloatArray | None = None
+        self._times, self._travels = list[float](), list[float]()
+        self._moves, self._ranges, self._hits = list[FloatArray](), list[FloatArray](), list[BoolArray]()
+
+    @property
+    def last(self) -> int:
+        """Number of the last event."""
+        return self.first + len(self._times) - 1
+
+    def append(self, time: float, odometry: FloatArray, ranges: FloatArray, hit: BoolArray) -> None:
+        """Note an event: its time, s, pose of odometry (3,), ranges (b,), m, and whether each saw a wall (b,)."""
+        move = np.zeros(3) if self._odometry is None else between(self._odometry, odometry)
+        self._odometry = np.array(odometry)
+        self.travel += math.hypot(move[0], move[1])
+        self.turned += abs(float(move[2]))
+        self.backwards -= min(float(move[0]), 0.0)
+        self._times.append(time)
+        self._travels.append(self.travel)
+        for events, each in ((self._moves, move), (self._ranges, ranges), (self._hits, hit)):
+            events.append(np.array(each))
+
+    def at(self, travel: float) -> int:
+        """Number of the first event at which this distance was driven, m, or of the last event."""
+        return min(self.first + bisect_left(self._travels, travel), self.last)
+
+    def travel_at(self, event: int) -> float:
+        """Distance driven up to an event, m."""
+        return self._travels[event - self.first]
+
+    def forget_before(self, event: int) -> None:
+        """Forget the events before an event."""
+        old = slice(0, event - self.first)
+        for events in (self._times, self._travels, self._moves, self._ranges, self._hits):
+            del events[old]
+        self.first = event
+
+    @property
+    def last_motion(self) -> FloatArray:
+        """Motion (3,) by odometry from the event before to the last event."""
+        return self._moves[-1]
+
+    def turn_round(self, begin: int, end: int) -> None:
+        """Take the motions between two events as driven backwards."""
+        for move in self._moves[begin + 1 - self.first : end + 1 - self.first]:
+            move[:2] *= -1.0
+
+    def data(self, like: LogData) -> LogData:
+        """The events as a log with the beams of another one."""
+        odometry = integrate(np.zeros(3), np.array(self._moves[1:]).reshape(-1, 3))
+        return replace(
+            like, time=np.array(self._times), odometry=odometry, ranges=np.array(self._ranges), hit=np.array(self._hits)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +110,7 @@ class OdometryErrors:
     @classmethod
     def unknown(cls, config: OdometryErrorConfig) -> "OdometryErrors":
         """The prior of the settings."""
-        stds = config.bias_std, config.scale_std, config.turn_gain_std, config.delay_std, config.direction_std
-        return cls(np.zeros(ERRORS), np.diag(np.array(stds) ** -2.0))
+        return cls(np.zeros(ERRORS), np.diag(np.array(config.stds) ** -2.0))
 
     def prior(self, config: OdometryErrorConfig) -> OdometryErrorConfig:
         """The settings for odometry that is corrected for the mean errors: only what is unknown remains."""
