@@ -22,6 +22,7 @@ from limslam_agent.replay.trust import PathSignals, path_signals
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_fit import fit_line
 from limslam_agent.slam.core.line_map import Landmark
+from limslam_agent.slam.graph.chunk_graph import KEPT
 from limslam_agent.slam.graph.key_poses import LogData
 from limslam_agent.slam.graph.point_links import PointCloud, point_cloud
 from limslam_agent.slam.graph.reversing import reversed_distance, with_reversing
@@ -193,15 +194,13 @@ def draw_grid(replays: Sequence[Replay], paths: Sequence[FloatArray], robot: Rob
 
 
 def _line_figures(found: SmoothedRun) -> dict[str, Any]:
-    names = ("left_wheel", "right_wheel", "axle")
-    values = [1.0, 1.0, 1.0] if found.calibration is None else (1.0 + found.calibration[0, :3]).tolist()
-    bias = 0.0 if found.calibration is None else float(found.calibration[0, 3])
-    sizes = {f"smoothed_{name}": value for name, value in zip(names, values, strict=True)}
-    return {**sizes, "smoothed_range_bias_m": bias}
+    left, right, axle, bias = np.zeros(4) if found.calibration is None else found.calibration[0]
+    sizes = {"smoothed_left_wheel": 1.0 + left, "smoothed_right_wheel": 1.0 + right, "smoothed_axle": 1.0 + axle}
+    return {**{name: float(value) for name, value in sizes.items()}, "smoothed_range_bias_m": float(bias)}
 
 
 def _figures(found: GraphResult) -> dict[str, Any]:
-    reasons = [verdict.reason for verdict in found.verdicts]
+    reasons = [loop.reason for loop in found.loops]
     turn, scale, gain, delay, direction = found.errors.tolist()
     return {
         "smoothed_kind": found.kind,
@@ -211,7 +210,7 @@ def _figures(found: GraphResult) -> dict[str, Any]:
         "smoothed_delay_s": delay,
         "smoothed_direction_deg": math.degrees(direction),
         "loops_found": len(reasons),
-        "loops_kept": sum(verdict.kept for verdict in found.verdicts),
+        "loops_kept": reasons.count(KEPT),
         "loops_by_reason": {reason: reasons.count(reason) for reason in sorted(set(reasons))},
     }
 
@@ -231,11 +230,11 @@ def loop_records(found: GraphResult, time: FloatArray) -> list[dict[str, Any]]:
     times = time[found.keys.first_event[found.chunk_keys]]
     return [
         {
-            "first_time": float(times[verdict.loop.first]),
-            "second_time": float(times[verdict.loop.second]),
-            "relative": [round(float(value), 6) for value in verdict.loop.relative],
-            "score": round(verdict.loop.score, 4),
-            "reason": verdict.reason,
+            "first_time": float(times[loop.first]),
+            "second_time": float(times[loop.second]),
+            "relative": [round(float(value), 6) for value in loop.relative],
+            "score": round(loop.score, 4),
+            "reason": loop.reason,
         }
-        for verdict in found.verdicts
+        for loop in found.loops
     ]

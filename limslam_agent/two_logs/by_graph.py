@@ -14,6 +14,7 @@ from limslam_agent.replay.record import Replay
 from limslam_agent.replay.smoothing import draw_grid, draw_walls, ends_of, loop_records
 from limslam_agent.replay.trust import path_signals
 from limslam_agent.slam.graph.agreement import visit_counts
+from limslam_agent.slam.graph.chunk_graph import KEPT
 from limslam_agent.slam.graph.key_poses import (
     APART,
     ERRORS,
@@ -74,11 +75,11 @@ def joined_by_graph(replays: Replays, frame: FloatArray, report: Report) -> Join
     keys, path, seam = joint.keys, joint.trajectory, len(first.keys)
     std, reach = (max(getattr(each.data, name) for each in (first, second)) for name in ("range_std", "max_range"))
     is_second = joint.chunk_keys >= seam
-    between = [each for each in joint.verdicts if is_second[each.loop.first] != is_second[each.loop.second]]
+    between = [each for each in joint.loops if is_second[each.first] != is_second[each.second]]
     visits = visit_counts(keys, path, config, reach, seam)
     confirmed, contradicted = int(visits.confirmed.sum()), int(visits.contradicted.sum())
     record = {
-        "loops_between": sum(each.kept for each in between), "loops_between_found": len(between),
+        "loops_between": sum(each.reason == KEPT for each in between), "loops_between_found": len(between),
         "confirmed_points": confirmed, "contradicted_points": contradicted,
     }  # fmt: skip
     share = contradicted / max(confirmed + contradicted, 1)
@@ -139,6 +140,6 @@ def _loops(joint: GraphResult, replays: Replays, is_second: BoolArray) -> list[d
     """All loops of both logs, with the log of each of their ends."""
     records = loop_records(joint, np.concatenate([each.log.time for each in replays]))
     return [
-        {"first_log": int(is_second[each.loop.first]), "second_log": int(is_second[each.loop.second]), **record}
-        for each, record in zip(joint.verdicts, records, strict=True)
+        {"first_log": int(is_second[each.first]), "second_log": int(is_second[each.second]), **record}
+        for each, record in zip(joint.loops, records, strict=True)
     ]

@@ -21,29 +21,12 @@ from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 # A kernel calls only kernels of its own file.
 kernel = entry_of(__name__)
 
-NO_SUPPORT = "no other loop nearby agrees"
-OUTVOTED = "its weight in the graph of chunks is too low"
-KEPT = "kept"
-
 AGREE_DISTANCE, AGREE_TURN = 0.6, math.radians(9.0)
 """Two loops agree if one predicts the other within these tolerances, m and rad."""
 
 # A loop is supported by loops that begin and end so far from it, m driven.
 _SUPPORT_FROM, _SUPPORT_TO = 2.2, 7.8
 _STRETCH = 2  # chunks before and after a chunk
-
-
-@dataclass(frozen=True, eq=False)
-class LoopVerdict:
-    """A loop that was found, and its status: ``KEPT``, or the reason for its rejection."""
-
-    loop: Loop
-    reason: str
-
-    @property
-    def kept(self) -> bool:
-        """Whether the loop is part of the result."""
-        return self.reason == KEPT
 
 
 def supported(loops: Sequence[Loop], poses: FloatArray, travel: FloatArray) -> BoolArray:

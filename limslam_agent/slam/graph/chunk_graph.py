@@ -46,6 +46,11 @@ _BEST = 3  # loops from one chunk
 _BACKWARD_WINDOW = Window(0.3, math.radians(4.0), TURN_STEP)
 
 
+NO_SUPPORT = "no other loop nearby agrees"
+OUTVOTED = "its weight in the graph of chunks is too low"
+KEPT = "kept"
+
+
 @dataclass(frozen=True, eq=False)
 class Loop:
     """A relative pose between two chunks.
@@ -60,6 +65,8 @@ class Loop:
         Inverse (3, 3) of the covariance of the relative pose.
     score
         Score of the match.
+    reason
+        ``KEPT``, or why the loop is no part of the result.
     """
 
     first: int
@@ -67,6 +74,7 @@ class Loop:
     relative: FloatArray
     information: FloatArray
     score: float
+    reason: str = ""
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,7 +25,7 @@ _RADIUS = 0.35  # m, within which points are linked
 _BANDS = 0.4, 1.2, 3.0, 10.0  # borders of the bands of distance driven, m; the nearest point of each band is linked
 MIN_COSINE = 0.85
 """Least cosine between the normals of what lies on one wall."""
-_MAX_OFFSET = 0.7  # largest distance of linked points from the line, as a share of the radius
+_MAX_OFFSET = 0.7  # largest distance from the line of points that are linked along the way, as a share of the radius
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,17 +76,17 @@ def find_normals(
 
 def links_along(cloud: PointCloud) -> IntArray:
     """Links (l, 2) between points of one section of driving, to the nearest point in each band of distance driven."""
-    return _links(cloud, _RADIUS, _BANDS)
+    return _links(cloud, _RADIUS, _BANDS, _MAX_OFFSET * _RADIUS)
 
 
 def links_across(cloud: PointCloud, radius: float) -> IntArray:
     """Links (l, 2) to the nearest point of another visit."""
-    return _links(cloud, radius, (ANOTHER_VISIT, np.inf))
+    return _links(cloud, radius, (ANOTHER_VISIT, np.inf), radius)
 
 
-def _links(cloud: PointCloud, radius: float, borders: tuple[float, ...]) -> IntArray:
-    """Links (l, 2) to the nearest point within a radius, m, in each band of distance driven."""
-    limits = np.array([radius, MIN_COSINE, _MAX_OFFSET * radius])
+def _links(cloud: PointCloud, radius: float, borders: tuple[float, ...], most_off: float) -> IntArray:
+    """Links (l, 2) to the nearest point within a radius, m, and ``most_off`` m of its line, in each band of driving."""
+    limits = np.array([radius, MIN_COSINE, most_off])
     index = _index(cloud.places, cloud.travel, radius)
     return _nearest(cloud.places, cloud.normals, cloud.good, cloud.travel, cloud.key, *index, np.array(borders), limits)
 

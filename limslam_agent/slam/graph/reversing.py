@@ -20,7 +20,7 @@ import numpy as np
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.chunk_graph import SCORES, TURN_STEP
 from limslam_agent.slam.graph.key_poses import LogData, integrate
-from limslam_agent.slam.graph.local_views import AFTER, LocalViews, moves_of
+from limslam_agent.slam.graph.local_views import AFTER, BEFORE, LocalViews, moves_of
 from limslam_agent.slam.graph.matching import NO_MATCH, Window
 from limslam_env.geometry import FloatArray, IntArray
 
@@ -41,33 +41,49 @@ def with_reversing(data: LogData, config: GraphConfig) -> LogData:
     A log whose odometry reports driving backwards itself stays as it is, and so does a log whose beams reach less far
     than what is compared, or one in which nearly no stretch contradicts that it was driven ahead.
     """
-    moves = moves_of(data)
-    if -moves[:, 0].clip(max=0.0).sum() >= LEAST_LENGTH:
+    if data.max_range < AFTER or -moves_of(data)[:, 0].clip(max=0.0).sum() >= LEAST_LENGTH:
         return data
-    found = list(driven_backwards(data, config))
-    if not found or sum(is_proof for *_, is_proof in found) < config.reversing.fewest:
+    views = LocalViews(data, config, _WINDOW)
+    stretches = _stretches(data.time, views.travel)
+    judged = [_judged(views, *each) for each in stretches.tolist()]
+    if sum(_is_proof(each, config) for each in judged) < config.reversing.fewest:
         return data
-    for begin, end, _ in found:
-        moves[begin:end, :2] *= -1.0
-    return replace(data, odometry=integrate(data.odometry[0], moves))
+    begins, ends = views.travel[stretches.T]
+    leads, turned = np.array([lead for lead, _ in judged]), np.zeros(len(judged), dtype=np.bool_)
+    while leads.max(initial=0.0) > 0.0:
+        best = leads.argmax()
+        leads[best], turned[best] = NO_MATCH, True
+        _turn_round(views, *stretches[best])
+        # The stretches whose comparison uses this stretch are judged again.
+        near = (begins <= ends[best] + BEFORE + AFTER) & (ends >= begins[best] - BEFORE - AFTER) & ~turned
+        leads[near] = [_judged(views, *each)[0] for each in stretches[near].tolist()]
+    return replace(data, odometry=integrate(data.odometry[0], views.moves)) if turned.any() else data
 
 
-def driven_backwards(data: LogData, config: GraphConfig, since: int | None = None) -> Iterator[tuple[int, int, bool]]:
-    """Stretches that look reversed, in their order: first and last event, and whether that is a proof.
+def driven_backwards(data: LogData, config: GraphConfig, since: int) -> Iterator[tuple[int, int, bool]]:
+    """Stretches at the end of a drive that look reversed: first and last event, and whether that is a proof.
 
-    While the robot drives, those are judged after which enough has been seen only since the event ``since``. The
-    stretches before are taken as driven backwards if they look so.
+    Those are judged, in their order, after which enough has been seen only since the event ``since``.
     """
     if data.max_range < AFTER:
         return
     views = LocalViews(data, config, _WINDOW)
     travel = views.travel
     for begin, end in _stretches(data.time, travel).tolist():
-        if since is None or travel[since] < travel[end] + AFTER <= travel[-1]:
-            lead, contradicted = _judged(views, begin, end)
-            if lead > 0.0:
-                views.moves[begin:end, :2] *= -1.0
-                yield begin, end, contradicted >= config.reversing.contradicted
+        if travel[since] < travel[end] + AFTER <= travel[-1]:
+            judged = _judged(views, begin, end)
+            if judged[0] > 0.0:
+                _turn_round(views, begin, end)
+                yield begin, end, _is_proof(judged, config)
+
+
+def _turn_round(views: LocalViews, begin: int, end: int) -> None:
+    views.moves[begin:end, :2] *= -1.0
+
+
+def _is_proof(judged: tuple[float, float], config: GraphConfig) -> bool:
+    """Whether a stretch that was judged contradicts that it was driven ahead."""
+    return judged[0] > 0.0 and judged[1] >= config.reversing.contradicted
 
 
 def reversed_distance(data: LogData, directed: LogData) -> tuple[float, int]:

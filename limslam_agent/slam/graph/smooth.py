@@ -10,9 +10,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.agreement import KEPT, NO_SUPPORT, OUTVOTED, LoopVerdict, supported
+from limslam_agent.slam.graph.agreement import supported
 from limslam_agent.slam.graph.chunk_graph import (
+    KEPT,
     KEPT_WEIGHT,
+    NO_SUPPORT,
+    OUTVOTED,
     Hops,
     Loop,
     carry_over,
@@ -53,8 +56,8 @@ class GraphResult:
         The key poses and their trajectory.
     errors
         The estimated constant errors (5,) of odometry, as in :class:`Trajectory`.
-    verdicts
-        The verdicts on all loops that were found.
+    loops
+        All loops that were found.
     chunk_keys
         The key poses (c,) in the middle of the chunks.
     """
@@ -63,7 +66,7 @@ class GraphResult:
     keys: KeyPoses = field(repr=False)
     trajectory: Trajectory = field(repr=False)
     errors: FloatArray
-    verdicts: list[LoopVerdict]
+    loops: list[Loop]
     chunk_keys: IntArray
 
     @property
@@ -74,7 +77,7 @@ class GraphResult:
     @property
     def relations(self) -> Relations:
         """The loops that are part of the result, as relations between key poses."""
-        return _between_keys([verdict.loop for verdict in self.verdicts if verdict.kept], self.chunk_keys)
+        return _between_keys([loop for loop in self.loops if loop.reason == KEPT], self.chunk_keys)
 
 
 Report = Callable[[str], None]
@@ -161,13 +164,15 @@ def smooth_with_loops(problem: LogProblem, trajectory: Trajectory, report: Repor
     loops = [loop for loop, agreed in zip(found, good, strict=True) if agreed]
     report(f"all poses, {len(loops)} loops")
     solved, weights = solve_annealed(poses[0], hops, loops)
-    strong = weights > KEPT_WEIGHT
-    kept = _between_keys([loop for loop, each in zip(loops, strong, strict=True) if each], middles)
+    judged = [
+        replace(loop, reason=KEPT if weight > KEPT_WEIGHT else OUTVOTED)
+        for loop, weight in zip(loops, weights, strict=True)
+    ]
+    judged += [replace(loop, reason=NO_SUPPORT) for loop, agreed in zip(found, good, strict=True) if not agreed]
     moved = carry_over(keys, trajectory, middles, solved)
+    kept = _between_keys([loop for loop in judged if loop.reason == KEPT], middles)
     smoothed = bundle(keys, moved, kept, config, data.range_std)
-    verdicts = [LoopVerdict(loop, KEPT if each else OUTVOTED) for loop, each in zip(loops, strong, strict=True)]
-    verdicts += [LoopVerdict(loop, NO_SUPPORT) for loop, agreed in zip(found, good, strict=True) if not agreed]
-    return GraphResult("loops", keys, smoothed, smoothed.bias, verdicts, middles)
+    return GraphResult("loops", keys, smoothed, smoothed.bias, judged, middles)
 
 
 def _between_keys(loops: Sequence[Loop], middles: IntArray) -> Relations:

@@ -125,4 +125,3 @@ def test_the_sparse_step_equals_a_dense_one():
     covariance[3:, 3:] = np.linalg.inv(dense[3:, 3:])
     wanted = jacobian[1] @ covariance[np.ix_(columns[1], columns[1])] @ jacobian[1].T
     assert np.allclose(equations.covariances(columns, jacobian)[1], wanted)
-
