@@ -32,6 +32,11 @@ class OdometryErrorConfig(Bounded):
     # Prior standard deviation of the angle between the direction of driving and ahead in the frame of the beams, rad
     direction_std: Angle = 2.0 * _DEGREE
 
+    @property
+    def stds(self) -> tuple[float, float, float, float, float]:
+        """The standard deviations in the order of the errors in ``Trajectory.bias``."""
+        return self.bias_std, self.scale_std, self.turn_gain_std, self.delay_std, self.direction_std
+
 
 @dataclass(frozen=True)
 class WallLineConfig(Bounded):

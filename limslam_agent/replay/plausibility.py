@@ -10,47 +10,25 @@ from limslam_agent.replay.record import Replay
 from limslam_env.geometry import FloatArray, se2
 from limslam_env.messages import counted
 
-MOSTLY_NOTHING = 0.95
-"""Above this share of readings that saw nothing, the ranges are probably not in metres."""
-
-SHORTEST_PERIOD, LONGEST_PERIOD = 1e-3, 10.0
-"""Median time between two events, s, beyond which the times are probably not in seconds."""
-
-CLEARLY_BELOW = 0.85
-"""A largest reading below this share of the longest range was probably cut off by the sensor itself."""
-
-BY_CHANCE = 0.01
-"""Up to this share of readings may see nothing, be negative, or be at most the beam's shortest range right after a
-reading of something farther away, without a reason that all of them have."""
-
-LARGEST_STEP = 0.5
-"""Between two rows no wheel travels farther than this, m, and no wall comes nearer by more than this: otherwise the
-path between the rows is not known, or the sensor reports 0 where it sees nothing."""
-
-LEAST_DRIVEN = 1.0
-"""Walls cannot be expected in a log over less driving than this, m."""
-
-FASTEST = 20.0
-"""A robot that is faster than this on average, m/s, has odometry in another unit, or times in another unit."""
-
-MOST_TURNS = 4.0
-"""If a robot turns by more than this on each metre, rad/m, its heading is probably in degrees. Both benchmark logs have
-0.4 to 0.7 rad/m."""
-
-LEAST_ALIGNED = 0.5
-"""A robot with wheels drives along its heading, and this is 1. It is 0 where the heading is in another unit."""
-
-MOST_NAMED = 5
-"""A warning names at most so many times."""
-
-CLEARLY_FASTER = 1.2
-"""A wheel whose average speed is this many times its largest one may have travel in another unit."""
-
-MANY_NOTHING = 0.3
-"""If the other beams saw nothing in a larger share of their readings, a beam may never see a wall."""
-
-LEAST_SPREAD = 0.5
-"""If the middle half of the readings of a beam has a wider range than this, m, the robot has moved."""
+_MOSTLY_NOTHING = 0.95  # share of readings that saw nothing, above which the ranges are probably not in metres
+_SHORTEST_PERIOD, _LONGEST_PERIOD = 1e-3, 10.0  # s: median times between events beyond them are probably not in seconds
+_CLEARLY_BELOW = 0.85  # of the longest range: a smaller largest reading was probably cut off by the sensor itself
+# Up to this share of readings may see nothing, be negative, or be at most the beam's shortest range right after a
+# reading of something farther away, without a reason that all of them have.
+_BY_CHANCE = 0.01
+# Between two rows no wheel travels farther than this, m, and no wall comes nearer by more than this: otherwise the path
+# between the rows is not known, or the sensor reports 0 where it sees nothing.
+_LARGEST_STEP = 0.5
+_LEAST_DRIVEN = 1.0  # m of driving, below which walls cannot be expected
+_FASTEST = 20.0  # m/s: a robot that is faster on average has odometry in another unit, or times in another unit
+# If a robot turns by more than this on each metre, rad/m, its heading is probably in degrees. Both benchmark logs have
+# 0.4 to 0.7 rad/m.
+_MOST_TURNS = 4.0
+_LEAST_ALIGNED = 0.5  # a robot with wheels drives along its heading: 1. It is 0 where the heading is in another unit
+_MOST_NAMED = 5  # times in a warning
+_CLEARLY_FASTER = 1.2  # a wheel with this many times its largest speed on average may have travel in another unit
+_MANY_NOTHING = 0.3  # share of readings of the other beams that saw nothing, above which a beam may never see a wall
+_LEAST_SPREAD = 0.5  # m: if the middle half of the readings of a beam has a wider range, the robot has moved
 
 
 def log_warnings(log: RecordedLog) -> list[str]:
@@ -83,7 +61,7 @@ def _about_clock(log: RecordedLog) -> list[str]:
     if len(steps) > 1 and not (steps > 0.0).any():
         return ["the times never rise: does the clock stand still, or does the log begin with its newest row?"]
     steps = steps[steps > 0.0]
-    if not len(steps) or SHORTEST_PERIOD <= (period := float(np.median(steps))) <= LONGEST_PERIOD:
+    if not len(steps) or _SHORTEST_PERIOD <= (period := float(np.median(steps))) <= _LONGEST_PERIOD:
         return []
     return [f"the median time between two events is {period:.3g} s: are the times in seconds? --time-unit converts"]
 
@@ -92,11 +70,11 @@ def _about_gaps(log: RecordedLog) -> list[str]:
     if log.wheels is None:
         return []
     travel = np.abs(log.wheels[1:]).max(axis=1, initial=0.0)
-    (rows,) = np.nonzero(travel > LARGEST_STEP)
+    (rows,) = np.nonzero(travel > _LARGEST_STEP)
     gaps = [f"{travel[row]:.1f} m between {log.time[row]:.1f} s and {log.time[row + 1]:.1f} s" for row in rows]
-    more = ", ..." if len(gaps) > MOST_NAMED else ""
+    more = ", ..." if len(gaps) > _MOST_NAMED else ""
     consequence = "what the robot did between these rows is not known, so the map may break there"
-    return [f"a wheel travels {', '.join(gaps[:MOST_NAMED])}{more}: {consequence}"] if gaps else []
+    return [f"a wheel travels {', '.join(gaps[:_MOST_NAMED])}{more}: {consequence}"] if gaps else []
 
 
 def _about_ranges(log: RecordedLog) -> list[str]:
@@ -104,11 +82,11 @@ def _about_ranges(log: RecordedLog) -> list[str]:
     if math.isnan(share):
         return []
     reach = float(log.robot.max_ranges.max())
-    if share > MOSTLY_NOTHING:
+    if share > _MOSTLY_NOTHING:
         text = f"{share:.1%} of the readings saw nothing up to {reach:g} m: are the ranges in metres?"
         return [f"{text} --range-unit converts"]
     farthest = float(near.max(initial=0.0))
-    if share > BY_CHANCE and farthest < CLEARLY_BELOW * reach:
+    if share > _BY_CHANCE and farthest < _CLEARLY_BELOW * reach:
         numbers = f"the longest range is {reach:g} m, but the largest reading of a wall is {farthest:.2f} m"
         effect = f"the {share:.0%} of the readings that saw nothing clear space that was not seen"
         option = f"--max-range {math.ceil(10.0 * farthest) / 10.0:g} sets another longest range"
@@ -118,7 +96,7 @@ def _about_ranges(log: RecordedLog) -> list[str]:
 
 def _about_negatives(log: RecordedLog) -> list[str]:
     share = log.negative / max(log.ranges.size, 1)
-    if share <= BY_CHANCE:
+    if share <= _BY_CHANCE:
         return []
     text = f"{share:.0%} of the readings are negative and were skipped: if the sensors report them where they see"
     return [f"{text} nothing, --zero-is-nothing reads them in a table as that"]
@@ -126,25 +104,25 @@ def _about_negatives(log: RecordedLog) -> list[str]:
 
 def _about_zeros(log: RecordedLog) -> list[str]:
     readings, nearest = log.ranges[log.has_scan].astype(np.float64), log.robot.too_near
-    sudden = (readings[1:] <= nearest) & (readings[:-1] > nearest + LARGEST_STEP)
+    sudden = (readings[1:] <= nearest) & (readings[:-1] > nearest + _LARGEST_STEP)
     share = float(sudden.mean()) if sudden.size else 0.0
-    if share <= BY_CHANCE:
+    if share <= _BY_CHANCE:
         return []
-    text = f"{share:.1%} of the readings jump from more than {LARGEST_STEP:g} m to the beam's shortest range or to 0"
+    text = f"{share:.1%} of the readings jump from more than {_LARGEST_STEP:g} m to the beam's shortest range or to 0"
     remedy = "such a reading must be inf: --zero-is-nothing reads a table so, other logs have to be changed"
     return [f"{text}: if the sensors report 0 where they see nothing, {remedy}"]
 
 
 def _about_beams(log: RecordedLog) -> list[str]:
     """Beams that always say the same or nothing, although the readings of another one show that the robot has moved."""
-    if _spread(log) < LEAST_SPREAD:
+    if _spread(log) < _LEAST_SPREAD:
         return []
     readings = np.minimum(log.ranges[log.has_scan], log.robot.max_ranges)
     lowest, highest = np.fmin.reduce(readings), np.fmax.reduce(readings)  # nan where a beam has no reading
     counts = (~np.isnan(readings)).sum(axis=0)
     is_dead, saw_nothing = highest == lowest, lowest >= log.robot.too_far
     others = readings[:, ~saw_nothing]
-    if np.count_nonzero(others >= log.robot.too_far[~saw_nothing]) > MANY_NOTHING * np.isfinite(others).sum():
+    if np.count_nonzero(others >= log.robot.too_far[~saw_nothing]) > _MANY_NOTHING * np.isfinite(others).sum():
         is_dead &= ~saw_nothing
     is_dead |= counts == 0
     if not is_dead.any():
@@ -165,18 +143,18 @@ def _about_odometry(log: RecordedLog) -> list[str]:
     if log.odometry is None:
         return [] if log.wheels is None else _about_wheels(log, log.wheels)
     reach = float(np.hypot(*np.ptp(log.odometry[:, :2], axis=0)))
-    if reach < LEAST_DRIVEN:
+    if reach < _LEAST_DRIVEN:
         spread = _spread(log)
-        if spread < LEAST_SPREAD:
+        if spread < _LEAST_SPREAD:
             return []
         text = f"by odometry the robot stays within {reach:.2f} m, but its readings change by {spread:.2f} m"
         return [f"{text}: is odometry missing, or not in metres?"]
     driven = float(np.hypot(*np.diff(log.odometry[:, :2], axis=0).T).sum())
     speed = driven / max(float(np.ptp(log.time)), 1e-9)
-    if speed > FASTEST:
+    if speed > _FASTEST:
         return [f"by odometry the robot drives at {speed:.0f} m/s on average: is odometry in metres?"]
     per_metre = float(np.abs(se2.wrap_angle(np.diff(log.odometry[:, 2]))).sum()) / driven
-    if per_metre > MOST_TURNS and _alignment(log.odometry) < LEAST_ALIGNED:
+    if per_metre > _MOST_TURNS and _alignment(log.odometry) < _LEAST_ALIGNED:
         return [f"by odometry the robot turns by {per_metre:.1f} rad on each metre: is its heading in radians?"]
     return _misread(log, log.odometry)
 
@@ -194,11 +172,11 @@ def _about_wheels(log: RecordedLog, wheels: FloatArray) -> list[str]:
     if left == right == 0.0:
         return ["the wheels never move: are the encoders connected, and are left and right their columns?"]
     speed, most = max(left, right) / max(float(np.ptp(log.time)), 1e-9), log.robot.max_wheel_speed
-    if speed > CLEARLY_FASTER * most:
+    if speed > _CLEARLY_FASTER * most:
         text = f"a wheel travels at {speed:.2g} m/s on average, but the robot's max_wheel_speed is {most:g} m/s"
         question = "are left and right travel, not speeds, and are the metres for each tick right?"
         return [f"{text}: {question} If the robot is so fast, set max_wheel_speed in its file"]
-    if min(left, right) == 0.0 and max(left, right) >= LEAST_DRIVEN:
+    if min(left, right) == 0.0 and max(left, right) >= _LEAST_DRIVEN:
         still, moving = ("left", "right") if left == 0.0 else ("right", "left")
         travel = f"while the {moving} wheel travels {max(left, right):.1f} m"
         question = f"is its encoder connected, and is {still} its column?"
@@ -246,13 +224,13 @@ def _why_no_walls(replay: Replay) -> str:
     driven = float(np.hypot(*np.diff(replay.odometry[:, :2], axis=0).T).sum())
     if math.isnan(share):
         return "the log has no readings"
-    if share > MOSTLY_NOTHING:
+    if share > _MOSTLY_NOTHING:
         return "almost no reading saw anything"
     if all(beam.side == "none" for beam in log.robot.beams):
         return "no beam looks to the left or the right of the robot, and only such beams draw walls"
     if driven == 0.0:
         return "by odometry the robot never moves"
-    if driven < LEAST_DRIVEN:
+    if driven < _LEAST_DRIVEN:
         return f"the robot drove only {driven:.2f} m by odometry. Is the odometry in metres?"
     return (
         f"the {1.0 - share:.0%} of the readings that saw something do not lie on lines. Are odometry and ranges in "

@@ -57,12 +57,8 @@ class SelfCalibration:
     @property
     def words(self) -> str:
         """One line for the screen."""
-        figures = self.figures
-        turn, scale = (
-            (figures[f"self_calibration_{name}"], figures[f"self_calibration_{std}"])
-            for name, std in (("turn_deg_per_m", "turn_std_deg_per_m"), ("scale", "scale_std"))
-        )
-        return f"{turn[0]:.3f} +- {turn[1]:.3f} deg/m, scale {scale[0]:.4f} +- {scale[1]:.4f}, by the filter itself"
+        turn, turn_std, scale, scale_std, *_ = self.figures.values()
+        return f"{turn:.3f} +- {turn_std:.3f} deg/m, scale {scale:.4f} +- {scale_std:.4f}, by the filter itself"
 
 
 @dataclass(frozen=True, eq=False)

@@ -18,12 +18,12 @@ from limslam_agent.output.finished_run import COVARIANCES, UNPLACED
 from limslam_agent.output.summary import place_records, record_of, run_cost, turn_records
 from limslam_agent.output.tum import write_paths
 from limslam_agent.places.saved_map import SavedMap
-from limslam_agent.replay.filter_estimate import FilterEstimate
+from limslam_agent.replay.hand_over import LogEstimate
 from limslam_agent.replay.record import Replay, SelfCalibration
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.smoothed_status import lost_note
-from limslam_agent.status.status import LEVELS, Status, final_status_scores, status_scores
+from limslam_agent.status.status import Status, final_status_scores, status_scores
 from limslam_env.geometry.se2 import compose
 
 
@@ -52,7 +52,7 @@ def replay_log(
     report = report or (lambda _: None)
     mapper = Mapper(log.robot, config, log.start_pose, prior_map=prior_map)
     mapper.longest_travel = math.inf  # a log may have gaps; its reader knows the times
-    estimate = _estimate(mapper, log, config)
+    estimate = LogEstimate(mapper, log)
     begin = time.perf_counter()
     rows = _estimated_rows(log, estimate, progress or (lambda _: None))
     mapper.finish()
@@ -108,29 +108,18 @@ def _smoothed(
     return replay
 
 
-def _estimated_rows(log: RecordedLog, estimate: FilterEstimate, progress: Callable[[int], None]) -> dict[str, Any]:
+def _estimated_rows(log: RecordedLog, estimate: LogEstimate, progress: Callable[[int], None]) -> dict[str, Any]:
     """What is estimated after each event of a log, by the names of the arrays in :class:`Replay`."""
     count = len(log)
     rows: dict[str, Any] = {
-        "estimated": np.empty((count, 3)), "odometry": np.empty((count, 3)), "covariances": np.empty((count, 3, 3)),
+        "estimated": np.empty((count, 3)), "covariances": np.empty((count, 3, 3)), "odometry": np.empty((count, 3)),
         "levels": np.empty(count, dtype=np.int64), "slam_ms": np.empty(count), "job_ms": np.empty(count),
     }  # fmt: skip
     for number, observation in enumerate(log.observations()):
-        estimate.step(observation)
-        rows["estimated"][number], rows["covariances"][number] = estimate.pose, estimate.covariance
-        rows["odometry"][number], rows["levels"][number] = estimate.odometry, LEVELS.index(estimate.status.level)
-        rows["slam_ms"][number], rows["job_ms"][number] = estimate.slam_ms, estimate.job_ms
+        for row, value in zip(rows.values(), estimate.step(observation), strict=True):
+            row[number] = value
         progress(number + 1)
     return rows
-
-
-def _estimate(mapper: Mapper, log: RecordedLog, config: AgentConfig) -> FilterEstimate:
-    """What gives the estimate while a log is replayed. Importing the graph takes long."""
-    if log.odometry is None or config.smoothing is None:
-        return FilterEstimate(mapper)
-    from limslam_agent.replay.hand_over import HandedOverEstimate
-
-    return HandedOverEstimate(mapper, log, config.smoothing)
 
 
 def relation_scores(replay: Replay, relations: Relations) -> dict[str, Any]:

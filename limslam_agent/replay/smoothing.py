@@ -5,6 +5,7 @@ A log of odometry poses is smoothed by the graph of local maps, a log of wheel t
 
 import math
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from itertools import pairwise
 from typing import Any
@@ -13,7 +14,7 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig, WallLineConfig
 from limslam_agent.config.smoother import SmootherConfig
-from limslam_agent.grid.occupancy import GridView, drawn_grid
+from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.places.revisions import revised
 from limslam_agent.replay.record import Replay, Smoothed
@@ -21,6 +22,7 @@ from limslam_agent.replay.trust import PathSignals, path_signals
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.line_fit import fit_line
 from limslam_agent.slam.core.line_map import Landmark
+from limslam_agent.slam.graph.chunk_graph import KEPT
 from limslam_agent.slam.graph.key_poses import LogData
 from limslam_agent.slam.graph.point_links import PointCloud, point_cloud
 from limslam_agent.slam.graph.reversing import reversed_distance, with_reversing
@@ -59,7 +61,7 @@ def smoothed_by_graph(replay: Replay, config: GraphConfig, report: Report = lamb
     smoothed = Smoothed(
         found.poses, figures, loop_records(found, log.time), seconds, graph=graph, basis=found, data=data
     )
-    grid = draw_grid(replay, found.poses)
+    grid = draw_grid([replay], [found.poses])
     segments = ends_of(landmarks)
     # The graph takes the sensor to be as specified, whatever the filter has found.
     return replace(
@@ -103,7 +105,7 @@ def log_data(log: RecordedLog, odometry: FloatArray, range_std: float) -> LogDat
 def draw_walls(cloud: PointCloud, range_std: float) -> list[Landmark]:
     """Walls through the final points: Hough lines, fitted by least squares, and cut where there are gaps."""
     spans = np.array([[0, len(cloud.places)]])
-    lines = lines_in(cloud.places, cloud.normals, cloud.good, spans, _DRAWN_LINES, _DRAWN_LINES.tolerance)
+    lines = lines_in(cloud.places, cloud.normals, cloud.good, spans, _DRAWN_LINES)
     borders = np.searchsorted(lines.lines, np.arange(len(lines.angles) + 1))
     return [
         _landmark(cloud.places[lines.points[low:high]], range_std, number)
@@ -173,31 +175,32 @@ def smoothed_by_lines(
     seconds = time.process_time() - begin
     basis = run.synchronous.until(placed)
     smoothed = Smoothed(poses, _line_figures(found), None, seconds, found.covariances[:, 0], status, basis)
-    grid = draw_grid(replay, found.read_at[:placed, 0], found.robot)
+    grid = draw_grid([replay], [found.read_at[:placed, 0]], found.robot)
     return replace(replay, landmarks=found.landmarks, segments=found.segments, grid=grid, smoothed=smoothed)
 
 
-def draw_grid(replay: Replay, poses: FloatArray, robot: RobotSpec | None = None) -> GridView:
-    """The occupancy grid of a log's first readings from their poses (n, 3), by the log's robot or by one like it."""
-    log = replay.log
-    rows = np.flatnonzero(log.has_scan[: len(poses)])
-    ranges = log.ranges[rows, None].astype(np.float64)
-    measured = np.isfinite(ranges)
-    if replay.sensor is not None:
-        measured[..., list(replay.sensor.broken)] = False
-    return drawn_grid(replay.config.grid, robot or log.robot, poses[rows, None], ranges, measured)
+def draw_grid(replays: Sequence[Replay], paths: Sequence[FloatArray], robot: RobotSpec | None = None) -> GridView:
+    """The occupancy grid of the first readings of logs from their poses (n, 3), by their robot or by one like it."""
+    grid = OccupancyGrid(replays[0].config.grid)
+    for replay, poses in zip(replays, paths, strict=True):
+        log = replay.log
+        rows = np.flatnonzero(log.has_scan[: len(poses)])
+        ranges = log.ranges[rows, None].astype(np.float64)
+        measured = np.isfinite(ranges)
+        if replay.sensor is not None:
+            measured[..., list(replay.sensor.broken)] = False
+        grid.draw(robot or log.robot, poses[rows, None], ranges, measured)
+    return grid.view
 
 
 def _line_figures(found: SmoothedRun) -> dict[str, Any]:
-    names = ("left_wheel", "right_wheel", "axle")
-    values = [1.0, 1.0, 1.0] if found.calibration is None else (1.0 + found.calibration[0, :3]).tolist()
-    bias = 0.0 if found.calibration is None else float(found.calibration[0, 3])
-    sizes = {f"smoothed_{name}": value for name, value in zip(names, values, strict=True)}
-    return {**sizes, "smoothed_range_bias_m": bias}
+    left, right, axle, bias = np.zeros(4) if found.calibration is None else found.calibration[0]
+    sizes = {"smoothed_left_wheel": 1.0 + left, "smoothed_right_wheel": 1.0 + right, "smoothed_axle": 1.0 + axle}
+    return {**{name: float(value) for name, value in sizes.items()}, "smoothed_range_bias_m": float(bias)}
 
 
 def _figures(found: GraphResult) -> dict[str, Any]:
-    reasons = [verdict.reason for verdict in found.verdicts]
+    reasons = [loop.reason for loop in found.loops]
     turn, scale, gain, delay, direction = found.errors.tolist()
     return {
         "smoothed_kind": found.kind,
@@ -207,7 +210,7 @@ def _figures(found: GraphResult) -> dict[str, Any]:
         "smoothed_delay_s": delay,
         "smoothed_direction_deg": math.degrees(direction),
         "loops_found": len(reasons),
-        "loops_kept": sum(verdict.kept for verdict in found.verdicts),
+        "loops_kept": reasons.count(KEPT),
         "loops_by_reason": {reason: reasons.count(reason) for reason in sorted(set(reasons))},
     }
 
@@ -227,11 +230,11 @@ def loop_records(found: GraphResult, time: FloatArray) -> list[dict[str, Any]]:
     times = time[found.keys.first_event[found.chunk_keys]]
     return [
         {
-            "first_time": float(times[verdict.loop.first]),
-            "second_time": float(times[verdict.loop.second]),
-            "relative": [round(float(value), 6) for value in verdict.loop.relative],
-            "score": round(verdict.loop.score, 4),
-            "reason": verdict.reason,
+            "first_time": float(times[loop.first]),
+            "second_time": float(times[loop.second]),
+            "relative": [round(float(value), 6) for value in loop.relative],
+            "score": round(loop.score, 4),
+            "reason": loop.reason,
         }
-        for verdict in found.verdicts
+        for loop in found.loops
     ]

@@ -67,17 +67,12 @@ class PathSignals:
         return self.contradicted / max(self.confirmed + self.contradicted, 1e-9)
 
     @property
-    def contradicts_itself(self) -> bool:
-        """Whether visits contradict each other at so many points that the path is doubtful."""
-        return self.contradicted_share > MOST_CONTRADICTED
-
-    @property
     def status(self) -> Status:
         """``ok``, or ``unsure`` with the reasons."""
         reasons = []
         if not self.confirmed:
             reasons.append("no other visit of a place confirms what was seen")
-        if self.contradicts_itself:
+        if self.contradicted_share > MOST_CONTRADICTED:
             reasons.append(f"visits of a place contradict each other at {self.contradicted_share:.0%} of the points")
         if self.doubtful_times:
             times = ", ".join(f"{time:.0f}" for time in self.doubtful_times[:3])

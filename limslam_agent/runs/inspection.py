@@ -21,7 +21,7 @@ from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.output.finished_run import LOG, FinishedRun, FolderError
 from limslam_agent.output.formats.content import read_readings
 from limslam_agent.places.saved_map import SavedMap
-from limslam_agent.replay.filter_estimate import is_handed_over
+from limslam_agent.replay.hand_over import is_handed_over
 from limslam_agent.runs.episode import policies_of, team_of, told_starts
 from limslam_agent.runs.policies import TOUR
 from limslam_agent.runs.policy_file import is_file_policy

@@ -11,9 +11,10 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.replay.record import Replay
-from limslam_agent.replay.smoothing import draw_walls, ends_of, loop_records
+from limslam_agent.replay.smoothing import draw_grid, draw_walls, ends_of, loop_records
 from limslam_agent.replay.trust import path_signals
-from limslam_agent.slam.graph.agreement import MapScore
+from limslam_agent.slam.graph.agreement import visit_counts
+from limslam_agent.slam.graph.chunk_graph import KEPT
 from limslam_agent.slam.graph.key_poses import (
     APART,
     ERRORS,
@@ -25,11 +26,10 @@ from limslam_agent.slam.graph.key_poses import (
     event_poses,
     odometry_trajectory,
 )
-from limslam_agent.slam.graph.local_maps import chunk_middles, cut_chunks
-from limslam_agent.slam.graph.local_smoothing import smooth_locally
 from limslam_agent.slam.graph.point_links import point_cloud
 from limslam_agent.slam.graph.smooth import GraphResult, LogProblem, Report, saying, smooth_with_loops
-from limslam_agent.two_logs.joint import JointReplay, Replays, grid_of
+from limslam_agent.slam.graph.smoothing import smooth_locally
+from limslam_agent.two_logs.joint import JointReplay, Replays
 from limslam_env.geometry import BoolArray, FloatArray, se2
 
 _SEAM_STD = np.array([30.0, 30.0, np.pi])
@@ -75,10 +75,11 @@ def joined_by_graph(replays: Replays, frame: FloatArray, report: Report) -> Join
     keys, path, seam = joint.keys, joint.trajectory, len(first.keys)
     std, reach = (max(getattr(each.data, name) for each in (first, second)) for name in ("range_std", "max_range"))
     is_second = joint.chunk_keys >= seam
-    between = [each for each in joint.verdicts if is_second[each.loop.first] != is_second[each.loop.second]]
-    confirmed, contradicted = _between_logs(joint, seam, config, reach)
+    between = [each for each in joint.loops if is_second[each.first] != is_second[each.second]]
+    visits = visit_counts(keys, path, config, reach, seam)
+    confirmed, contradicted = int(visits.confirmed.sum()), int(visits.contradicted.sum())
     record = {
-        "loops_between": sum(each.kept for each in between), "loops_between_found": len(between),
+        "loops_between": sum(each.reason == KEPT for each in between), "loops_between_found": len(between),
         "confirmed_points": confirmed, "contradicted_points": contradicted,
     }  # fmt: skip
     share = contradicted / max(confirmed + contradicted, 1)
@@ -94,7 +95,7 @@ def joined_by_graph(replays: Replays, frame: FloatArray, report: Report) -> Join
     since = np.concatenate([each.data.time - each.data.time[0] for each in (first, second)])
     signals = path_signals(joint, since, config, (reach, std), seam=seam)
     return JointReplay(
-        replays, paths, landmarks, ends_of(landmarks), grid_of(replays, paths), signals.status, record,
+        replays, paths, landmarks, ends_of(landmarks), draw_grid(replays, paths), signals.status, record,
         signals.figures, _loops(joint, replays, is_second),
     )  # fmt: skip
 
@@ -135,21 +136,10 @@ def _keys(first: KeyPoses, second: KeyPoses, seam: FloatArray) -> KeyPoses:
     return KeyPoses(**columns)
 
 
-def _between_logs(joint: GraphResult, seam: int, config: GraphConfig, reach: float) -> tuple[int, int]:
-    """Numbers of points of both logs that the other log confirms and contradicts. The second one begins at ``seam``."""
-    maps, keys = config.maps, joint.keys
-    middles = chunk_middles(keys, maps, maps.half)
-    score = MapScore.of(cut_chunks(keys, joint.trajectory, maps, middles, reach))
-    # Visits of the same log do not count.
-    score = replace(score, travel=np.where(middles < seam, 0.0, APART))
-    confirmed, contradicted = score.verdicts(joint.trajectory.poses[middles])
-    return int(confirmed.sum()), int(contradicted.sum())
-
-
 def _loops(joint: GraphResult, replays: Replays, is_second: BoolArray) -> list[dict[str, Any]]:
     """All loops of both logs, with the log of each of their ends."""
     records = loop_records(joint, np.concatenate([each.log.time for each in replays]))
     return [
-        {"first_log": int(is_second[each.loop.first]), "second_log": int(is_second[each.loop.second]), **record}
-        for each, record in zip(joint.verdicts, records, strict=True)
+        {"first_log": int(is_second[each.first]), "second_log": int(is_second[each.second]), **record}
+        for each, record in zip(joint.loops, records, strict=True)
     ]

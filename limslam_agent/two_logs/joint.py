@@ -1,18 +1,16 @@
 """The result of two logs, joined or apart."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from limslam_agent.grid.occupancy import GridView, OccupancyGrid
+from limslam_agent.grid.occupancy import GridView
 from limslam_agent.places.revisions import Unplaced
 from limslam_agent.replay.record import Replay
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray, se2
-from limslam_env.interface import RobotSpec
 
 Replays = tuple[Replay, Replay]
 
@@ -84,14 +82,3 @@ class JointReplay:
 def frame_of(replay: Replay, poses: FloatArray) -> FloatArray:
     """Pose (3,) of a log's own frame in the frame of poses (n, 3) of its events."""
     return se2.compose(poses[0], se2.inverse(replay.log.start_pose))
-
-
-def grid_of(replays: Sequence[Replay], poses: Sequence[FloatArray], robot: RobotSpec | None = None) -> GridView:
-    """The occupancy grid of the readings of several logs from poses (n, 3) of each, by their own or another robot."""
-    grid = OccupancyGrid(replays[0].config.grid)
-    for replay, path in zip(replays, poses, strict=True):
-        log = replay.log
-        rows = np.flatnonzero(log.has_scan)
-        ranges = log.ranges[rows].astype(np.float64)
-        grid.draw(robot or log.robot, path[rows, None], ranges[:, None], np.isfinite(ranges)[:, None])
-    return grid.view

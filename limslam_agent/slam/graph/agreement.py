@@ -13,17 +13,13 @@ from numpy.typing import NDArray
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.chunk_graph import Loop
-from limslam_agent.slam.graph.key_poses import ANOTHER_VISIT, KeyPoses, Trajectory
-from limslam_agent.slam.graph.local_maps import LocalMap, chunk_middles, cut_chunks
+from limslam_agent.slam.graph.key_poses import ANOTHER_VISIT, APART, KeyPoses, Trajectory
+from limslam_agent.slam.graph.local_maps import chunk_middles, cut_chunks
 from limslam_env.compilation import entry_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, se2
 
 # A kernel calls only kernels of its own file.
 kernel = entry_of(__name__)
-
-NO_SUPPORT = "no other loop nearby agrees"
-OUTVOTED = "its weight in the graph of chunks is too low"
-KEPT = "kept"
 
 AGREE_DISTANCE, AGREE_TURN = 0.6, math.radians(9.0)
 """Two loops agree if one predicts the other within these tolerances, m and rad."""
@@ -31,19 +27,6 @@ AGREE_DISTANCE, AGREE_TURN = 0.6, math.radians(9.0)
 # A loop is supported by loops that begin and end so far from it, m driven.
 _SUPPORT_FROM, _SUPPORT_TO = 2.2, 7.8
 _STRETCH = 2  # chunks before and after a chunk
-
-
-@dataclass(frozen=True, eq=False)
-class LoopVerdict:
-    """A loop that was found, and its status: ``KEPT``, or the reason for its rejection."""
-
-    loop: Loop
-    reason: str
-
-    @property
-    def kept(self) -> bool:
-        """Whether the loop is part of the result."""
-        return self.reason == KEPT
 
 
 def supported(loops: Sequence[Loop], poses: FloatArray, travel: FloatArray) -> BoolArray:
@@ -64,53 +47,6 @@ def supported(loops: Sequence[Loop], poses: FloatArray, travel: FloatArray) -> B
     gaps = [np.abs(travel[ends][:, None] - travel[ends][None]) for ends in (first, second)]
     near = (gaps[0] <= _SUPPORT_TO) & (gaps[1] >= _SUPPORT_FROM) & (gaps[1] <= _SUPPORT_TO)
     return np.asarray((near & agree).any(axis=0))
-
-
-@dataclass(frozen=True, eq=False)
-class MapScore:
-    """The score G of a set of chunks, as a function of their poses.
-
-    Attributes
-    ----------
-    grids
-        Cells (c, n, n) of the grids of all chunks.
-    low, cell
-        Lowest coordinate and cell side of the grids, m.
-    points, starts
-        Points (p, 2) of all chunks, m, sorted by chunk; and the index (c + 1,) of each chunk's first point.
-    travel
-        Distance (c,) driven up to each chunk, m.
-    """
-
-    grids: NDArray[np.int8]
-    low: float
-    cell: float
-    points: FloatArray
-    starts: IntArray
-    travel: FloatArray
-
-    @classmethod
-    def of(cls, maps: Sequence[LocalMap]) -> "MapScore":
-        """The score of these chunks."""
-        return cls(
-            grids=np.stack([each.grid for each in maps]),
-            low=maps[0].low,
-            cell=maps[0].cell,
-            points=np.concatenate([each.points for each in maps]),
-            starts=np.cumsum([0, *[len(each.points) for each in maps]]),
-            travel=np.array([each.travel for each in maps]),
-        )
-
-    def verdicts(self, poses: FloatArray) -> tuple[BoolArray, BoolArray]:
-        """Masks (p,) of the confirmed and of the contradicted points.
-
-        At a confirmed point more other visits have seen a wall than free space, at a contradicted point fewer.
-        """
-        hits, frees = _votes(
-            self.grids, self.low, self.cell, self.points, self.starts, np.ascontiguousarray(poses), self.travel,
-            ANOTHER_VISIT,
-        )  # fmt: skip
-        return (hits > 0) & (hits >= frees), frees > hits
 
 
 @dataclass(frozen=True, eq=False)
@@ -141,18 +77,27 @@ class VisitCounts:
         return self.middles[contradicted > confirmed]
 
 
-def visit_counts(keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, max_range: float) -> VisitCounts:
+def visit_counts(
+    keys: KeyPoses, trajectory: Trajectory, config: GraphConfig, max_range: float, seam: int | None = None
+) -> VisitCounts:
     """How many points of each chunk other visits confirm and contradict.
 
-    The chunks have middles that are ``config.maps.half`` apart.
+    At a confirmed point at least as many other visits have seen a wall as free space, at a contradicted one fewer. If
+    a second log begins at the key pose ``seam``, only visits of the other log count.
     """
-    middles = chunk_middles(keys, config.maps, config.maps.half)
-    score = MapScore.of(cut_chunks(keys, trajectory, config.maps, middles, max_range))
-    points = np.diff(score.starts)
-    owner = np.repeat(np.arange(len(middles)), points)
-    verdicts = score.verdicts(trajectory.poses[middles])
-    confirmed, contradicted = (np.bincount(owner[each], minlength=len(middles)) for each in verdicts)
-    return VisitCounts(middles, points, confirmed, contradicted)
+    maps = config.maps
+    middles = chunk_middles(keys, maps, maps.half)
+    chunks = cut_chunks(keys, trajectory, maps, middles, max_range)
+    points = np.array([len(each.points) for each in chunks])
+    travel = keys.key_travel[middles] if seam is None else np.where(middles < seam, 0.0, APART)
+    hits, frees = _votes(
+        np.stack([each.grid for each in chunks]), chunks[0].low, maps.cell,
+        np.concatenate([each.points for each in chunks]), np.append(0, np.cumsum(points)), trajectory.poses[middles],
+        travel, ANOTHER_VISIT,
+    )  # fmt: skip
+    owner, count = np.repeat(np.arange(len(middles)), points), len(middles)
+    confirmed = np.bincount(owner[(hits > 0) & (hits >= frees)], minlength=count)
+    return VisitCounts(middles, points, confirmed, np.bincount(owner[frees > hits], minlength=count))
 
 
 @kernel

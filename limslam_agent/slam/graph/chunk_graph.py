@@ -1,4 +1,7 @@
-"""The pose graph of the chunks: hops between neighbours and loops, with robust kernels, solved by annealing.
+"""The graph of chunks: hops between neighbours and loops, the search for loops, and the solution by annealing.
+
+Each chunk is matched against earlier chunks that may show the same place. The joint covariance of all chunks so far
+determines which ones can be near, and how wide the window of a match must be. Each accepted loop reduces it.
 
 Hops have a Cauchy kernel, so that wheel slip distorts the graph in one place only. Loops have dynamic covariance
 scaling, so that a wrong loop loses its weight. Both kernels start wide and become narrow together. With narrow kernels
@@ -11,23 +14,41 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory, integrate
-from limslam_agent.slam.graph.least_squares import loop_weights, pose_columns, relation_factor
-from limslam_agent.slam.least_squares.normal_equations import NormalEquations
+from limslam_agent.slam.graph.key_poses import ANOTHER_VISIT, KeyPoses, Trajectory, integrate
+from limslam_agent.slam.graph.least_squares import Relations, add_relations, loop_weights, relation_factor
+from limslam_agent.slam.graph.local_maps import LocalMap
+from limslam_agent.slam.graph.matching import Match, SearchGrid, Window, match, match_covariance, search_grid
+from limslam_agent.slam.graph.posterior import aligned_covariance
+from limslam_agent.slam.least_squares.normal_equations import NormalEquations, pose_columns
 from limslam_env.geometry import FloatArray, IntArray, se2
 
 # The covariance of a hop is the local graph's covariance times the first number, plus the squares of these standard
 # deviations, m and rad.
 _HOP_INFLATION, _HOP_POSITION, _HOP_TURN = 6.0, 0.03, math.radians(1.0)
-HOP_KERNEL = 9.0
-"""Scale of the Cauchy kernel of the hops, as a chi-square."""
-LOOP_KERNEL = 3.0
-"""The parameter of dynamic covariance scaling of the loops."""
-ANNEALING = 1e4, 1e3, 300.0, 100.0, 30.0, 10.0, 3.0, 1.0
-"""Successive factors of both kernels, from the chain of hops on; the last two from a solution that is nearly right."""
+_HOP_KERNEL = 9.0  # scale of the Cauchy kernel of the hops, as a chi-square
+# Successive factors of both kernels, from the chain of hops on; the last two from a solution that is nearly right.
+_ANNEALING = 1e4, 1e3, 300.0, 100.0, 30.0, 10.0, 3.0, 1.0
 _ITERATIONS, _TOLERANCE = 8, 1e-3  # for each factor: at most, and the step (m, rad) below which they stop
 KEPT_WEIGHT = 0.3
 """Loops with a lower weight are not used further."""
+_GATE = 2.5  # m: chunks within this distance show the same place, however well their poses are known
+_LEAST_WINDOW, _LEAST_TURN = 0.6, math.radians(8.0)  # the part that does not depend on the uncertainty, m and rad
+TURN_STEP = math.radians(3.0)
+"""Step of the turns of a match, rad."""
+# How far from its believed pose a chunk is searched for: standard deviations that are added to the gate and to the
+# window; the largest distance between two chunks, m; and the largest window, m and rad.
+_SIGMAS, _MOST_DISTANCE, _MOST_SHIFT, _MOST_TURN = 2.5, 12.0, 4.0, math.radians(35.0)
+SCORES, SCORES_WHILE_DRIVING = (0.50, 0.40), (0.60, 0.50)
+"""Least scores of a match, and of the match in the opposite direction. While the robot drives, no later visit has
+contradicted a loop yet, so a match must be better.
+"""
+_BEST = 3  # loops from one chunk
+_BACKWARD_WINDOW = Window(0.3, math.radians(4.0), TURN_STEP)
+
+
+NO_SUPPORT = "no other loop nearby agrees"
+OUTVOTED = "its weight in the graph of chunks is too low"
+KEPT = "kept"
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +65,8 @@ class Loop:
         Inverse (3, 3) of the covariance of the relative pose.
     score
         Score of the match.
+    reason
+        ``KEPT``, or why the loop is no part of the result.
     """
 
     first: int
@@ -51,6 +74,7 @@ class Loop:
     relative: FloatArray
     information: FloatArray
     score: float
+    reason: str = ""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,14 +85,6 @@ class Hops:
     covariances: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class ChunkSolution:
-    """Poses (c, 3) of the chunks, and the weights of the loops."""
-
-    poses: FloatArray
-    weights: FloatArray
-
-
 def inflated(covariances: FloatArray) -> FloatArray:
     """Covariances (c, 3, 3) of motions by the local graph, as the graph of chunks uses them.
 
@@ -77,28 +93,37 @@ def inflated(covariances: FloatArray) -> FloatArray:
     return _HOP_INFLATION * covariances + np.diag([_HOP_POSITION**2] * 2 + [_HOP_TURN**2])
 
 
-def solve_annealed(start: FloatArray, hops: Hops, loops: Sequence[Loop]) -> ChunkSolution:
-    """Solve with wide kernels first and narrow kernels last, from the chain of hops that begins at ``start`` (3,)."""
-    poses = integrate(start, hops.motions)
-    return solve(poses, hops, loops, ANNEALING) if loops else ChunkSolution(poses, np.zeros(0))
+def relations_of(loops: Sequence[Loop]) -> Relations:
+    """Loops as relations between chunks."""
+    ends = np.array([(loop.first, loop.second) for loop in loops], dtype=np.int64).reshape(-1, 2)
+    relative = np.array([loop.relative for loop in loops]).reshape(-1, 3)
+    return ends, relative, np.array([loop.information for loop in loops]).reshape(-1, 3, 3)
 
 
-def solve(poses: FloatArray, hops: Hops, loops: Sequence[Loop], annealing: Sequence[float]) -> ChunkSolution:
-    """Solve from poses (c, 3), which may be fewer than the poses that the hops connect."""
-    edges = _edges(hops, loops, len(poses))
+def solve_annealed(start: FloatArray, hops: Hops, loops: Sequence[Loop]) -> tuple[FloatArray, FloatArray]:
+    """Poses (c, 3) of the chunks, from the chain of hops that begins at ``start`` (3,), and the weights of the loops.
+
+    The kernels are wide first and narrow last.
+    """
+    return _solved(integrate(start, hops.motions), hops, loops, _ANNEALING if loops else ())
+
+
+def _solved(
+    poses: FloatArray, hops: Hops, loops: Sequence[Loop], annealing: Sequence[float]
+) -> tuple[FloatArray, FloatArray]:
     for factor in annealing:
         for _ in range(_ITERATIONS):
-            step = _equations(poses, edges, factor)[0].solve().reshape(-1, 3)
+            step = _equations(poses, hops, loops, factor)[0].solve().reshape(-1, 3)
             poses = poses + step
             poses[:, 2] = se2.wrap_angle(poses[:, 2])
             if np.abs(step).max() < _TOLERANCE:
                 break
-    return ChunkSolution(poses, _equations(poses, edges, 1.0)[1][len(poses) - 1 :])
+    return poses, _equations(poses, hops, loops, 1.0)[1]
 
 
 def joint_covariance(poses: FloatArray, hops: Hops, loops: Sequence[Loop]) -> FloatArray:
     """Joint covariance (3 c, 3 c) of the poses (c, 3) of a solution. The first pose is fixed."""
-    equations, _ = _equations(poses, _edges(hops, loops, len(poses)), 1.0)
+    equations, _ = _equations(poses, hops, loops, 1.0)
     return equations.solved(equations.factorise(), np.eye(equations.size))
 
 
@@ -119,30 +144,126 @@ def carry_over(keys: KeyPoses, trajectory: Trajectory, middles: IntArray, poses:
     return Trajectory(moved, trajectory.bias)
 
 
-_Edges = tuple[IntArray, IntArray, FloatArray, FloatArray]
-"""First and second poses (e,) of hops and loops, and their relative poses (e, 3) and information (e, 3, 3)."""
+def _equations(
+    poses: FloatArray, hops: Hops, loops: Sequence[Loop], factor: float
+) -> tuple[NormalEquations, FloatArray]:
+    """The normal equations with kernels that are wider by a factor, and the weights of the loops."""
+    equations, first = NormalEquations(3 * len(poses)), np.arange(len(poses) - 1)
+    certainty = np.asarray(np.linalg.inv(hops.covariances))
+    add_relations(
+        equations, poses, np.column_stack((first, first + 1)), hops.motions, certainty,
+        lambda chi2: 1.0 / (1.0 + chi2 / (_HOP_KERNEL * factor)),
+    )  # fmt: skip
+    return equations, add_relations(equations, poses, *relations_of(loops), lambda chi2: loop_weights(chi2, factor))
 
 
-def _edges(hops: Hops, loops: Sequence[Loop], count: int) -> _Edges:
-    chain = np.arange(count - 1)
-    first = np.append(chain, [loop.first for loop in loops]).astype(np.int64)
-    second = np.append(chain + 1, [loop.second for loop in loops]).astype(np.int64)
-    measured = np.vstack((hops.motions[: count - 1], *[loop.relative for loop in loops]))
-    information = np.concatenate(
-        (np.linalg.inv(hops.covariances[: count - 1]), *[loop.information[None] for loop in loops])
-    )
-    return first, second, measured, information
+class ChunkGraph:
+    """The chunks so far in the order of driving, their poses, and the loops that were found between them.
+
+    Parameters
+    ----------
+    chunk, pose
+        The first chunk and its pose (3,), which is fixed.
+    scores
+        Least scores of a match, and of the match in the opposite direction.
+
+    Attributes
+    ----------
+    maps
+        The c chunks.
+    poses
+        Their poses (c, 3).
+    covariance
+        Joint covariance (3 c, 3 c) of their poses, relative to the first chunk.
+    hops
+        Motions from each chunk to the next.
+    loops
+        All loops that the search has accepted, both right and wrong.
+    """
+
+    def __init__(self, chunk: LocalMap, pose: FloatArray, scores: tuple[float, float] = SCORES) -> None:
+        self._scores = scores
+        self.maps, self.poses, self.covariance = [chunk], pose[None], np.zeros((3, 3))
+        self.hops, self.loops = Hops(np.zeros((0, 3)), np.zeros((0, 3, 3))), list[Loop]()
+        self._grids = dict[int, SearchGrid]()
+
+    @property
+    def position_std(self) -> float:
+        """Standard deviation of the last chunk's position in the map, m: after the alignment of all chunks."""
+        columns = (3 * np.arange(len(self.poses))[:, None] + np.arange(2)).ravel()
+        left = aligned_covariance(self.covariance[np.ix_(columns, columns)], self.poses[:, :2])
+        return float(np.sqrt(max(np.trace(left[-2:, -2:]), 0.0)))
+
+    def add(self, chunk: LocalMap, motion: FloatArray, covariance: FloatArray) -> None:
+        """Add a chunk after a motion (3,) with its covariance (3, 3), search for its loops, and solve the graph."""
+        self.hops = Hops(
+            np.vstack((self.hops.motions, motion)), np.concatenate((self.hops.covariances, covariance[None]))
+        )
+        self.maps.append(chunk)
+        by_pose, by_motion = se2.compose_jacobians(self.poses[-1], motion)
+        across = by_pose @ self.covariance[-3:]
+        own = across[:, -3:] @ by_pose.T + by_motion @ covariance @ by_motion.T
+        self.covariance = np.block([[self.covariance, across.T], [across, own]])
+        self.poses = np.vstack((self.poses, se2.compose(self.poses[-1], motion)))
+        self.close(self._loops_of_newest())
+
+    def close(self, found: Sequence[Loop]) -> None:
+        """Add loops."""
+        if found:
+            self.loops += found
+            self.poses, _ = _solved(self.poses, self.hops, self.loops, _ANNEALING[-2:])
+            self.covariance = joint_covariance(self.poses, self.hops, self.loops)
+
+    def _loops_of_newest(self) -> list[Loop]:
+        """Loops from the newest chunk to some earlier chunks, the best matches first."""
+        candidates: list[tuple[int, Match]] = []
+        newest, travel = len(self.maps) - 1, np.array([each.travel for each in self.maps])
+        old = np.nonzero(travel[newest] - travel[: newest - 1] >= ANOTHER_VISIT)[0]
+        if not len(old):
+            return []
+        guesses, position_std, turn_std = self._seen_from(old)
+        distance = np.hypot(guesses[:, 0], guesses[:, 1])
+        least, _ = self._scores
+        for row in np.nonzero(distance <= np.minimum(_MOST_DISTANCE, _GATE + _SIGMAS * position_std))[0]:
+            shift = min(_MOST_SHIFT, _LEAST_WINDOW + _SIGMAS * position_std[row])
+            turn = min(_MOST_TURN, _LEAST_TURN + _SIGMAS * turn_std[row])
+            window = Window(shift, turn, TURN_STEP)
+            found = match(self._grid(int(old[row])), self.maps[newest].points, guesses[row], window, least)
+            if found.score > least:
+                candidates.append((int(old[row]), found))
+        candidates.sort(key=lambda each: -each[1].score)
+        loops = [self._loop(first, newest, found) for first, found in candidates[:_BEST]]
+        return [loop for loop in loops if loop is not None]
+
+    def _loop(self, first: int, second: int, found: Match) -> Loop | None:
+        """A loop with the covariance of its match; None if the chunks do not match in the opposite direction."""
+        back, others = self._grid(second), self.maps[first].points
+        _, least = self._scores
+        again = match(back, others, se2.inverse(found.pose), _BACKWARD_WINDOW, least)
+        if again.score < least:
+            return None
+        grid, points = self._grid(first), self.maps[second].points
+        mean, covariance = match_covariance(grid, points, found.pose, TURN_STEP, (back, others))
+        return Loop(first, second, mean, np.asarray(np.linalg.inv(covariance)), found.score)
+
+    def _seen_from(self, old: IntArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """The newest chunk's pose in the frames of old chunks (k, 3), and its standard deviations (k,), m and rad."""
+        newest = np.full(len(old), len(self.poses) - 1)
+        _, jacobian = relation_factor(self.poses, newest, old, np.zeros((len(old), 3)))
+        columns = np.hstack((pose_columns(newest), pose_columns(old)))
+        covariance = jacobian @ self.covariance[columns[:, :, None], columns[:, None]] @ jacobian.transpose(0, 2, 1)
+        position = np.sqrt(np.maximum(np.maximum(covariance[:, 0, 0], covariance[:, 1, 1]), 0.0))
+        return se2.between(self.poses[old], self.poses[-1]), position, np.sqrt(np.maximum(covariance[:, 2, 2], 0.0))
+
+    def _grid(self, number: int) -> SearchGrid:
+        if number not in self._grids:
+            self._grids[number] = search_grid(self.maps[number].grid, self.maps[number].cell, _MOST_SHIFT)
+        return self._grids[number]
 
 
-def _equations(poses: FloatArray, edges: _Edges, factor: float) -> tuple[NormalEquations, FloatArray]:
-    """The normal equations with kernels that are wider by a factor, and the weights (e,) of the edges."""
-    first, second, measured, information = edges
-    error, jacobian = relation_factor(poses, first, second, measured)
-    chi2 = np.einsum("fi,fij,fj->f", error, information, error)
-    weights = 1.0 / (1.0 + chi2 / (HOP_KERNEL * factor))
-    loops = slice(len(poses) - 1, None)
-    weights[loops] = loop_weights(error[loops], information[loops], LOOP_KERNEL * factor)
-    equations = NormalEquations(3 * len(poses))
-    columns = np.hstack((pose_columns(first), pose_columns(second)))
-    equations.add(columns, jacobian, error, information * weights[:, None, None])
-    return equations, weights
+def search_loops(maps: Sequence[LocalMap], start: FloatArray, hops: Hops) -> list[Loop]:
+    """All loops that the search accepts between chunks (c,), of which the first one has the pose ``start`` (3,)."""
+    graph = ChunkGraph(maps[0], start)
+    for chunk, motion, covariance in zip(maps[1:], hops.motions, hops.covariances, strict=True):
+        graph.add(chunk, motion, covariance)
+    return graph.loops

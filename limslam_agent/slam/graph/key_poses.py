@@ -264,7 +264,11 @@ def joined_bias(first: FloatArray, second: FloatArray) -> FloatArray:
 
 def integrate(start: FloatArray, steps: FloatArray) -> FloatArray:
     """Poses (m, 3) that follow from motions (m - 1, 3) and the first pose ``start`` (3,)."""
-    return _integrate(np.asarray(start, dtype=np.float64), np.ascontiguousarray(steps))
+    headings = start[2] + np.append(0.0, np.cumsum(steps[:, 2]))
+    cos, sin = np.cos(headings[:-1]), np.sin(headings[:-1])
+    x = start[0] + np.append(0.0, np.cumsum(cos * steps[:, 0] - sin * steps[:, 1]))
+    y = start[1] + np.append(0.0, np.cumsum(sin * steps[:, 0] + cos * steps[:, 1]))
+    return np.column_stack((x, y, se2.wrap_angle(headings)))
 
 
 def odometry_trajectory(keys: KeyPoses, start: FloatArray) -> Trajectory:
@@ -317,17 +321,3 @@ def _count_ups(length: FloatArray, turn: FloatArray, distance: float, angle: flo
             driven = turned = 0.0
         out[row] = count
     return out
-
-
-@kernel
-def _integrate(start: FloatArray, steps: FloatArray) -> FloatArray:
-    poses = np.empty((len(steps) + 1, 3))
-    poses[0] = start
-    for row in range(len(steps)):
-        x, y, heading = poses[row]
-        cos, sin = np.cos(heading), np.sin(heading)
-        poses[row + 1, 0] = x + cos * steps[row, 0] - sin * steps[row, 1]
-        poses[row + 1, 1] = y + sin * steps[row, 0] + cos * steps[row, 1]
-        heading += steps[row, 2]
-        poses[row + 1, 2] = np.pi - (np.pi - heading) % (2.0 * np.pi)
-    return poses

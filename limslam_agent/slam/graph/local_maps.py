@@ -1,6 +1,5 @@
 """Local maps: chunks of a few metres of driving, drawn into small grids for matching with other chunks."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,9 +14,7 @@ from limslam_env.geometry import FloatArray, IntArray, se2
 kernel = entry_of(__name__)
 
 HIT = 5
-"""Value of an occupied cell. Scores are sums of cells divided by this value."""
-FREE = -3
-"""Value of a free cell, through which a beam has passed; the value 0 means unknown."""
+"""Value of an occupied cell. A free cell has the value -3, and an unknown one 0. Scores are sums divided by ``HIT``."""
 
 Cells = NDArray[np.int8]
 
@@ -28,12 +25,8 @@ class LocalMap:
 
     Attributes
     ----------
-    middle
-        Index of this key pose.
     travel
         Distance driven up to this key pose, m.
-    places, origins
-        All points (p, 2) and the origins of their beams (p, 2), m.
     points
         Points (k, 2), thinned to one point in each cell, m.
     grid
@@ -42,10 +35,7 @@ class LocalMap:
         Side of a cell, m.
     """
 
-    middle: int
     travel: float
-    places: FloatArray
-    origins: FloatArray
     points: FloatArray
     grid: Cells
     cell: float
@@ -72,30 +62,13 @@ def cut_chunks(
     begins = np.searchsorted(travel, travel[middles] - config.half)
     ends = np.searchsorted(travel, travel[middles] + config.half) + 1
     spans = np.searchsorted(keys.point_key, np.column_stack((begins, ends)))
-    size = grid_size(config, max_range)
     maps = []
     for middle, (begin, end) in zip(middles, spans, strict=True):
         relative = se2.between(trajectory.poses[middle], trajectory.poses[keys.point_key[begin:end]])
         places, starts = to_world(relative, points[begin:end]), to_world(relative, origins[begin:end])
-        grid = draw_grid(places, starts, size, config)
-        thin = thinned(places, config.cell)
-        maps.append(LocalMap(int(middle), float(travel[middle]), places, starts, thin, grid, config.cell))
+        grid = draw_grid(places, starts, max_range, config)
+        maps.append(LocalMap(float(travel[middle]), thinned(places, config.cell), grid, config.cell))
     return maps
-
-
-def grid_size(config: LocalMapConfig, max_range: float) -> int:
-    """Cells along each side of a chunk's grid."""
-    return 2 * int(np.ceil((config.half + max_range) / config.cell))
-
-
-def united(maps: Sequence[LocalMap], poses: FloatArray, size: int, config: LocalMapConfig) -> LocalMap:
-    """One map of several chunks with poses (c, 3), in the frame of the first chunk."""
-    relative = se2.between(poses[0], poses)
-    places = np.vstack([se2.transform_points(pose, each.places) for pose, each in zip(relative, maps, strict=True)])
-    origins = np.vstack([se2.transform_points(pose, each.origins) for pose, each in zip(relative, maps, strict=True)])
-    grid = draw_grid(places, origins, size, config)
-    first = maps[0]
-    return LocalMap(first.middle, first.travel, places, origins, first.points, grid, config.cell)
 
 
 def thinned(places: FloatArray, cell: float) -> FloatArray:
@@ -104,10 +77,10 @@ def thinned(places: FloatArray, cell: float) -> FloatArray:
     return np.asarray(places[np.sort(first)])
 
 
-def draw_grid(places: FloatArray, origins: FloatArray, size: int, config: LocalMapConfig) -> Cells:
-    """A grid (size, size) around the origin, with free cells along the beams and occupied cells around the points."""
-    low = -0.5 * config.cell * size
-    return _draw(places, origins, size, low, config.cell, config.hit_radius)
+def draw_grid(places: FloatArray, origins: FloatArray, max_range: float, config: LocalMapConfig) -> Cells:
+    """A grid (n, n) around the origin, with free cells along the beams and occupied cells around the points."""
+    size = 2 * int(np.ceil((config.half + max_range) / config.cell))
+    return _draw(places, origins, size, -0.5 * config.cell * size, config.cell, config.hit_radius)
 
 
 @kernel

@@ -1,12 +1,10 @@
 """Successive metres of a log compared with each other: what was seen next, placed on what was seen just before."""
 
-from dataclasses import dataclass, field
-
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.key_poses import LogData, integrate, to_world
-from limslam_agent.slam.graph.local_maps import LocalMap, draw_grid, grid_size, thinned
+from limslam_agent.slam.graph.local_maps import draw_grid, thinned
 from limslam_agent.slam.graph.matching import LEAST_POINTS, NO_MATCH, SearchGrid, Window, match, search_grid
 from limslam_env.geometry import FloatArray, IntArray, se2
 
@@ -14,47 +12,19 @@ BEFORE, AFTER = 3.5, 2.0
 """Metres of driving that are compared: those before an event with those after it."""
 
 
-@dataclass(frozen=True)
-class Fit:
-    """How well what was seen next fits to what was seen before.
-
-    Attributes
-    ----------
-    score
-        Score of the best match.
-    contradicted
-        Share of the points that the best match places where only free space was seen before.
-    """
-
-    score: float
-    contradicted: float
-
-
-@dataclass(eq=False)
 class LocalViews:
-    """What was seen along a log.
+    """What was seen along a log, whose metres are matched in a window.
 
     Attributes
     ----------
-    data, config
-        The log and the settings.
-    window
-        The window of a match.
     moves
         Motions (n - 1, 3) from event to event. They may be changed.
     travel
         Length (n,) of the path up to each event, m.
     """
 
-    data: LogData
-    config: GraphConfig
-    window: Window
-    moves: FloatArray = field(init=False)
-    travel: FloatArray = field(init=False)
-    _points: FloatArray = field(init=False)
-
-    def __post_init__(self) -> None:
-        data = self.data
+    def __init__(self, data: LogData, config: GraphConfig, window: Window) -> None:
+        self._data, self._maps, self._window = data, config.maps, window
         self.moves = moves_of(data)
         self.travel = np.append(0.0, np.cumsum(np.hypot(self.moves[:, 0], self.moves[:, 1])))
         rays = np.column_stack((np.cos(data.angles), np.sin(data.angles)))
@@ -67,30 +37,31 @@ class LocalViews:
         places, origins = self._seen(np.arange(first, event + 1), se2.between(poses[-1], poses))
         if len(places) < LEAST_POINTS:
             return None
-        maps = self.config.maps
-        grid = draw_grid(places, origins, grid_size(maps, self.data.max_range), maps)
-        chunk = LocalMap(event, float(self.travel[event]), places, origins, places, grid, maps.cell)
-        return search_grid(chunk, self.window.shift)
+        grid = draw_grid(places, origins, self._data.max_range, self._maps)
+        return search_grid(grid, self._maps.cell, self._window.shift)
 
     def next_moves(self, event: int, most: float = AFTER) -> FloatArray:
         """A copy of the motions (k, 3) of the first metres after an event, of at most ``most`` m."""
         end = np.searchsorted(self.travel, self.travel[event] + min(AFTER, most), side="right")
         return self.moves[event : end - 1].copy()
 
-    def fit(self, known: SearchGrid, event: int, moves: FloatArray) -> Fit:
-        """How well that fits which was seen from an event on, along motions (k, 3)."""
+    def fit(self, known: SearchGrid, event: int, moves: FloatArray) -> tuple[float, float]:
+        """How well that fits which was seen from an event on, along motions (k, 3).
+
+        The score of the best match, and the share of the points that it places where only free space was seen before.
+        """
         events = np.arange(event, event + len(moves) + 1)
         places, _ = self._seen(events, integrate(np.zeros(3), moves))
-        points = thinned(places, self.config.maps.cell)
-        found = match(known, points, np.zeros(3), self.window, NO_MATCH)
+        points = thinned(places, self._maps.cell)
+        found = match(known, points, np.zeros(3), self._window, NO_MATCH)
         cells = _cells_at(known, se2.transform_points(found.pose, points))
-        return Fit(found.score, float(np.mean(cells < 0)) if len(cells) else 0.0)
+        return found.score, float(np.mean(cells < 0)) if len(cells) else 0.0
 
     def _seen(self, events: IntArray, poses: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Points and origins of their beams, (p, 2) each, at events (k,) with poses (k, 3)."""
-        row, beam = np.nonzero(self.data.hit[events])
+        row, beam = np.nonzero(self._data.hit[events])
         places = to_world(poses[row], self._points[events[row], beam])
-        return places, to_world(poses[row], self.data.origins[beam])
+        return places, to_world(poses[row], self._data.origins[beam])
 
 
 def moves_of(data: LogData) -> FloatArray:

@@ -25,37 +25,30 @@ _RADIUS = 0.35  # m, within which points are linked
 _BANDS = 0.4, 1.2, 3.0, 10.0  # borders of the bands of distance driven, m; the nearest point of each band is linked
 MIN_COSINE = 0.85
 """Least cosine between the normals of what lies on one wall."""
-_MAX_OFFSET = 0.7  # largest distance of linked points from the line, as a share of the radius
+_MAX_OFFSET = 0.7  # largest distance from the line of points that are linked along the way, as a share of the radius
 
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """The points of a trajectory: p points in the order of driving.
+    """The points of a trajectory in the world: p points in the order of driving.
 
     Attributes
     ----------
     key, travel
         Key pose (p,) and distance driven (p,), m, of each point.
-    in_key, places
-        Points (p, 2) in the frame of the key pose and in the world frame, m.
-    normals, normals_in_key
-        Unit vectors (p, 2) towards the sensor, in the world frame and in the frame of the key pose.
+    places
+        Points (p, 2), m.
+    normals
+        Unit vectors (p, 2) towards the sensor.
     good
         Whether each normal (p,) is reliable.
     """
 
     key: IntArray
     travel: FloatArray
-    in_key: FloatArray
     places: FloatArray
     normals: FloatArray
-    normals_in_key: FloatArray
     good: BoolArray
-
-    @property
-    def geometry(self) -> tuple[IntArray, FloatArray, FloatArray]:
-        """Key pose of each point, and its place and normal in the frame of the key pose, as the factors need them."""
-        return self.key, self.in_key, self.normals_in_key
 
 
 def point_cloud(keys: KeyPoses, trajectory: Trajectory, range_std: float) -> PointCloud:
@@ -64,8 +57,7 @@ def point_cloud(keys: KeyPoses, trajectory: Trajectory, range_std: float) -> Poi
     pose = trajectory.poses[keys.point_key]
     places, origins = to_world(pose, in_key), to_world(pose, origin_in_key)
     normals, good = find_normals(places, origins, keys.point_travel, range_std)
-    back = np.column_stack((np.zeros((len(pose), 2)), -pose[:, 2]))
-    return PointCloud(keys.point_key, keys.point_travel, in_key, places, normals, to_world(back, normals), good)
+    return PointCloud(keys.point_key, keys.point_travel, places, normals, good)
 
 
 def find_normals(
@@ -84,16 +76,19 @@ def find_normals(
 
 def links_along(cloud: PointCloud) -> IntArray:
     """Links (l, 2) between points of one section of driving, to the nearest point in each band of distance driven."""
-    index = _index(cloud.places, cloud.travel, _RADIUS)
-    limits = np.array([_RADIUS, MIN_COSINE, _MAX_OFFSET * _RADIUS])
-    return _along(cloud.places, cloud.normals, cloud.good, cloud.travel, cloud.key, *index, np.array(_BANDS), limits)
+    return _links(cloud, _RADIUS, _BANDS, _MAX_OFFSET * _RADIUS)
 
 
 def links_across(cloud: PointCloud, radius: float) -> IntArray:
-    """Links (l, 2) to the nearest point of another visit, and to the nearest point of a third visit."""
+    """Links (l, 2) to the nearest point of another visit."""
+    return _links(cloud, radius, (ANOTHER_VISIT, np.inf), radius)
+
+
+def _links(cloud: PointCloud, radius: float, borders: tuple[float, ...], most_off: float) -> IntArray:
+    """Links (l, 2) to the nearest point within a radius, m, and ``most_off`` m of its line, in each band of driving."""
+    limits = np.array([radius, MIN_COSINE, most_off])
     index = _index(cloud.places, cloud.travel, radius)
-    limits = np.array([radius, MIN_COSINE, ANOTHER_VISIT])
-    return _across(cloud.places, cloud.normals, cloud.good, cloud.travel, *index, limits)
+    return _nearest(cloud.places, cloud.normals, cloud.good, cloud.travel, cloud.key, *index, np.array(borders), limits)
 
 
 def _index(places: FloatArray, travel: FloatArray, side: float) -> tuple[IntArray, IntArray, float]:
@@ -171,7 +166,7 @@ def _band(gap: float, borders: FloatArray) -> int:
 
 
 @kernel
-def _along(
+def _nearest(
     places: FloatArray,
     normals: FloatArray,
     good: BoolArray,
@@ -213,45 +208,4 @@ def _along(
             if best[band] >= 0:
                 links[count, 0], links[count, 1] = i, best[band]
                 count += 1
-    return links[:count].copy()
-
-
-@kernel
-def _across(
-    places: FloatArray,
-    normals: FloatArray,
-    good: BoolArray,
-    travel: FloatArray,
-    cells: IntArray,
-    order: IntArray,
-    side: float,
-    limits: FloatArray,
-) -> IntArray:
-    links, count = np.empty((2 * len(places), 2), np.int64), 0
-    for i in range(len(places)):
-        if not good[i]:
-            continue
-        x, y, s = places[i, 0], places[i, 1], travel[i]
-        column, row = int(np.floor(x / side)), int(np.floor(y / side))
-        first = -1
-        for _turn in range(2):
-            best, nearest = -1, limits[0] ** 2
-            for a in range(column - 1, column + 2):
-                cell = a * (1 << 24) + row
-                begin, end = np.searchsorted(cells, cell - 1), np.searchsorted(cells, cell + 2)
-                for place in range(begin, end):
-                    j = order[place]
-                    if not good[j] or abs(travel[j] - s) <= limits[2]:
-                        continue
-                    if first >= 0 and abs(travel[j] - travel[first]) <= limits[2]:
-                        continue
-                    dx, dy = x - places[j, 0], y - places[j, 1]
-                    square = dx * dx + dy * dy
-                    if square < nearest and normals[i, 0] * normals[j, 0] + normals[i, 1] * normals[j, 1] > limits[1]:
-                        best, nearest = j, square
-            if best < 0:
-                break
-            links[count, 0], links[count, 1] = i, best
-            count += 1
-            first = best
     return links[:count].copy()

@@ -9,12 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.bundle import Relations
-from limslam_agent.slam.graph.chunk_graph import LOOP_KERNEL
 from limslam_agent.slam.graph.key_poses import KeyPoses, Trajectory
-from limslam_agent.slam.graph.least_squares import add_relations, odometry_factor, pose_columns
-from limslam_agent.slam.graph.local_smoothing import cautious_equations
-from limslam_agent.slam.least_squares.normal_equations import NormalEquations
+from limslam_agent.slam.graph.least_squares import Relations, odometry_factor
+from limslam_agent.slam.graph.smoothing import cautious_equations
+from limslam_agent.slam.least_squares.normal_equations import NormalEquations, pose_columns
 from limslam_env.geometry import FloatArray
 
 # Odometry is judged over this distance, m, since its errors last for seconds. Half of it lies between two windows, and
@@ -39,19 +37,12 @@ def position_std(
     """
     if len(keys) < 2:
         return 0.0
-    ends, relative, information = relations
-
-    def solvable() -> NormalEquations:
-        """The equations of the path with the variances of odometry that are known so far."""
-        equations = cautious_equations(keys, trajectory, config, range_std)
-        add_relations(equations, trajectory.poses, ends, (relative, information), LOOP_KERNEL)
-        return equations
-
+    equations = cautious_equations(keys, trajectory, config, range_std, relations)
     for _ in range(_ITERATIONS):
-        ratios = odometry_ratios(keys, trajectory, solvable())
+        ratios = odometry_ratios(keys, trajectory, equations)
         keys = replace(keys, step_variances=keys.step_variances * ratios)
+        equations = cautious_equations(keys, trajectory, config, range_std, relations)
     numbers = np.unique(np.searchsorted(keys.key_travel, _evenly(keys.key_travel[-1])))
-    equations = solvable()
     columns = pose_columns(numbers)[:, :2].ravel()
     rows = np.zeros((equations.size, len(columns)))
     rows[columns, np.arange(len(columns))] = 1.0

@@ -13,14 +13,14 @@ only if driving ahead contradicts what was seen in several stretches: walls woul
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
 
-from limslam_agent.config.graph import GraphConfig, ReversingConfig
+from limslam_agent.config.graph import GraphConfig
+from limslam_agent.slam.graph.chunk_graph import SCORES, TURN_STEP
 from limslam_agent.slam.graph.key_poses import LogData, integrate
 from limslam_agent.slam.graph.local_views import AFTER, BEFORE, LocalViews, moves_of
-from limslam_agent.slam.graph.loop_search import SCORES, TURN_STEP
 from limslam_agent.slam.graph.matching import NO_MATCH, Window
 from limslam_env.geometry import FloatArray, IntArray
 
@@ -41,24 +41,23 @@ def with_reversing(data: LogData, config: GraphConfig) -> LogData:
     A log whose odometry reports driving backwards itself stays as it is, and so does a log whose beams reach less far
     than what is compared, or one in which nearly no stretch contradicts that it was driven ahead.
     """
-    settings = config.reversing
-    if data.max_range < AFTER:
+    if data.max_range < AFTER or -moves_of(data)[:, 0].clip(max=0.0).sum() >= LEAST_LENGTH:
         return data
     views = LocalViews(data, config, _WINDOW)
-    if -views.moves[:, 0].clip(max=0.0).sum() >= LEAST_LENGTH:
+    stretches = _stretches(data.time, views.travel)
+    judged = [_judged(views, *each) for each in stretches.tolist()]
+    if sum(_is_proof(each, config) for each in judged) < config.reversing.fewest:
         return data
-    drive = _Drive(views)
-    judged = [drive.judged(number) for number in range(len(drive.stretches))]
-    if sum(each.is_proof(settings) for each in judged) < settings.fewest:
-        return data
-    leads = {number: each.lead for number, each in enumerate(judged)}
-    while leads and leads[best := max(leads, key=leads.__getitem__)] > 0.0:
-        del leads[best]
-        drive.turn_round(best)
-        for number in drive.near(best):
-            if number in leads:
-                leads[number] = drive.judged(number).lead
-    return replace(data, odometry=integrate(data.odometry[0], views.moves)) if drive.has_changed else data
+    begins, ends = views.travel[stretches.T]
+    leads, turned = np.array([lead for lead, _ in judged]), np.zeros(len(judged), dtype=np.bool_)
+    while leads.max(initial=0.0) > 0.0:
+        best = leads.argmax()
+        leads[best], turned[best] = NO_MATCH, True
+        _turn_round(views, *stretches[best])
+        # The stretches whose comparison uses this stretch are judged again.
+        near = (begins <= ends[best] + BEFORE + AFTER) & (ends >= begins[best] - BEFORE - AFTER) & ~turned
+        leads[near] = [_judged(views, *each)[0] for each in stretches[near].tolist()]
+    return replace(data, odometry=integrate(data.odometry[0], views.moves)) if turned.any() else data
 
 
 def driven_backwards(data: LogData, config: GraphConfig, since: int) -> Iterator[tuple[int, int, bool]]:
@@ -68,14 +67,23 @@ def driven_backwards(data: LogData, config: GraphConfig, since: int) -> Iterator
     """
     if data.max_range < AFTER:
         return
-    drive = _Drive(LocalViews(data, config, _WINDOW))
-    travel = drive.views.travel
-    for number, (begin, end) in enumerate(drive.stretches.tolist()):
+    views = LocalViews(data, config, _WINDOW)
+    travel = views.travel
+    for begin, end in _stretches(data.time, travel).tolist():
         if travel[since] < travel[end] + AFTER <= travel[-1]:
-            judged = drive.judged(number)
-            if judged.lead > 0.0:
-                drive.turn_round(number)
-                yield begin, end, judged.is_proof(config.reversing)
+            judged = _judged(views, begin, end)
+            if judged[0] > 0.0:
+                _turn_round(views, begin, end)
+                yield begin, end, _is_proof(judged, config)
+
+
+def _turn_round(views: LocalViews, begin: int, end: int) -> None:
+    views.moves[begin:end, :2] *= -1.0
+
+
+def _is_proof(judged: tuple[float, float], config: GraphConfig) -> bool:
+    """Whether a stretch that was judged contradicts that it was driven ahead."""
+    return judged[0] > 0.0 and judged[1] >= config.reversing.contradicted
 
 
 def reversed_distance(data: LogData, directed: LogData) -> tuple[float, int]:
@@ -86,75 +94,20 @@ def reversed_distance(data: LogData, directed: LogData) -> tuple[float, int]:
     return float(before[backwards].sum()), int(begins.sum())
 
 
-@dataclass(frozen=True)
-class _Judgement:
-    """What speaks for a stretch having been driven backwards.
+def _judged(views: LocalViews, begin: int, end: int) -> tuple[float, float]:
+    """By how much a stretch fits better than is needed if it was driven backwards.
 
-    Attributes
-    ----------
-    lead
-        By how much the stretch fits better than is needed if it was driven backwards.
-    contradicted
-        Share of its points that would lie in free space if it was driven ahead.
+    Also the share of its points that would lie in free space if it was driven ahead.
     """
-
-    lead: float
-    contradicted: float
-
-    def is_proof(self, settings: ReversingConfig) -> bool:
-        """Whether the stretch contradicts that it was driven ahead."""
-        return self.lead > 0.0 and self.contradicted >= settings.contradicted
-
-
-@dataclass(eq=False)
-class _Drive:
-    """A log divided into stretches between stops.
-
-    Attributes
-    ----------
-    views
-        The log and its motions, which change with what is found.
-    stretches
-        First event and last event (k, 2) of each stretch that is long enough to be judged.
-    has_changed
-        Whether any stretch was turned round.
-    """
-
-    views: LocalViews
-    stretches: IntArray = field(init=False)
-    has_changed: bool = field(init=False, default=False)
-
-    def __post_init__(self) -> None:
-        self.stretches = _stretches(self.views.data.time, self.views.travel)
-
-    def turn_round(self, number: int) -> None:
-        """Take a stretch as driven backwards."""
-        begin, end = self.stretches[number]
-        self.views.moves[begin:end, :2] *= -1.0
-        self.has_changed = True
-
-    def near(self, number: int) -> IntArray:
-        """The stretches whose comparison uses this stretch."""
-        begins, ends = self.views.travel[self.stretches.T]
-        reach = BEFORE + AFTER
-        return np.flatnonzero((begins <= ends[number] + reach) & (ends >= begins[number] - reach))
-
-    def judged(self, number: int) -> _Judgement:
-        """What speaks for a stretch having been driven backwards."""
-        begin, end = map(int, self.stretches[number])
-        views = self.views
-        known = views.known(begin)
-        if known is None:
-            return _Judgement(NO_MATCH, 0.0)
-        length = float(views.travel[end] - views.travel[begin])
-        moves = views.next_moves(begin, length + _BEYOND)
-        ahead = views.fit(known, begin, moves)
-        moves[: end - begin, :2] *= -1.0
-        backwards = views.fit(known, begin, moves)
-        if backwards.score < SCORES[0]:
-            return _Judgement(NO_MATCH, 0.0)
-        needed = _LEAD + _LEAD_PER_METRE * length
-        return _Judgement(backwards.score - ahead.score - needed, ahead.contradicted)
+    known, length = views.known(begin), float(views.travel[end] - views.travel[begin])
+    if known is None:
+        return NO_MATCH, 0.0
+    moves = views.next_moves(begin, length + _BEYOND)
+    ahead, contradicted = views.fit(known, begin, moves)
+    moves[: end - begin, :2] *= -1.0
+    backwards, _ = views.fit(known, begin, moves)
+    lead = backwards - ahead - _LEAD - _LEAD_PER_METRE * length
+    return (lead if backwards >= SCORES[0] else NO_MATCH), contradicted
 
 
 def _stretches(time: FloatArray, travel: FloatArray) -> IntArray:

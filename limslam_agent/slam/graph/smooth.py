@@ -10,14 +10,18 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.slam.graph.agreement import KEPT, NO_SUPPORT, OUTVOTED, LoopVerdict, supported
-from limslam_agent.slam.graph.bundle import Relations, bundle
+from limslam_agent.slam.graph.agreement import supported
 from limslam_agent.slam.graph.chunk_graph import (
+    KEPT,
     KEPT_WEIGHT,
+    NO_SUPPORT,
+    OUTVOTED,
     Hops,
     Loop,
     carry_over,
     inflated,
+    relations_of,
+    search_loops,
     solve_annealed,
 )
 from limslam_agent.slam.graph.key_poses import (
@@ -31,9 +35,9 @@ from limslam_agent.slam.graph.key_poses import (
     joined_bias,
     odometry_trajectory,
 )
+from limslam_agent.slam.graph.least_squares import Relations
 from limslam_agent.slam.graph.local_maps import chunk_middles, cut_chunks
-from limslam_agent.slam.graph.local_smoothing import local_covariances, smooth_locally
-from limslam_agent.slam.graph.loop_search import search_loops
+from limslam_agent.slam.graph.smoothing import bundle, cautious_equations, motion_covariances, smooth_locally
 from limslam_env.geometry import FloatArray, IntArray, se2
 
 # How often the delay of the ranges is estimated and corrected before the search. A correction of less, s, is the last.
@@ -52,8 +56,8 @@ class GraphResult:
         The key poses and their trajectory.
     errors
         The estimated constant errors (5,) of odometry, as in :class:`Trajectory`.
-    verdicts
-        The verdicts on all loops that were found.
+    loops
+        All loops that were found.
     chunk_keys
         The key poses (c,) in the middle of the chunks.
     """
@@ -62,7 +66,7 @@ class GraphResult:
     keys: KeyPoses = field(repr=False)
     trajectory: Trajectory = field(repr=False)
     errors: FloatArray
-    verdicts: list[LoopVerdict]
+    loops: list[Loop]
     chunk_keys: IntArray
 
     @property
@@ -73,7 +77,7 @@ class GraphResult:
     @property
     def relations(self) -> Relations:
         """The loops that are part of the result, as relations between key poses."""
-        return relations_of([verdict.loop for verdict in self.verdicts if verdict.kept], self.chunk_keys)
+        return _between_keys([loop for loop in self.loops if loop.reason == KEPT], self.chunk_keys)
 
 
 Report = Callable[[str], None]
@@ -145,10 +149,6 @@ class LogProblem:
     data: LogData
     config: GraphConfig
 
-    def hop_covariances(self, middles: IntArray) -> FloatArray:
-        """Covariances (c - 1, 3, 3) of the motions between chunks with the middles (c,), by the path without loops."""
-        return inflated(local_covariances(self.keys, self.local, middles, self.config, self.data.range_std))
-
 
 def smooth_with_loops(problem: LogProblem, trajectory: Trajectory, report: Report) -> GraphResult:
     """Find the loops between chunks that are cut from a trajectory, and solve for all key poses."""
@@ -156,23 +156,26 @@ def smooth_with_loops(problem: LogProblem, trajectory: Trajectory, report: Repor
     report("search for loops")
     middles = chunk_middles(keys, config.maps, config.maps.hop)
     poses = trajectory.poses[middles]
-    hops = Hops(se2.between(poses[:-1], poses[1:]), problem.hop_covariances(middles))
+    equations = cautious_equations(keys, problem.local, config, data.range_std)
+    covariances = inflated(motion_covariances(equations, problem.local.poses, middles))
+    hops = Hops(se2.between(poses[:-1], poses[1:]), covariances)
     found = search_loops(cut_chunks(keys, trajectory, config.maps, middles, data.max_range), poses[0], hops)
     good = supported(found, poses, keys.key_travel[middles])
     loops = [loop for loop, agreed in zip(found, good, strict=True) if agreed]
     report(f"all poses, {len(loops)} loops")
-    solution = solve_annealed(poses[0], hops, loops)
-    strong = solution.weights > KEPT_WEIGHT
-    kept = relations_of([loop for loop, each in zip(loops, strong, strict=True) if each], middles)
-    moved = carry_over(keys, trajectory, middles, solution.poses)
+    solved, weights = solve_annealed(poses[0], hops, loops)
+    judged = [
+        replace(loop, reason=KEPT if weight > KEPT_WEIGHT else OUTVOTED)
+        for loop, weight in zip(loops, weights, strict=True)
+    ]
+    judged += [replace(loop, reason=NO_SUPPORT) for loop, agreed in zip(found, good, strict=True) if not agreed]
+    moved = carry_over(keys, trajectory, middles, solved)
+    kept = _between_keys([loop for loop in judged if loop.reason == KEPT], middles)
     smoothed = bundle(keys, moved, kept, config, data.range_std)
-    verdicts = [LoopVerdict(loop, KEPT if each else OUTVOTED) for loop, each in zip(loops, strong, strict=True)]
-    verdicts += [LoopVerdict(loop, NO_SUPPORT) for loop, agreed in zip(found, good, strict=True) if not agreed]
-    return GraphResult("loops", keys, smoothed, smoothed.bias, verdicts, middles)
+    return GraphResult("loops", keys, smoothed, smoothed.bias, judged, middles)
 
 
-def relations_of(loops: Sequence[Loop], middles: IntArray) -> Relations:
+def _between_keys(loops: Sequence[Loop], middles: IntArray) -> Relations:
     """Loops between chunks with the middles (c,) as relations between key poses."""
-    ends = np.array([(loop.first, loop.second) for loop in loops], dtype=np.int64).reshape(-1, 2)
-    relative = np.array([loop.relative for loop in loops]).reshape(-1, 3)
-    return middles[ends], relative, np.array([loop.information for loop in loops]).reshape(-1, 3, 3)
+    ends, relative, information = relations_of(loops)
+    return middles[ends], relative, information

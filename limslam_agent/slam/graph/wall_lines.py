@@ -11,14 +11,11 @@ import numpy as np
 from limslam_agent.config.graph import WallLineConfig
 from limslam_agent.kernels.lines import extract_lines
 from limslam_agent.slam.graph.key_poses import ERRORS
+from limslam_agent.slam.graph.least_squares import add_robust, cross
 from limslam_agent.slam.graph.point_links import MIN_COSINE, PointCloud
-from limslam_agent.slam.least_squares.normal_equations import NormalEquations
-from limslam_env.compilation import entry_of
+from limslam_agent.slam.least_squares.normal_equations import NormalEquations, pose_columns
 from limslam_env.geometry import BoolArray, FloatArray, IntArray, no_rows
 from limslam_env.geometry.line import direction, normal
-
-# A kernel calls only kernels of its own file.
-kernel = entry_of(__name__)
 
 _OFFSET_BIN = 0.08  # m, of the Hough space
 
@@ -42,27 +39,22 @@ class WallLines:
     lines: IntArray
 
 
-def find_lines(cloud: PointCloud, config: WallLineConfig, window: float, tolerance: float) -> WallLines:
-    """Lines of points within ``tolerance`` m, in all windows of ``window`` m of driving."""
-    end = cloud.travel[-1] if len(cloud.travel) else 0.0
+def find_lines(cloud: PointCloud, config: WallLineConfig) -> WallLines:
+    """Lines of the points of all windows of driving."""
+    end, window = cloud.travel[-1] if len(cloud.travel) else 0.0, config.window
     begins = np.arange(0.0, max(end - 0.5 * window, 1e-3), 0.5 * window)
     spans = np.searchsorted(cloud.travel, np.column_stack((begins, begins + window)))
-    return lines_in(cloud.places, cloud.normals, cloud.good, spans, config, tolerance)
+    return lines_in(cloud.places, cloud.normals, cloud.good, spans, config)
 
 
 def lines_in(
-    places: FloatArray,
-    normals: FloatArray,
-    good: BoolArray,
-    spans: IntArray,
-    config: WallLineConfig,
-    tolerance: float,
+    places: FloatArray, normals: FloatArray, good: BoolArray, spans: IntArray, config: WallLineConfig
 ) -> WallLines:
     """Lines among the points of each span (w, 2), which is given by its first point and its last point (excluded)."""
     none = np.zeros(0, dtype=np.int64)
     angles, centres, points, owners, count = [np.zeros(0)], [no_rows(2)], [none], [none], 0
     for begin, end in spans.tolist():
-        label, turns = _window(places[begin:end], normals[begin:end], good[begin:end], config, tolerance)
+        label, turns = _window(places[begin:end], normals[begin:end], good[begin:end], config)
         members = np.flatnonzero(label >= 0)
         members = members[np.argsort(label[members], kind="stable")]
         firsts = np.flatnonzero(np.diff(label[members], prepend=-1))
@@ -77,7 +69,7 @@ def lines_in(
 
 
 def _window(
-    places: FloatArray, normals: FloatArray, good: BoolArray, config: WallLineConfig, tolerance: float
+    places: FloatArray, normals: FloatArray, good: BoolArray, config: WallLineConfig
 ) -> tuple[IntArray, FloatArray]:
     """The line of each point (p,) of a window, -1 for none, and the directions (l,) of the lines' normals, rad.
 
@@ -88,7 +80,7 @@ def _window(
     while True:
         voters = np.flatnonzero(good & (label < 0))
         owner, lines, ends = extract_lines(
-            places[voters], config.max_gap, config.min_points, _OFFSET_BIN, config.angle_bin, tolerance,
+            places[voters], config.max_gap, config.min_points, _OFFSET_BIN, config.angle_bin, config.tolerance,
             config.min_length, only_best=False,
         )  # fmt: skip
         voters, owner = voters[owner >= 0], owner[owner >= 0]
@@ -109,7 +101,7 @@ def _window(
     every, (low, high) = np.concatenate(found), np.concatenate(reach).T
     rest = np.flatnonzero(~good)
     off, along = places[rest] @ normal(every).T - every[:, 0], places[rest] @ direction(every).T
-    is_on = (np.abs(off) < tolerance) & (low < along) & (along < high)
+    is_on = (np.abs(off) < config.tolerance) & (low < along) & (along < high)
     if count:
         label[rest] = np.where(is_on.any(axis=1), is_on.argmax(axis=1), -1)
     return label, every[:, 1]
@@ -120,56 +112,22 @@ def add_lines(equations: NormalEquations, poses: FloatArray, cloud: PointCloud, 
 
     ``std`` (m) is the standard deviation of a point about its line, and the scale of the kernel.
     """
-    if not len(lines.angles):
-        return
-    places = cloud.places[lines.points]
-    pairs, hessian, gradient = _line_blocks(
-        poses, cloud.key[lines.points], places, lines.lines, lines.angles, lines.centres, std
-    )
+    key, own = cloud.key[lines.points], lines.lines
+    errors, jacobian = line_factor(poses[key], cloud.places[lines.points], lines.angles[own], lines.centres[own])
     first = 3 * len(poses) + ERRORS
-    columns = np.hstack((3 * pairs[:, :1] + np.arange(3), first + 2 * pairs[:, 1:] + np.arange(2)))
-    equations.add_blocks(columns, hessian, gradient)
-    own = first + np.arange(2 * len(lines.angles)).reshape(-1, 2)
-    equations.add_blocks(own, np.tile(0.01 * np.eye(2), (len(own), 1, 1)), np.zeros((len(own), 2)))
+    columns = np.hstack((pose_columns(key), first + 2 * own[:, None] + np.arange(2)))
+    add_robust(equations, columns, jacobian, errors, std, 1.0)
+    unknowns = first + np.arange(2 * len(lines.angles)).reshape(-1, 2)
+    equations.add(unknowns, np.tile(0.1 * np.eye(2), (len(unknowns), 1, 1)), np.zeros((len(unknowns), 2)))
 
 
-@kernel
-def line_error(pose: FloatArray, place: FloatArray, angle: float, centre: FloatArray, by: FloatArray) -> float:
-    """Distance of a point, observed from a pose, to a line; writes the derivatives by pose and line to ``by`` (5,)."""
-    nx, ny = np.cos(angle), np.sin(angle)
-    dx, dy = place[0] - centre[0], place[1] - centre[1]
-    by[0], by[1] = nx, ny
-    by[2] = (place[0] - pose[0]) * ny - (place[1] - pose[1]) * nx
-    by[3], by[4] = nx * dy - ny * dx, -1.0
-    return float(nx * dx + ny * dy)
+def line_factor(
+    poses: FloatArray, places: FloatArray, angles: FloatArray, centres: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Distances (k,) of points, seen from poses (k, 3), from lines; and their derivatives (k, 5) by pose and line.
 
-
-@kernel
-def _line_blocks(
-    poses: FloatArray,
-    key: IntArray,
-    places: FloatArray,
-    line: IntArray,
-    angles: FloatArray,
-    centres: FloatArray,
-    std: float,
-) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Sums over points sorted by line and key pose: pairs (k, 2) of key pose and line, (k, 5, 5), (k, 5)."""
-    count = 1
-    for row in range(1, len(key)):
-        count += 0 if key[row] == key[row - 1] and line[row] == line[row - 1] else 1
-    pairs = np.empty((count, 2), np.int64)
-    hessian, gradient, by = np.zeros((count, 5, 5)), np.zeros((count, 5)), np.empty(5)
-    last = -1
-    for row in range(len(key)):
-        a, b = key[row], line[row]
-        if last < 0 or pairs[last, 0] != a or pairs[last, 1] != b:
-            last += 1
-            pairs[last, 0], pairs[last, 1] = a, b
-        error = line_error(poses[a], places[row], angles[b], centres[b], by)
-        weight = 1.0 / ((1.0 + (error / std) ** 2) * std) ** 2
-        for u in range(5):
-            gradient[last, u] += weight * by[u] * error
-            for v in range(5):
-                hessian[last, u, v] += weight * by[u] * by[v]
-    return pairs, hessian, gradient
+    Points and centres of lines (k, 2) are given in the world.
+    """
+    normals, off = np.column_stack((np.cos(angles), np.sin(angles))), places - centres
+    by_pose = np.column_stack((normals, cross(places - poses[:, :2], normals)))
+    return np.sum(normals * off, axis=1), np.column_stack((by_pose, cross(normals, off), -np.ones(len(off))))

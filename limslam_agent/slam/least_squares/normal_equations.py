@@ -1,20 +1,28 @@
 """The sparse normal equations to which the factors of a graph are added, their solution, and covariances."""
 
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from typing import Literal
 
 import numpy as np
 from scipy.sparse import coo_matrix, csc_matrix
 from scipy.sparse.linalg import SuperLU, splu
 
-from limslam_agent.slam.least_squares.selected_inverse import selected_inverse
+from limslam_env.compilation import entry_of
 from limslam_env.geometry import FloatArray, IntArray
+
+# A kernel calls only kernels of its own file.
+kernel = entry_of(__name__)
 
 _FIXED = 3
 _AT_ONCE = 32
 # Share of the product of two unknowns' scales, at random. splu drops exact zeros, and a number that is never zero keeps
 # all places that the recursion of covariances visits. It is below the rounding errors of the matrix.
 _NEVER_ZERO = 1e-16
+
+
+def pose_columns(poses: IntArray) -> IntArray:
+    """Columns (k, 3) of poses (k,), which are the first unknowns."""
+    return np.asarray(3 * poses[:, None] + np.arange(3))
 
 
 class DegenerateError(ValueError):
@@ -44,7 +52,6 @@ class NormalEquations:
     _rows: list[IntArray] = field(init=False, default_factory=list)
     _columns: list[IntArray] = field(init=False, default_factory=list)
     _values: list[FloatArray] = field(init=False, default_factory=list)
-    _structure: "_Structure | None" = field(init=False, default=None)
 
     def __post_init__(self) -> None:
         self.gradient = np.zeros(self.size)
@@ -54,11 +61,6 @@ class NormalEquations:
         # The place of each unknown in the matrix. Those that are fixed come last, and are left out.
         self._places = np.empty(self.size, dtype=np.int32)
         self._places[np.append(self._free, np.flatnonzero(is_fixed))] = np.arange(self.size)
-
-    def restart(self) -> None:
-        """Forget all sums. The same factors are then added again, linearised at another state."""
-        self._values.clear()
-        self.gradient = np.zeros(self.size)
 
     def add(
         self, columns: IntArray, jacobian: FloatArray, error: FloatArray, information: FloatArray | None = None
@@ -72,11 +74,10 @@ class NormalEquations:
 
     def add_blocks(self, columns: IntArray, hessian: FloatArray, gradient: FloatArray) -> None:
         """Add given sums: columns (f, q), J^T W J (f, q, q) and J^T W e (f, q)."""
+        width, places = columns.shape[1], self._places[columns]
         self._values.append(hessian.ravel())
-        if self._structure is None:
-            width, places = columns.shape[1], self._places[columns]
-            self._rows.append(np.repeat(places, width, axis=1).ravel())
-            self._columns.append(np.tile(places, (1, width)).ravel())
+        self._rows.append(np.repeat(places, width, axis=1).ravel())
+        self._columns.append(np.tile(places, (1, width)).ravel())
         np.add.at(self.gradient, columns.ravel(), gradient.ravel())
 
     def factorise(self) -> SuperLU:
@@ -101,11 +102,16 @@ class NormalEquations:
 
     def covariances(self, columns: IntArray, jacobian: FloatArray) -> FloatArray:
         """Covariances (f, d, d) of quantities whose Jacobians (f, d, q) refer to the unknowns ``columns`` (f, q)."""
-        factors, found = self.factorise(), np.empty((len(jacobian), jacobian.shape[1], jacobian.shape[1]))
+        factors, (count, height, _) = self.factorise(), jacobian.shape
+        found = np.empty((count, height, height))
         # A few at a time, since each needs dense columns of all unknowns.
-        for begin in range(0, len(jacobian), _AT_ONCE):
+        for begin in range(0, count, _AT_ONCE):
             part = slice(begin, begin + _AT_ONCE)
-            found[part] = self._covariances(factors, columns[part], jacobian[part])
+            above, by = columns[part, :, None], jacobian[part]
+            places = np.arange(len(by) * height).reshape(-1, 1, height)
+            right = np.zeros((self.size, places.size))
+            right[above, places] = by.transpose(0, 2, 1)
+            found[part] = by @ self.solved(factors, right)[above, places]
         return found
 
     def covariance_of_last(self, factors: SuperLU, count: int) -> FloatArray:
@@ -126,7 +132,7 @@ class NormalEquations:
         lower, pivots = csc_matrix(factors.L), factors.U.diagonal()
         lower.sort_indices()
         values = np.empty(lower.nnz)
-        selected_inverse(lower.indptr.astype(np.int64), lower.indices.astype(np.int64), lower.data, pivots, values)
+        _selected_inverse(lower.indptr.astype(np.int64), lower.indices.astype(np.int64), lower.data, pivots, values)
         inverse = csc_matrix((values, lower.indices, lower.indptr), shape=lower.shape)
         places = self._places[columns]
         is_free = (places < len(pivots)).all(axis=1)
@@ -138,54 +144,9 @@ class NormalEquations:
 
     def _matrix(self) -> csc_matrix:
         """The matrix of the unknowns that are not fixed."""
-        if self._structure is None:
-            self._structure = _Structure.of(self._rows, self._columns, self.size, len(self._free))
-        return self._structure.summed(np.concatenate(self._values))
-
-    def _covariances(self, factors: SuperLU, columns: IntArray, jacobian: FloatArray) -> FloatArray:
-        count, height, _ = jacobian.shape
-        right = np.zeros((self.size, count * height))
-        places = np.arange(count * height).reshape(count, height)
-        right[columns[:, :, None], places[:, None, :]] = jacobian.transpose(0, 2, 1)
-        solved = self.solved(factors, right)
-        return np.asarray(jacobian @ solved[columns[:, :, None], places[:, None, :]])
-
-
-class _Structure(NamedTuple):
-    """Where the entries of a sparse matrix come from.
-
-    Attributes
-    ----------
-    order, firsts
-        The order of the values (k,) by which those of one entry follow each other, and the first value of each entry.
-    rows, columns
-        The row of each entry (e,), and the first entry of each column (n + 1,).
-    """
-
-    order: IntArray
-    firsts: IntArray
-    rows: IntArray
-    columns: IntArray
-
-    @classmethod
-    def of(cls, rows: list[IntArray], columns: list[IntArray], size: int, count: int) -> "_Structure":
-        """The structure of the first ``count`` rows and columns of a matrix, by the place of each value."""
-        places = np.concatenate(rows), np.concatenate(columns)
-        numbers = coo_matrix((np.arange(len(places[0])), places), shape=(size, size))
-        # Nothing is summed: sorting by rows and then by columns brings the values of each entry together.
-        numbers.has_canonical_format = True
-        ordered = numbers.tocsr().tocsc()[:count, :count]
-        column = np.repeat(np.arange(count), np.diff(ordered.indptr))
-        is_first = (np.diff(ordered.indices, prepend=-1) != 0) | (np.diff(column, prepend=-1) != 0)
-        firsts = np.flatnonzero(is_first)
-        ends = np.append(0, np.cumsum(np.bincount(column[firsts], minlength=count)))
-        return cls(ordered.data, firsts, ordered.indices[firsts], ends)
-
-    def summed(self, values: FloatArray) -> csc_matrix:
-        """The matrix with the sums of values (k,) as its entries."""
-        count = len(self.columns) - 1
-        sums = np.add.reduceat(values[self.order], self.firsts)
-        return csc_matrix((sums, self.rows, self.columns), shape=(count, count))
+        places, count = (np.concatenate(self._rows), np.concatenate(self._columns)), len(self._free)
+        whole = coo_matrix((np.concatenate(self._values), places), shape=(self.size, self.size))
+        return whole.tocsc()[:count, :count]
 
 
 def _factors(matrix: csc_matrix, order: Literal["NATURAL", "MMD_AT_PLUS_A"]) -> SuperLU:
@@ -193,3 +154,40 @@ def _factors(matrix: csc_matrix, order: Literal["NATURAL", "MMD_AT_PLUS_A"]) -> 
         return splu(matrix, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True})
     except RuntimeError as error:
         raise DegenerateError("the factors do not determine the unknowns") from error
+
+
+@kernel
+def _selected_inverse(
+    firsts: IntArray, rows: IntArray, lower: FloatArray, pivots: FloatArray, inverse: FloatArray
+) -> None:
+    """Entries of (L D L^T)^-1 where L has entries, from the last column to the first.
+
+    K. Takahashi, J. Fagan and M. Chin, "Formation of a sparse bus impedance matrix and its application to short circuit
+    study", 1973: z_ij = -sum over k of z_ik l_kj for i > j, and z_jj = 1 / d_j - sum over k of z_kj l_kj.
+
+    Parameters
+    ----------
+    firsts, rows, lower
+        The columns of L by their first entries (n + 1,), and the row and value of each entry (e,). The diagonal, which
+        is 1, is the first entry of each column.
+    pivots
+        The diagonal (n,) of D.
+    inverse
+        Output array (e,).
+    """
+    own, total = np.zeros(len(pivots)), np.zeros(len(pivots))
+    for column in range(len(pivots) - 1, -1, -1):
+        begin, end = firsts[column] + 1, firsts[column + 1]
+        for entry in range(begin, end):
+            own[rows[entry]], total[rows[entry]] = lower[entry], 0.0
+        for entry in range(begin, end):
+            other = rows[entry]
+            total[other] += inverse[firsts[other]] * own[other]
+            for place in range(firsts[other] + 1, firsts[other + 1]):
+                total[rows[place]] += inverse[place] * own[other]
+                total[other] += inverse[place] * own[rows[place]]
+        inverse[firsts[column]] = 1.0 / pivots[column]
+        for entry in range(begin, end):
+            inverse[entry] = -total[rows[entry]]
+            inverse[firsts[column]] += total[rows[entry]] * lower[entry]
+            own[rows[entry]] = 0.0

@@ -12,8 +12,8 @@ import numpy as np
 
 from limslam_agent.kernels.tables import BIN, GRAZING
 from limslam_agent.slam.line_graph.factors import rays
+from limslam_agent.slam.line_graph.line_merging import NEGATIVE, POSITIVE
 from limslam_agent.slam.line_graph.problem import State
-from limslam_agent.slam.line_graph.wall_faces import NEGATIVE, POSITIVE
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.line import direction, normal
 

@@ -13,7 +13,7 @@ from scipy.sparse.linalg import SuperLU
 
 from limslam_agent.kernels.tables import GRAZING
 from limslam_agent.slam.consistent.limits import LINE_PRIOR
-from limslam_agent.slam.least_squares.normal_equations import DegenerateError, NormalEquations
+from limslam_agent.slam.least_squares.normal_equations import DegenerateError, NormalEquations, pose_columns
 from limslam_agent.slam.line_graph.factors import Expected, motion_jacobians
 from limslam_agent.slam.line_graph.problem import Problem, State, expected, moved
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -77,11 +77,6 @@ class Unknowns:
         inner[:, 0] = False
         inner.ravel()[self.ends] = False
         return np.append(pose_columns(np.flatnonzero(inner)).ravel(), self.kept)
-
-
-def pose_columns(poses: IntArray) -> IntArray:
-    """The columns (k, 3) of poses (k,)."""
-    return np.asarray(3 * poses[:, None] + np.arange(3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -198,12 +193,11 @@ class _Graph:
 
     def __init__(self, problem: Problem, labels: IntArray, unknowns: Unknowns) -> None:
         self._problem, self._labels, self._unknowns = problem, labels, unknowns
-        self.equations = NormalEquations(unknowns.size, unknowns.order)
 
     def linearise(self, state: State, readings: Expected, weights: FloatArray) -> None:
         """Sum up the factors, linearised about a state."""
-        unknowns, equations = self._unknowns, self.equations
-        equations.restart()
+        unknowns = self._unknowns
+        equations = self.equations = NormalEquations(unknowns.size, unknowns.order)
         self._add_motions(state)
         self._add_readings(state, readings, weights)
         # Each line has a wide prior, which keeps its equations regular if it was read only once.

@@ -18,9 +18,9 @@ from limslam_agent.config.smoother import SmootherConfig
 from limslam_agent.kernels.tables import POSE
 from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with, poses_moved_with
 from limslam_agent.slam.consistent.wall_map import NEW, Wall
-from limslam_agent.slam.line_graph.line_smoother import pose_columns
+from limslam_agent.slam.least_squares.normal_equations import pose_columns
 from limslam_agent.slam.line_graph.reassociation import Association
-from limslam_agent.slam.line_graph.smoothed_map import contradictions, drawn_pieces, wall_extents
+from limslam_agent.slam.line_graph.smoothed_map import contradictions, drawn_pieces, tally
 from limslam_agent.slam.line_graph.smoother import FilteredRun, filter_labels, settle
 from limslam_env.geometry import FloatArray, IntArray
 
@@ -69,7 +69,7 @@ def _joined(start: MapState, found: Association, labels: IntArray) -> MapState:
     ``labels`` (k,) are the numbers of the landmarks that the filter has taken the readings for, or -1.
     """
     state, solution = found.state, found.solution
-    extents = {index: extent for index, extent in wall_extents(found).items() if len(drawn_pieces(extent))}
+    extents = {index: extent for index, extent in enumerate(tally(found)[0]) if len(drawn_pieces(extent))}
     kept, counts = np.array(list(extents), dtype=int), np.bincount(found.labels + 1)[1:]
     lines, anchors, last = state.lines[kept], state.anchors[kept], state.poses[0, -1]
     columns = np.append(

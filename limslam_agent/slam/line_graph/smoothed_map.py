@@ -3,7 +3,7 @@
 Beams confirm a wall where they end, and contradict it where they pass through.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -18,31 +18,8 @@ from limslam_env.geometry import FloatArray, IntArray, no_rows
 from limslam_env.geometry.line import direction, normal, normalise
 
 
-@dataclass(frozen=True, eq=False)
-class Tally:
-    """Counts of the beams that confirm or contradict each line, in bins of 5 cm along the line.
-
-    Attributes
-    ----------
-    low
-        Index of the first bin of each line (m,).
-    hits, misses
-        Numbers (m, b) of beams that ended in each bin, and of beams that passed through it.
-    reached
-        Least and largest position (m, 2, b) of a hit in each bin, m along the line.
-    contradictions
-        Number of beams that passed through any wall.
-    """
-
-    low: IntArray
-    hits: IntArray
-    misses: IntArray
-    reached: FloatArray
-    contradictions: int
-
-
-def tally(found: Association) -> Tally:
-    """Count hits and misses along the lines of a solution."""
+def tally(found: Association) -> tuple[list[WallExtent], int]:
+    """Where along each line of a solution beams ended and passed, and the number of beams that passed through walls."""
     problem, state, used = found.problem, found.state, found.labels >= 0
     looks = problem.looks
     labels, along = found.labels[used], places_along(problem, state, found.labels)[used]
@@ -58,7 +35,8 @@ def tally(found: Association) -> Tally:
     np.maximum.at(reached[:, 1], (labels, bins), along)
     margin = THROUGH_SIGMAS * problem.range_std + THROUGH_SLACK
     misses, crossed = count_crossings(state, looks.places, problem.look_beams, looks.distances, low, hits, margin)
-    return Tally(low, hits, misses, reached, crossed)
+    counted = np.stack((hits, misses), axis=1)
+    return [WallExtent(int(first), *each) for first, *each in zip(low, counted, reached, strict=True)], crossed
 
 
 def contradictions(found: Association) -> float:
@@ -73,7 +51,7 @@ def contradictions(found: Association) -> float:
     lasts = is_empty[:-2] & is_empty[1:-1] & is_empty[2:]
     counts = problem.is_hit | lasts[looks.places, looks.beams]
     kept = Readings(looks.places[counts], looks.beams[counts], looks.distances[counts])
-    return tally(replace(found, problem=replace(problem, looks=kept))).contradictions / max(len(kept), 1)
+    return tally(replace(found, problem=replace(problem, looks=kept)))[1] / max(len(kept), 1)
 
 
 def smoothed_map(found: Association) -> tuple[list[Landmark], FloatArray]:
@@ -109,17 +87,6 @@ def world_lines(found: Association) -> tuple[FloatArray, FloatArray]:
     return normalise(lines), np.asarray(jacobians @ blocks @ np.swapaxes(jacobians, 1, 2))
 
 
-def wall_extents(found: Association) -> dict[int, WallExtent]:
-    """Where along each line beams ended and passed, by the line's index."""
-    counted = tally(found)
-    return {
-        index: WallExtent(
-            int(counted.low[index]), np.stack((counted.hits[index], counted.misses[index])), counted.reached[index]
-        )
-        for index in range(len(counted.low))
-    }
-
-
 def drawn_pieces(extent: WallExtent) -> FloatArray:
     """The pieces (k, 2) of a line that are drawn as walls, m along the line."""
     return extent.intervals(MAX_GAP, THROUGH_TOLERANCE)
@@ -129,7 +96,7 @@ def _drawn(found: Association) -> tuple[FloatArray, IntArray]:
     """The wall segments (k, 4), m, and the line (k,) of each."""
     drawn, owners = [no_rows(4)], [np.zeros(0, dtype=np.int64)]
     along = places_along(found.problem, found.state, found.labels)
-    for index, extent in wall_extents(found).items():
+    for index, extent in enumerate(tally(found)[0]):
         pieces, own = drawn_pieces(extent), along[found.labels == index, None]
         count = np.sum((own >= pieces[:, 0]) & (own <= pieces[:, 1]), axis=0)
         # Many beams that end at one point show no wall.

@@ -15,31 +15,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig, LocalMapConfig
-from limslam_agent.slam.graph.chunk_graph import inflated
-from limslam_agent.slam.graph.key_poses import KEY_DISTANCE, KEY_TURN, LogData, calibrated_motion, motion_variances
+from limslam_agent.slam.graph.chunk_graph import SCORES_WHILE_DRIVING, ChunkGraph, inflated
+from limslam_agent.slam.graph.key_poses import (
+    ERRORS,
+    KEY_DISTANCE,
+    KEY_TURN,
+    LogData,
+    calibrated_motion,
+    motion_variances,
+)
 from limslam_agent.slam.graph.local_maps import cut_chunks
-from limslam_agent.slam.graph.loop_search import SCORES_WHILE_DRIVING, ChunkGraph
 from limslam_agent.slam.graph.reversing import LEAST_LENGTH, driven_backwards
-from limslam_agent.slam.online_graph.local_frame import LocalFrame, OdometryErrors, smooth_window
-from limslam_agent.slam.online_graph.recent_events import RecentEvents
+from limslam_agent.slam.online_graph.window import LocalFrame, RecentEvents, smooth_window
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import between, compose, compose_jacobians
 
 _WINDOW = 15.0
 """Distance driven that is smoothed, m: the walls of the local smoothing reach over 10 m, and a chunk over 7 m."""
-
-_REVISED = 2
-"""Number of earlier motions between chunks that each window estimates anew."""
-
-
-@dataclass(frozen=True, eq=False)
-class Beams:
-    """Origins (b, 2), m, and directions (b,), rad, of the beams; their longest range, m, and its noise, m."""
-
-    origins: FloatArray
-    angles: FloatArray
-    max_range: float
-    range_std: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,8 +62,8 @@ class OnlineGraph:
 
     Parameters
     ----------
-    beams
-        How the ranges are measured.
+    log
+        A log of the robot. Only its beams, their longest range and their noise are used, and none of its events.
     start
         Pose (3,) of the first event.
     config
@@ -82,7 +74,7 @@ class OnlineGraph:
     pose, covariance
         The pose (3,) at the last event, and its covariance (3, 3).
     errors
-        What is known of the constant errors of odometry.
+        The constant errors (5,) of odometry that are known.
     places
         The graph of chunks; None before the first chunk is complete.
     job_ms
@@ -91,16 +83,16 @@ class OnlineGraph:
 
     places: ChunkGraph | None
 
-    def __init__(self, beams: Beams, start: FloatArray, config: GraphConfig | None = None) -> None:
-        self._beams, self._config = beams, config or GraphConfig()
+    def __init__(self, log: LogData, start: FloatArray, config: GraphConfig | None = None) -> None:
+        self._log, self._config = log, config or GraphConfig()
         self._recent, self.places = RecentEvents(), None
         self._start = np.asarray(start, dtype=float)
-        self.errors = OdometryErrors.unknown(self._config.motion)
+        self.errors = np.zeros(ERRORS)
         self._ridden, self._variances = np.zeros(3), np.zeros(3)
-        self._anchor = Anchor(self._ridden, self._variances, self._start, np.zeros((3, 3)), self.errors.mean)
+        self._anchor = Anchor(self._ridden, self._variances, self._start, np.zeros((3, 3)), self.errors)
         self._waiting: Anchor | None = None
         self._chunk_std, self._first_covariance = 0.0, np.zeros((3, 3))
-        self._middles = [0]  # events in the middle of the last chunks
+        self._middle = 0  # event in the middle of the last chunk
         self._last_job, self._proofs = 0, 0  # event of the last job; stretches that prove that odometry has no sign
         self._reversed = list[tuple[int, int]]()  # stretches that are to be turned round if that is proven
         self._job_at = _remainder(self._config.maps)
@@ -161,16 +153,14 @@ class OnlineGraph:
         if frame is not None:
             self.errors = frame.errors
             pose, covariance = self._placed(frame)
-            self._waiting = Anchor(self._ridden, self._variances, pose, covariance, self.errors.mean)
+            self._waiting = Anchor(self._ridden, self._variances, pose, covariance, self.errors)
         if self.places is not None:
-            self._middles = self._middles[-1 - _REVISED :]
-            recent.forget_before(min(recent.at(recent.travel + maps.hop - _WINDOW), self._middles[0]))
+            recent.forget_before(min(recent.at(recent.travel + maps.hop - _WINDOW), self._middle))
 
     def _directed(self) -> LogData:
         """The last events. What was driven backwards is turned round if odometry has no sign."""
-        beams, recent, reversing = self._beams, self._recent, self._config.reversing
-        layout = beams.origins, beams.angles, beams.max_range, beams.range_std
-        data = recent.data(*layout)
+        recent, reversing = self._recent, self._config.reversing
+        data = recent.data(self._log)
         if recent.backwards >= LEAST_LENGTH:
             return data
         for begin, end, is_proof in driven_backwards(data, self._config, self._last_job - recent.first):
@@ -182,7 +172,7 @@ class OnlineGraph:
                 if begin >= recent.first:
                     recent.turn_round(begin, end)
             self._reversed.clear()
-        return recent.data(*layout)
+        return recent.data(self._log)
 
     def _placed(self, frame: LocalFrame) -> tuple[FloatArray, FloatArray]:
         """Pose (3,) and covariance (3, 3) of the last event of the window, after its chunk has been added."""
@@ -204,21 +194,18 @@ class OnlineGraph:
         """Add the chunk around a key pose of the window to the graph."""
         recent, config = self._recent, self._config
         event = recent.first + int(frame.keys.first_event[key])
-        (chunk,) = cut_chunks(frame.keys, frame.trajectory, config.maps, np.array([key]), self._beams.max_range)
-        chunk = replace(chunk, middle=event, travel=recent.travel_at(event))
-        pose = frame.trajectory.poses[key]
-        before = self._middles
-        keys = np.array([frame.keys.event_key[before[-1] - recent.first], key])
-        own = inflated(frame.covariances(keys))[0]
+        (chunk,) = cut_chunks(frame.keys, frame.trajectory, config.maps, np.array([key]), self._log.max_range)
+        chunk = replace(chunk, travel=recent.travel_at(event))
+        pose, before = frame.trajectory.poses[key], self._middle - recent.first
+        own = inflated(frame.covariances(np.array([frame.keys.event_key[before], key])))[0]
+        motion = between(frame.poses[before], pose)
         if self.places is None:
-            motion = between(frame.poses[0], pose)
             self._first_covariance = moved_covariance(self._start, np.zeros((3, 3)), motion, own)
-            self.places, self._middles = ChunkGraph(chunk, compose(self._start, motion), SCORES_WHILE_DRIVING), []
+            self.places = ChunkGraph(chunk, compose(self._start, motion), SCORES_WHILE_DRIVING)
         else:
-            path = np.vstack((frame.poses[np.array(before) - recent.first], pose))
-            self.places.add(chunk, between(path[:-1], path[1:]), own)
+            self.places.add(chunk, motion, own)
             self._chunk_std = self.places.position_std
-        self._middles.append(event)
+        self._middle = event
 
 
 def moved_covariance(pose: FloatArray, covariance: FloatArray, motion: FloatArray, own: FloatArray) -> FloatArray:

@@ -5,13 +5,13 @@ import numpy as np
 from limslam_agent.config.graph import PointConfig
 from limslam_agent.slam.graph.key_poses import LogData, Trajectory, choose_keys, odometry_trajectory
 from limslam_agent.slam.graph.least_squares import (
-    NormalEquations,
-    link_error,
+    add_robust,
+    link_factor,
     odometry_factor,
-    pose_columns,
     relation_factor,
 )
-from limslam_agent.slam.graph.wall_lines import line_error
+from limslam_agent.slam.graph.wall_lines import line_factor
+from limslam_agent.slam.least_squares.normal_equations import NormalEquations, pose_columns
 
 RNG = np.random.default_rng(3)
 
@@ -63,29 +63,46 @@ def test_odometry_jacobian_by_poses_and_constant_errors():
         assert np.allclose(jacobian[row, :, :6], by_poses[row, :, 3 * row : 3 * row + 6], atol=1e-7)
 
 
+def rotation(heading):
+    return np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
+
+
 def test_link_jacobian():
     poses = RNG.normal(0.0, 2.0, (2, 3))
     point, other = RNG.normal(0.0, 2.0, (2, 2))
     normal = np.array([np.cos(0.7), np.sin(0.7)])
-    by, scratch = np.empty(6), np.empty(6)
-    link_error(poses[0], poses[1], point, other, normal, by)
-    wanted = central_differences(lambda both: link_error(both[0], both[1], point, other, normal, scratch), poses)
-    assert np.allclose(by, wanted, atol=1e-7)
+
+    def factor(both):
+        (first, second), turns = both, [rotation(each[2]) for each in both]
+        in_world = turns[0] @ point + first[:2], turns[1] @ other + second[:2], turns[1] @ normal
+        return link_factor(first[None], second[None], *(each[None] for each in in_world))
+
+    wanted = central_differences(lambda both: factor(both)[0][0], poses)
+    assert np.allclose(factor(poses)[1][0], wanted, atol=1e-7)
 
 
 def test_line_jacobian():
     pose, place = RNG.normal(0.0, 2.0, 3), RNG.normal(0.0, 2.0, 2)
-    centre, angle, scratch, by = RNG.normal(0.0, 2.0, 2), 0.4, np.empty(5), np.empty(5)
-    in_robot = np.array([[np.cos(pose[2]), np.sin(pose[2])], [-np.sin(pose[2]), np.cos(pose[2])]]) @ (place - pose[:2])
+    centre, angle = RNG.normal(0.0, 2.0, 2), 0.4
 
-    def error(unknowns):
+    def factor(unknowns):
         x, y, heading, turn, offset = unknowns
-        rotation = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
-        moved = centre + offset * np.array([np.cos(angle), np.sin(angle)])
-        return line_error(pose, rotation @ in_robot + [x, y], angle + turn, moved, scratch)
+        moved, seen = centre + offset * np.array([np.cos(angle), np.sin(angle)]), rotation(heading) @ place + [x, y]
+        return line_factor(np.array([[x, y, heading]]), seen[None], np.array([angle + turn]), moved[None])
 
-    line_error(pose, place, angle, centre, by)
-    assert np.allclose(by, central_differences(error, np.append(pose, [0.0, 0.0])), atol=1e-7)
+    unknowns = np.append(pose, [0.0, 0.0])
+    wanted = central_differences(lambda each: factor(each)[0][0], unknowns)
+    assert np.allclose(factor(unknowns)[1][0], wanted, atol=1e-7)
+
+
+def test_robust_factors_are_summed_with_their_weights():
+    columns = np.array([[0, 1, 3], [0, 1, 4], [0, 1, 3], [2, 1, 4]])
+    jacobian, errors, equations = RNG.normal(size=(4, 3)), np.array([0.1, -0.4, 0.02, 3.0]), NormalEquations(5)
+    add_robust(equations, columns, jacobian, errors, 0.2, 2.0)
+    wanted = np.zeros(5)
+    for row, each, error in zip(columns, jacobian, errors, strict=True):
+        wanted[row] += each * error / ((1.0 + (error / 0.4) ** 2) * 0.2) ** 2
+    assert np.allclose(equations.gradient, wanted)
 
 
 def test_the_sparse_step_equals_a_dense_one():

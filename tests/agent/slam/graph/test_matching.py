@@ -1,7 +1,5 @@
 """Matching of local maps: against a plain search, and matches that must be found."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -25,8 +23,8 @@ def corner(generator, count=60):
 
 def chunk_of(places):
     origins = np.zeros_like(places)
-    grid = draw_grid(places, origins, 160, MAPS)
-    return LocalMap(0, 0.0, places, origins, thinned(places, MAPS.cell), grid, MAPS.cell)
+    grid = draw_grid(places, origins, 4.5, MAPS)
+    return LocalMap(0.0, thinned(places, MAPS.cell), grid, MAPS.cell)
 
 
 def score_at(chunk, points, pose):
@@ -42,7 +40,7 @@ def test_the_best_pose_of_a_window_is_found(seed):
     chunk = chunk_of(corner(generator))
     points = thinned(se2.transform_points(generator.normal(0.0, 0.3, 3), corner(generator, 30)), MAPS.cell)
     window, guess = Window(1.3, np.radians(20.0), np.radians(5.0)), generator.normal(0.0, 0.2, 3)
-    found = match(search_grid(chunk, window.shift), points, guess, window, -1.0)
+    found = match(search_grid(chunk.grid, MAPS.cell, window.shift), points, guess, window, -1.0)
     best = NO_MATCH
     for turn, x, y in np.ndindex(9, 27, 27):
         pose = guess + np.array([(x - 13) * 0.1, (y - 13) * 0.1, np.radians(5.0 * (turn - 4))])
@@ -56,7 +54,7 @@ def test_points_beyond_the_grid_are_found():
     generator = np.random.default_rng(5)
     chunk = chunk_of(corner(generator))
     points = chunk.points + np.array([9.0, -9.0])
-    grid = search_grid(chunk, 10.0)
+    grid = search_grid(chunk.grid, MAPS.cell, 10.0)
     found = match(grid, points, np.zeros(3), Window(10.0, 0.2, 0.1), 0.5)
     assert found.pose[:2] == pytest.approx([-9.0, 9.0], abs=0.11)
 
@@ -65,7 +63,7 @@ def test_nothing_is_found_where_nothing_fits():
     generator = np.random.default_rng(8)
     chunk = chunk_of(corner(generator))
     points = generator.uniform(-3.0, 3.0, (80, 2))
-    grid = search_grid(chunk, 2.0)
+    grid = search_grid(chunk.grid, MAPS.cell, 2.0)
     assert match(grid, points, np.zeros(3), Window(2.0, 0.3, 0.1), 0.9).score == NO_MATCH
     assert match(grid, points[:0], np.zeros(3), Window(2.0, 0.3, 0.1), 0.0).score == NO_MATCH
 
@@ -81,12 +79,12 @@ def corridor(*ends):
 def test_a_match_is_known_along_a_corridor_only_by_what_stands_out_there(ends, std):
     places = corridor(*ends)
     origins = np.column_stack((0.9 * places[:, 0], np.zeros(len(places))))
-    grid = draw_grid(places, origins, 160, MAPS)
-    chunk = LocalMap(0, 0.0, places, origins, thinned(places, MAPS.cell), grid, MAPS.cell)
-    search, guess = search_grid(chunk, 4.0), np.array([0.0, 0.0, 0.3])
+    grid = draw_grid(places, origins, 4.5, MAPS)
+    chunk = LocalMap(0.0, thinned(places, MAPS.cell), grid, MAPS.cell)
+    search, guess = search_grid(chunk.grid, MAPS.cell, 4.0), np.array([0.0, 0.0, 0.3])
     points = se2.transform_points(se2.inverse(guess), chunk.points)
     turned = se2.transform_points(se2.inverse(guess), places), se2.transform_points(se2.inverse(guess), origins)
-    back = search_grid(replace(chunk, points=points, grid=draw_grid(*turned, 160, MAPS)), 4.0)
+    back = search_grid(draw_grid(*turned, 4.5, MAPS), MAPS.cell, 4.0)
     _, covariance = match_covariance(search, points, guess, np.radians(3.0), (back, chunk.points))
     assert std[0] < np.sqrt(covariance[0, 0]) < std[1]
     assert np.sqrt(covariance[1, 1]) < 0.2
@@ -94,7 +92,7 @@ def test_a_match_is_known_along_a_corridor_only_by_what_stands_out_there(ends, s
 
 def test_too_few_points_to_tell_places_apart_are_not_matched():
     chunk = chunk_of(corner(np.random.default_rng(3)))
-    grid, window = search_grid(chunk, 0.6), Window(0.6, 0.2, 0.1)
+    grid, window = search_grid(chunk.grid, MAPS.cell, 0.6), Window(0.6, 0.2, 0.1)
     enough = chunk.points[: matching.LEAST_POINTS]
     assert match(grid, enough, np.zeros(3), window, 0.6).score > 0.9
     assert match(grid, enough[1:], np.zeros(3), window, 0.6).score == NO_MATCH

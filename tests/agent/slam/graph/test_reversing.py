@@ -10,7 +10,7 @@ from support.drives import drive, room, straight, turn
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.slam.graph.key_poses import LogData, integrate
 from limslam_agent.slam.graph.reversing import reversed_distance, with_reversing
-from limslam_agent.slam.online_graph.online_graph import Beams, OnlineGraph
+from limslam_agent.slam.online_graph.online_graph import OnlineGraph
 from limslam_env.geometry import se2
 
 CONFIG = GraphConfig()
@@ -56,7 +56,7 @@ def test_a_stretch_is_found_while_driving():
     wheels = straight(9.8) + STOP + straight(-1.6) + STOP + straight(1.6) + turn(90.0, SIX_BEAMS) + straight(6.0)
     signed = recorded_drive(walls(), wheels)
     log, config = without_signs(signed), replace(CONFIG, reversing=replace(CONFIG.reversing, fewest=1))
-    graph = OnlineGraph(Beams(log.origins, log.angles, log.max_range, log.range_std), log.odometry[0], config)
+    graph = OnlineGraph(log, log.odometry[0], config)
     for event in zip(log.time, log.odometry, log.ranges, log.hit, strict=True):
         graph.step(*event)
     assert np.hypot(*(log.odometry - signed.odometry)[-1, :2]) > 3.0

@@ -12,6 +12,7 @@ from limslam_agent.config.graph import GraphConfig
 from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.relations import read_relations, relation_errors, summary
 from limslam_agent.replay.smoothing import log_data
+from limslam_agent.slam.graph.chunk_graph import KEPT
 from limslam_agent.slam.graph.key_poses import delayed
 from limslam_agent.slam.graph.smooth import rounds
 from limslam_env.geometry import se2
@@ -56,7 +57,7 @@ def test_the_same_log_gives_the_same_poses_and_the_stages_are_reported(two_laps)
     assert np.array_equal(smooth_log(log, truth[0], CONFIG, stages.append).poses, result.poses)
     assert stages[:2] == ["local smoothing", "search for loops"]
     match = re.fullmatch(r"all poses, (\d+) loops", stages[2])
-    assert int(match[1]) >= sum(verdict.kept for verdict in result.verdicts) >= 5
+    assert int(match[1]) >= sum(loop.reason == KEPT for loop in result.loops) >= 5
 
 
 def test_start_pose_and_frame_of_odometry_only_move_the_result(two_laps):
@@ -85,7 +86,7 @@ def test_a_log_without_readings_is_its_odometry():
 def test_a_short_log_needs_no_loops(count):
     log, truth = corridor_log(laps=1)
     result = smooth_log(first_events(log, count), truth[0])
-    assert result.verdicts == []
+    assert result.loops == []
     assert np.abs(result.poses - truth[:count]).max() < 0.3
 
 

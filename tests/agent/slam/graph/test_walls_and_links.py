@@ -33,7 +33,7 @@ def test_walls_of_a_window_are_found_with_their_points():
     sides = [np.column_stack((along, np.full(60, y))) + generator.normal(0.0, 0.01, (60, 2)) for y in (1.0, -1.0)]
     places = np.vstack(sides)
     normals = np.vstack((np.tile([0.0, -1.0], (60, 1)), np.tile([0.0, 1.0], (60, 1))))
-    lines = lines_in(places, normals, np.ones(120, dtype=bool), np.array([[0, 120]]), WallLineConfig(), 0.12)
+    lines = lines_in(places, normals, np.ones(120, dtype=bool), np.array([[0, 120]]), WallLineConfig())
     assert len(lines.angles) == 2
     assert sorted(np.round(lines.centres[:, 1], 1)) == [-1.0, 1.0]
     assert np.bincount(lines.lines).tolist() == [60, 60]

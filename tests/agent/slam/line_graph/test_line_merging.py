@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from limslam_agent.slam.line_graph.line_merging import Lines, merge_lines, wall_kinds
-from limslam_agent.slam.line_graph.wall_faces import NEGATIVE, POSITIVE
+from limslam_agent.slam.line_graph.line_merging import NEGATIVE, POSITIVE, Lines, merge_lines, wall_kinds
 
 UNSEEN = [np.inf, -np.inf]
 

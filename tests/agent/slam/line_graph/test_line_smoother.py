@@ -5,8 +5,9 @@ import pytest
 from support.drives import ROBOT
 from support.smoother_runs import noisy_run, state_from_motions, true_labels
 
+from limslam_agent.slam.least_squares.normal_equations import pose_columns
 from limslam_agent.slam.line_graph.factors import expected_readings, motion_jacobians, motions_between
-from limslam_agent.slam.line_graph.line_smoother import pose_columns, solve
+from limslam_agent.slam.line_graph.line_smoother import solve
 from limslam_agent.slam.line_graph.problem import (
     CALIBRATION_PRIOR,
 )

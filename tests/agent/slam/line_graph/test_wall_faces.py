@@ -7,7 +7,7 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
-from limslam_agent.slam.line_graph.wall_faces import (
+from limslam_agent.slam.line_graph.line_merging import (
     ELSEWHERE,
     LEAST_SHARE,
     PRIOR_LENGTH,

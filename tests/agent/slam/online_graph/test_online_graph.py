@@ -9,9 +9,8 @@ from support.corridors import SIX_BEAMS, corridor_log
 from limslam_agent.config.presets import preset
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.mapping.mapper import Mapper
-from limslam_agent.replay import hand_over
-from limslam_agent.replay.filter_estimate import FilterEstimate
-from limslam_agent.slam.online_graph.online_graph import Beams, OnlineGraph
+from limslam_agent.replay.hand_over import LogEstimate
+from limslam_agent.slam.online_graph.online_graph import OnlineGraph
 from limslam_agent.status.status import Status
 from limslam_env.interface import NominalNoise
 
@@ -21,8 +20,7 @@ CUT = 400
 
 def driven(data, start, count):
     """The graph after the first events, and at each: pose, covariance, whether there was a job, and position_std."""
-    beams = Beams(data.origins, data.angles, data.max_range, data.range_std)
-    graph, found = OnlineGraph(beams, start), []
+    graph, found = OnlineGraph(data, start), []
     for row in range(count):
         graph.step(data.time[row], data.odometry[row], data.ranges[row], data.hit[row])
         found.append((graph.pose, graph.covariance, graph.job_ms > 0.0, graph.position_std))
@@ -67,18 +65,17 @@ def test_the_graph_goes_on_once_the_filter_is_lost(monkeypatch):
         odometry=data.odometry[:count],
     )  # fmt: skip
     config, steps = preset("graph", NominalNoise(0.01)), []
-    monkeypatch.setattr(
-        FilterEstimate, "status", property(lambda _: Status("lost", "") if len(steps) > lost else Status())
-    )
-    both = hand_over.HandedOverEstimate(Mapper(SIX_BEAMS, config, log.start_pose), log, config.smoothing)
+    is_lost = property(lambda _: [Status("lost", "") if len(steps) > lost else Status()])
+    monkeypatch.setattr(Mapper, "statuses", is_lost)
+    both = LogEstimate(Mapper(SIX_BEAMS, config, log.start_pose), log)
     alone = Mapper(SIX_BEAMS, config, log.start_pose)
     for observation in log.observations():
         steps.append(observation)
-        both.step(observation)
+        found = both.step(observation)
         alone.step(observation)
-        np.testing.assert_array_equal(both.odometry, alone.odometry[0])
-        assert np.array_equal(both.pose, alone.slam.pose) == (len(steps) <= lost)
+        np.testing.assert_array_equal(found.odometry, alone.odometry[0])
+        assert np.array_equal(found.pose, alone.slam.pose) == (len(steps) <= lost)
     assert both.handed_over == lost
-    assert np.hypot(*(both.pose - truth[count - 1])[:2]) < 0.5
+    assert np.hypot(*(found.pose - truth[count - 1])[:2]) < 0.5
     monkeypatch.setattr(OnlineGraph, "position_std", 2.34)
     assert both.status == Status("unsure", "the position in the map may be 2.3 m off")

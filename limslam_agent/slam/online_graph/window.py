@@ -1,0 +1,140 @@
+"""The latest events, and the local frame: the last metres of driving, smoothed with the known errors of odometry.
+
+The constant errors of odometry are estimated in each window anew. A window alone says little about them, and successive
+windows overlap. So each window adds what it finds beside the known errors, by the share of driving that is new in it.
+"""
+
+import math
+from bisect import bisect_left
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from limslam_agent.config.graph import GraphConfig, SmoothingConfig
+from limslam_agent.slam.graph.key_poses import (
+    KeyPoses,
+    LogData,
+    Trajectory,
+    choose_keys,
+    corrected,
+    event_poses,
+    integrate,
+    joined_bias,
+    odometry_trajectory,
+)
+from limslam_agent.slam.graph.smoothing import cautious_equations, motion_covariances, smooth_locally
+from limslam_agent.slam.least_squares.normal_equations import NormalEquations
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry.se2 import between
+
+_ITERATIONS = SmoothingConfig(link_iterations=3, line_iterations=5)
+"""Fewer iterations than for a whole log: the errors of odometry are nearly known, and a window is short."""
+
+
+class RecentEvents:
+    """The latest events of a robot that reports poses of odometry, with their numbers since the beginning.
+
+    Attributes
+    ----------
+    first
+        Number of the first event that is still known.
+    travel, turned, backwards
+        Distance driven, m, angle turned, rad, and distance driven backwards, m, by odometry up to the last event.
+    """
+
+    def __init__(self) -> None:
+        self.first, self.travel, self.turned, self.backwards = 0, 0.0, 0.0, 0.0
+        self._odometry: FloatArray | None = None
+        self._times, self._travels = list[float](), list[float]()
+        self._moves, self._ranges, self._hits = list[FloatArray](), list[FloatArray](), list[BoolArray]()
+
+    @property
+    def last(self) -> int:
+        """Number of the last event."""
+        return self.first + len(self._times) - 1
+
+    def append(self, time: float, odometry: FloatArray, ranges: FloatArray, hit: BoolArray) -> None:
+        """Note an event: its time, s, pose of odometry (3,), ranges (b,), m, and whether each saw a wall (b,)."""
+        move = np.zeros(3) if self._odometry is None else between(self._odometry, odometry)
+        self._odometry = np.array(odometry)
+        self.travel += math.hypot(move[0], move[1])
+        self.turned += abs(float(move[2]))
+        self.backwards -= min(float(move[0]), 0.0)
+        self._times.append(time)
+        self._travels.append(self.travel)
+        for events, each in ((self._moves, move), (self._ranges, ranges), (self._hits, hit)):
+            events.append(np.array(each))
+
+    def at(self, travel: float) -> int:
+        """Number of the first event at which this distance was driven, m, or of the last event."""
+        return min(self.first + bisect_left(self._travels, travel), self.last)
+
+    def travel_at(self, event: int) -> float:
+        """Distance driven up to an event, m."""
+        return self._travels[event - self.first]
+
+    def forget_before(self, event: int) -> None:
+        """Forget the events before an event."""
+        old = slice(0, event - self.first)
+        for events in (self._times, self._travels, self._moves, self._ranges, self._hits):
+            del events[old]
+        self.first = event
+
+    @property
+    def last_motion(self) -> FloatArray:
+        """Motion (3,) by odometry from the event before to the last event."""
+        return self._moves[-1]
+
+    def turn_round(self, begin: int, end: int) -> None:
+        """Take the motions between two events as driven backwards."""
+        for move in self._moves[begin + 1 - self.first : end + 1 - self.first]:
+            move[:2] *= -1.0
+
+    def data(self, like: LogData) -> LogData:
+        """The events as a log with the beams of another one."""
+        odometry = integrate(np.zeros(3), np.array(self._moves[1:]).reshape(-1, 3))
+        return replace(
+            like, time=np.array(self._times), odometry=odometry, ranges=np.array(self._ranges), hit=np.array(self._hits)
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class LocalFrame:
+    """A smoothed window, in the frame of its first event.
+
+    Attributes
+    ----------
+    keys, trajectory
+        The key poses of the window and their trajectory, for the corrected odometry.
+    poses
+        Poses (n, 3) of all events of the window.
+    errors
+        The constant errors (5,) of odometry that are known after the window.
+    """
+
+    keys: KeyPoses
+    trajectory: Trajectory
+    poses: FloatArray
+    errors: FloatArray
+    _equations: NormalEquations
+
+    def covariances(self, keys: IntArray) -> FloatArray:
+        """Covariances (k - 1, 3, 3) of the motions between successive key poses ``keys`` (k,)."""
+        return motion_covariances(self._equations, self.trajectory.poses, keys)
+
+
+def smooth_window(data: LogData, errors: FloatArray, config: GraphConfig, share: float) -> LocalFrame | None:
+    """Smooth a window of driving; None if it holds no two key poses or no points.
+
+    ``errors`` (5,) are the constant errors of odometry that are known, and ``share`` is the share of driving in the
+    window that was in no earlier window.
+    """
+    config = replace(config, smoothing=_ITERATIONS)
+    data = corrected(data, errors)
+    keys = choose_keys(data, config.keys)
+    if len(keys) < 2 or not len(keys.point_key):
+        return None
+    trajectory = smooth_locally(keys, odometry_trajectory(keys, np.zeros(3)), config, data.range_std)
+    equations = cautious_equations(keys, trajectory, config, data.range_std)
+    known = joined_bias(errors, share * trajectory.bias)
+    return LocalFrame(keys, trajectory, event_poses(keys, trajectory), known, equations)
