@@ -135,18 +135,18 @@ class CloneEKF:
 
     def line_covariance(self, index: int) -> FloatArray:
         """Covariance (2, 2) of one line as (r, theta) in the world."""
-        part = self._part(index)
-        theta, anchor = float(self.x[part][1]), self.anchors[index]
+        theta, anchor = self.line(index).item(1), self.anchors[index]
         lever = anchor[1] * np.cos(theta) - anchor[0] * np.sin(theta)
         sign = 1.0 if self._about_origin()[index, 0] >= 0.0 else -1.0
         by_line = np.array([[sign, sign * lever], [0.0, 1.0]])
-        lower = np.tril(self.arrays.P[part, part])  # all that is kept
-        return np.asarray(by_line @ (lower + np.tril(lower, -1).T) @ by_line.T)
+        return np.asarray(by_line @ self._block(self._part(index)) @ by_line.T)
 
     def calibration(self, robot: int = 0) -> tuple[FloatArray, FloatArray] | None:
         """A robot's odometry calibration (3,) and its covariance (3, 3); None if it is not part of the state."""
+        if self._lines_from == self._poses_end:
+            return None
         part = self._calibration_part(robot)
-        return (np.array(self.x[part]), np.array(self.P[part, part])) if self._lines_from > self._poses_end else None
+        return self.x[part].copy(), self._block(part)
 
     @property
     def calibration_evidence(self) -> float | None:
@@ -334,6 +334,11 @@ class CloneEKF:
     def _part(self, index: int) -> slice:
         first = line_at(self.arrays.counts, index)
         return slice(first, first + 2)
+
+    def _block(self, part: slice) -> FloatArray:
+        """Covariance of some states that follow the poses, of which only the lower triangle is kept."""
+        lower = np.tril(self.arrays.P[part, part])
+        return np.asarray(lower + np.tril(lower, -1).T)
 
     def _calibration_part(self, robot: int) -> slice:
         first = self._poses_end + POSE * robot
