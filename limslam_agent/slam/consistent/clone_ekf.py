@@ -109,9 +109,10 @@ class CloneEKF:
     def joint_pose_covariance(self) -> FloatArray:
         """Covariance of all poses together (3 n, 3 n), a copy."""
         joint = np.array(self.arrays.P[: self._poses_end, : self._poses_end])
-        for first, jitter in zip(range(0, len(joint), POSE), self._jitters, strict=True):
-            own = slice(first, first + POSE)
-            joint[own, own] += turned(jitter, float(self.arrays.x[first + 2]))
+        for robot, jitter in enumerate(self._jitters):
+            if jitter.any():
+                own = slice(POSE * robot, POSE * robot + POSE)
+                joint[own, own] += turned(jitter, float(self.arrays.x[POSE * robot + 2]))
         return joint + self._spread_by_turns(len(joint)) if self.has_turned_beams else joint
 
     @property

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, cast
 import numpy as np
 
 from limslam_agent.config.consistent import ConsistentConfig
-from limslam_agent.kernels.tables import FEWEST, POSE, Walls
+from limslam_agent.kernels.tables import FEWEST, LINES, POSE, Walls
 from limslam_agent.slam.consistent import limits
 from limslam_agent.slam.consistent.assumed_sensor import AssumedSensor
 from limslam_agent.slam.consistent.map_state import MapState
@@ -294,13 +294,11 @@ class ConsistentEstimator(Estimator):
         """Count the places of landmarks that a robot's new beams have passed through."""
         from limslam_agent.kernels.extents import clear_along_beams
 
-        if len(self._map):
-            ekf, at, sensor = self.filter, POSE * number, self.sensor
-            x, y, heading = ekf.arrays.P.diagonal()[at : at + POSE].tolist()
+        ekf, sensor = self.filter.arrays, self.sensor
+        if ekf.counts[LINES]:
             clear_along_beams(
-                self.walls, ekf.anchored, ekf.anchors, ekf.x[at : at + POSE], (x + y, heading), front.ranges,
-                front.measured, self._mounted.beam_table, (float(sensor.std), float(sensor.growth)),
-                np.empty((len(front.ranges), 6)),
+                self.walls, ekf.x, ekf.P, ekf.counts, ekf.anchors, POSE * number, front.ranges, front.measured,
+                self._mounted.beam_table, sensor.numbers[:2], np.empty((len(front.ranges), 6)),
             )  # fmt: skip
 
     def _process(self, number: int, side: int, step: int, *, is_over: bool) -> None:

@@ -7,14 +7,13 @@ from typing import Any, Self
 import numpy as np
 
 from limslam_agent.config.presets import AgentConfig
-from limslam_agent.kernels.tables import POSE
+from limslam_agent.kernels.tables import POSE, THROUGH_SIGMAS, THROUGH_SLACK
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Comparison, Extraction, PendingPoints
 from limslam_agent.slam.core.encoder_ticks import first_jitter, known_jitter, tick_by
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import Motion, OdometryCalibration, motion_of
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.core.teammates import may_hit_others
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import Observation, RobotSpec
 
@@ -290,16 +289,30 @@ class Estimator:
     def _jittering(self, number: int, motion: Motion, observation: Observation) -> Motion:
         """A motion with the jitter by the ticks, which are found by its travel, too."""
         before, axle, covariance = self.ticks[number].tolist(), self.robot.axle, motion.covariance
-        ticks = before
         if "wheels" in observation and not self.range_sensor.delay:  # else parts of the travel may wait for the ranges
-            ticks = [tick_by(*each) for each in zip(before, map(float, observation["wheels"]), strict=True)]
-        if ticks != before:
-            self.ticks[number] = ticks
+            self.ticks[number] = [
+                tick_by(*each) for each in zip(before, map(float, observation["wheels"]), strict=True)
+            ]
+        ticks = [max(tick, 0.0) for tick in self.ticks[number].tolist()]
+        if ticks != [max(tick, 0.0) for tick in before]:
             covariance = covariance + first_jitter(np.array(before), self.ticks[number], axle)
         return Motion(motion.increment, covariance, jitter=known_jitter(*ticks, axle))
 
     def _drop_beams_on_robots(self) -> None:
-        poses, covariance, sensor = self.poses, self.filter.joint_pose_covariance, self.range_sensor
+        """Drop the beams of each robot that may end on another one, and must not become walls.
+
+        A beam may have hit another robot if its end point is closer to that robot's estimated position than the body's
+        radius plus a margin for the uncertainty of both positions, the same as that of beams that pass through walls.
+        """
+        from limslam_agent.kernels.nearness import beams_on_robot
+
+        poses, covariance, robot = self.poses, self.filter.joint_pose_covariance, self.robot
+        margins, numbers = (float(robot.radius), THROUGH_SIGMAS, THROUGH_SLACK), range(len(poses))
         for number, front in enumerate(self.robots):
-            ranges = np.where(front.measured, front.ranges, self.robot.max_ranges)
-            front.drop(may_hit_others(number, ranges, poses, covariance, self.robot, sensor))
+            ranges, found = np.where(front.measured, front.ranges, robot.max_ranges), np.zeros(len(robot.beams), bool)
+            for other in (other for other in numbers if other != number):
+                beams_on_robot(
+                    poses[number], poses[other], ranges, robot.beam_table, self.range_sensor.numbers, covariance,
+                    POSE * number, POSE * other, margins, found,
+                )  # fmt: skip
+            front.drop(found)

@@ -1,4 +1,9 @@
-"""The published method's estimator: buffers, Hough lines, association, update, loop closing (steps 2 to 7)."""
+"""The published method's estimator: buffers, Hough lines, association, update, loop closing (steps 2 to 7).
+
+After a loop, a wall that is observed again first becomes a new landmark, because the drift of the pose keeps it from
+being associated with the old one. Later observations fit the new landmark best, and the old landmark second best if
+the two are close enough. If the two landmarks agree, they are the same wall.
+"""
 
 from dataclasses import replace
 from typing import cast
@@ -14,8 +19,7 @@ from limslam_agent.slam.core.hough import ExtractedLine, extract_lines
 from limslam_agent.slam.core.line_map import Landmark, LineMap
 from limslam_agent.slam.core.motion import Motion
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.published.association import ObservedLine, associate
-from limslam_agent.slam.published.loop_closing import agree, offset, squared_distance
+from limslam_agent.slam.published.association import ObservedLine, associate, difference, end_gaps
 from limslam_agent.slam.published.scan_buffer import Scan, ScanBuffer
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.se2 import inverse, transform_points
@@ -164,22 +168,34 @@ class PublishedEstimator(Estimator):
         is_wanted = config.enabled and self._config.filter.correct
         if len(landmarks) < 2 or pair in self._closed or not is_wanted:
             return False
-        before = self._distance(*pair)
-        lines, segments = self.filter.lines, self._all_segments
-        if not agree(*pair, lines, segments, before, config):
+        (older, younger), before = pair, self._distance(*pair)
+        angle, offset_before = self._off(older, younger)
+        lines, segments = self.filter.lines[[older]], self._all_segments
+        gap = end_gaps(segments[younger].reshape(2, 2), lines, segments[[older]]).item()
+        is_near = gap <= -config.min_overlap and offset_before <= config.max_distance
+        if before > config.gate or not is_near or angle > config.max_angle:
             return False
-        older, younger = pair
-        offset_before = offset(lines[older], segments[younger])
         self.filter.observe_landmark(older, younger)
         self._closed.add(pair)
         self._drawn = None
-        offset_after = offset(self.filter.lines[older], self._all_segments[younger])
+        offset_after = self._off(older, younger)[1]
         self.closures.append(
             Closure(older, younger, step, before, self._distance(*pair), offset_before, offset_after)
         )  # fmt: skip
         return True
 
+    def _off(self, older: int, younger: int) -> tuple[float, float]:
+        """The angle between two landmarks, rad, and the distance of the younger one's middle from the older one, m."""
+        lines, ends = self.filter.lines, self._all_segments[younger].reshape(2, 2)
+        angles, offsets = difference(lines[younger], ends, lines[[older]])
+        return angles.item(), offsets.item()
+
     def _distance(self, older: int, younger: int) -> float:
+        """Squared Mahalanobis distance between two landmarks.
+
+        Without a floor, the difference of two landmarks that were always seen together would be known more exactly than
+        any wall is straight.
+        """
         floor = np.array([self._config.closing.floor_distance, self._config.closing.floor_angle])
-        difference, covariance = self.filter.difference(older, younger)
-        return squared_distance(difference, covariance, floor)
+        off, covariance = self.filter.difference(older, younger)
+        return float(off @ np.linalg.solve(covariance + np.diag(floor**2), off))
