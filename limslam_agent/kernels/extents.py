@@ -138,18 +138,9 @@ def clear_along_beams(
 ) -> None:  # fmt: skip
     """Count the places of landmarks that a robot's new beams have passed through.
 
-    Parameters
-    ----------
-    walls
-        The extents of the landmarks.
-    x, covariance, counts, anchors, at
-        Of the ``Filter`` with their lines, and where the pose of the robot begins in the state.
-    ranges, measured, beams
-        Readings (b,), m, which of them are new, and ``RobotSpec.beam_table``.
-    noise
-        Standard deviation of a short range, m, and the growth of ``RangeSensor``, 1/m.
-    rays
-        (b, 6), filled: origin, direction, length, m, and margin, m, of the beams that count.
+    The lines and the robot's pose, which begins at the index ``at``, are those of a ``Filter``. ``beams`` is
+    ``RobotSpec.beam_table``, and ``noise`` the standard deviation of a short range, m, and the growth of
+    ``RangeSensor``. ``rays`` (b, 6) is scratch: origin, direction, length, m, and margin, m, of the beams that count.
     """
     pose, unsure = x[at : at + POSE], covariance[at, at] + covariance[at + 1, at + 1]
     turned = covariance[at + 2, at + 2]

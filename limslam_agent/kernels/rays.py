@@ -113,18 +113,9 @@ def explain(
     """The evidence of a reading for a map against a random place, where it contradicts the map, and whether it might.
 
     The second number is the distance at which it contradicts the map, m: at a wall that it has passed, or where it
-    ended in free ground. It is 0 if it contradicts nothing.
-
-    Parameters
-    ----------
-    length, reach
-        Reading and longest reading, m.
-    wall, cosine
-        Distance to the first wall, m, and the cosine of the angle between the ray and its normal.
-    free, ends_at
-        How far all cells along the ray are free, m, and the value of the cell there.
-    spread
-        Variance of the distance to a wall, m^2, and how it grows with the squared distance, rad^2.
+    ended in free ground. It is 0 if it contradicts nothing. The first wall is at the distance ``wall``, m, with this
+    cosine between the ray and its normal; cells are ``free`` so far, m, and then have the value ``ends_at``. ``spread``
+    is the variance of the distance to a wall, m^2, and how it grows with the squared distance, rad^2.
     """
     if wall < reach and wall <= free + _UNSEEN:
         std = math.sqrt(spread[0] + spread[1] * wall**2) / max(cosine, _STEEPEST)

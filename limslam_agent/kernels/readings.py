@@ -73,14 +73,9 @@ def reading_evidence(
 ) -> float:  # fmt: skip
     """The evidence of a reading that the robot was carried away before its step.
 
-    Parameters
-    ----------
-    ranges, nothing
-        The reading, the one before, and the one before that, m, and whether the beam saw nothing.
-    motion
-        Distance and turn before the reading, and the turn before the reading before, m and rad, without signs.
-    reach, std, growth
-        The longest range, m, and those of the ``RangeSensor``.
+    ``ranges`` are the reading, the one before, and the one before that, m; ``nothing`` says whether the beam saw
+    nothing. ``motion`` is the distance and the turn before the reading, and the turn before the reading before, without
+    signs.
     """
     (now, before, earlier), (travel, turn, turn_before) = ranges, motion
     if nothing[0] and nothing[1]:

@@ -48,26 +48,13 @@ def fit_segment(
 ) -> tuple[FloatArray, IntArray]:  # fmt: skip
     """Fit a line to readings by generalised least squares, and test whether they are straight.
 
-    Parameters
-    ----------
-    x, start, places, readings
-        All readings, as of :mod:`~limslam_agent.kernels.measurement`.
-    block, begins
-        Covariance of the clones that the members were taken from, and where each member's clone begins in it (n,).
-    points, members
-        End points of all readings, m, and the indices (n,) of those that are fitted.
-    line
-        (r, theta) that the fit begins at.
-    std, variances
-        Standard deviation of a short range, m, and the variances of the members' ranges (n,), m^2.
-    segment, along, loose
-        Filled: the segment (7,), the position of each member along it (n,), m, and which of them are loose ends (n,).
+    The fit of the ``members`` (n,) of all readings begins at a ``line`` (r, theta). ``block`` is the covariance of the
+    clones that they were taken from, in which the clone of each begins at ``begins`` (n,); ``variances`` (n,) are those
+    of their ranges, m^2, and ``std`` is the standard deviation of a short range, m. Filled are the ``segment`` (7,),
+    the position of each member ``along`` it (n,), m, and which of them are ``loose`` ends (n,).
 
-    Returns
-    -------
-    residuals, clear
-        Residuals (k,), in standard deviations, and which members (k,) they belong to: those that do not graze the line.
-        If there are too few, none, and nothing is filled.
+    Returned are residuals (k,), in standard deviations, and the members (k,) that they belong to: those that do not
+    graze the line. If there are too few, none, and nothing is filled.
     """
     count, clear, chosen = 0, np.empty(len(members), dtype=np.int64), np.empty(len(members), dtype=np.int64)
     firsts, own_variances = np.empty(len(members), dtype=np.int64), np.empty(len(members))

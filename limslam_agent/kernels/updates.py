@@ -185,16 +185,8 @@ def iterate(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Iterate an update by readings of one line, with Huber weights, linearised anew at each iteration.
 
-    Parameters
-    ----------
-    x, P, size, begins_of, anchors, num_lines
-        The state and its parts. x is moved to where the last iteration linearises.
-    columns, begins
-        As of :func:`involved`.
-    places, readings, chosen, index
-        Readings, the indices (m,) of those that are used, and the index of their line.
-    variances, iterations, huber
-        Variances of the used ranges (m,), m^2, the number of iterations, and the limit of the Huber weights.
+    ``columns`` and ``begins`` are those of :func:`involved`, ``chosen`` (m,) are the readings that are used, with
+    ``variances`` (m,), m^2, and ``huber`` limits the weights. x is moved to where the last iteration linearises.
 
     Returns
     -------

@@ -29,6 +29,25 @@ class LineSlam(Estimator):
     sensor
         How the ranges are measured, if that is known to differ from ``robot`` and ``config``. Only the consistent
         estimator uses it.
+
+    Attributes
+    ----------
+    robots
+        The front end of each robot.
+    increments
+        The motion (3,) of each robot in the latest step as its odometry reports it, without the calibration, in the
+        frame of the robot before it.
+    ticks
+        The ticks (n, 2) of the wheels' encoders, m, as ``encoder_ticks.tick_by`` finds them.
+    closures
+        Pairs of landmarks that were found to be one wall, in order.
+    last_extraction
+        The lines of the latest scan; None before the first.
+    associations
+        The associations of observed lines so far, in order.
+    on_association, on_comparison
+        Called with the association of each observed line, and with each observed line and the landmarks that it was
+        compared with before it is used, if set. Copies have no listeners.
     """
 
     def __new__(  # noqa: PYI034 (an estimator of another class)

@@ -14,7 +14,6 @@ from limslam_agent.config.presets import AgentConfig, ConsistentConfig, preset
 from limslam_agent.kernels import tables
 from limslam_agent.readings import as_readings
 from limslam_agent.slam.batch import compiled_steps as steps
-from limslam_agent.slam.batch.compilation import algebra, entry
 from limslam_agent.slam.batch.grid import CropArray, crop, update
 from limslam_agent.slam.batch.state import (
     REFUSED,
@@ -28,7 +27,7 @@ from limslam_agent.slam.batch.state import (
 from limslam_agent.slam.consistent.limits import MAX_GAP, THROUGH_TOLERANCE, WALL_END
 from limslam_agent.slam.consistent.pending_readings import DRIVEN, DRIVEN_AT, FRESH, SIDES, TURNED, TURNED_AT
 from limslam_agent.slam.consistent.wall_map import WallExtent
-from limslam_env.compilation import next_of
+from limslam_env.compilation import algebra, next_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.line import at
 from limslam_env.geometry.segment import lengths
@@ -301,7 +300,7 @@ def accept(
     return jitter
 
 
-@entry
+@steps.entry
 def step_some(
     states: States,
     spec: Spec,
@@ -363,7 +362,7 @@ def begin(state: States, start: FloatArray, cell: float) -> None:
     state.window[1] = math.floor(start[0] / cell) - half
 
 
-@entry
+@steps.entry
 def begin_some(states: States, starts: FloatArray, chosen: IntArray, cell: float) -> None:
     """Reset the chosen robots to known poses (n, 3)."""
     for number in chosen:

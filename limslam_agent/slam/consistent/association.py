@@ -76,20 +76,9 @@ def process(
 ) -> None:  # fmt: skip
     """Find straight pieces in the pending readings of a side, use them, and drop what is consumed or too old.
 
-    Parameters
-    ----------
-    ekf, walls
-        The lines and clones, and the extents of the landmarks.
-    pending, fill, row
-        The pending readings of all sides, and which side is processed.
-    driven
-        Distance that the robot has driven, m.
-    settings, beams
-        Settings, and ``RobotSpec.beam_table``.
-    is_over
-        Whether no more readings of the side's walls will come.
-    listener
-        Is told of each decision, if given.
+    ``row`` is the side, of those of all robots, of a robot that has ``driven`` so far, m. ``beams`` is
+    ``RobotSpec.beam_table``, and ``is_over`` says that no more readings of the side's walls will come. The listener is
+    told of each decision.
     """
     count = int(fill[row, WAITING])
     fill[row, FRESH] = 0

@@ -214,17 +214,10 @@ class CloneEKF:
     def relocate(
         self, pose: FloatArray, covariance: FloatArray, robot: int = 0, by_lines: FloatArray | None = None
     ) -> None:
-        """Put a robot at another pose, which was found without regard to where it was before.
+        """Put a robot at another pose (3,), which was found without regard to where it was before.
 
-        Parameters
-        ----------
-        pose, covariance
-            The pose (3,), m, m, rad, and the covariance (3, 3) of its error with respect to the lines.
-        robot
-            Which robot is put there.
-        by_lines
-            Derivative (3, 2 N) of the pose by the lines among which it was found. The pose then has their errors. If
-            left out, the pose is independent of all else.
+        The covariance (3, 3) is that of its error with respect to the lines. With a derivative ``by_lines`` (3, 2 N) of
+        the pose by the lines among which it was found, it has their errors; otherwise it is independent of all else.
         """
         by_state, part = np.zeros((POSE, len(self.x))), slice(POSE * robot, POSE * robot + POSE)
         if by_lines is not None:

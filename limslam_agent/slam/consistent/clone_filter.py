@@ -145,17 +145,9 @@ def observe(
 ) -> None:  # fmt: skip
     """Update by readings of one line: the iterated EKF, linearised anew at each iteration.
 
-    Parameters
-    ----------
-    places, readings, index
-        Places of the clones (n,), beams and ranges (n, 6), and the line that they show.
-    variances
-        Variances of the ranges (n,), m^2.
-    iterations
-        Number of iterations.
-    huber
-        Residuals larger than so many standard deviations are down-weighted (P. Huber, "Robust estimation of a
-        location parameter", 1964); 0 for no weights.
+    The readings (n, 6) with variances (n,), m^2, were taken from the clones at these places (n,). Residuals of more
+    than ``huber`` standard deviations are down-weighted (P. Huber, "Robust estimation of a location parameter", 1964);
+    0 for no weights.
     """
     counts = ekf.counts
     found = update_by_readings(

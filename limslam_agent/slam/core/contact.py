@@ -52,27 +52,21 @@ def slip(
     radius: float,
     std: float,
 ) -> tuple[float, float]:
-    """How much of the wheels' travel may have been slip by contact.
+    """How much of the wheels' travel may have been slip by contact: a variance, m^2, and the angle of the beam, rad.
 
-    Plain numbers and loops, because the batch compiles the same function.
+    Plain numbers and loops, because the batch compiles the same function. The variance is 0 without contact.
 
     Parameters
     ----------
     memory
         Is changed: for each beam the distance along it since it first read its minimum, m, -1 where it does not.
-    ranges, measured
-        Readings (n_beams,), m, and which of them are new.
+    ranges, measured, angles, too_near
+        Readings (n_beams,), m, which of them are new, directions of the beams, rad, and readings up to which something
+        is near, m.
     ahead
         Distance by the wheels in this step, m; negative backwards.
-    angles, too_near
-        Directions (n_beams,) of the beams, rad, and the readings up to which something is near, m.
     radius, std
         Radius of the body, m, and standard deviation of a range, m.
-
-    Returns
-    -------
-    variance, angle
-        Variance of the slip in this step, m^2, 0 without contact, and the direction of the beam that shows it, rad.
     """
     most, angle = 0.0, 0.0
     for beam in range(len(ranges)):

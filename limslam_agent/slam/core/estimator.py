@@ -23,37 +23,12 @@ class Estimator:
 
     What only some estimators know, such as errors of the sensor, is None or nothing here.
 
-    Parameters
-    ----------
-    robot
-        Body and beams of each robot.
-    config
-        Settings of every stage.
-    start_pose
-        Start pose of the robot (3,), m, m, rad, by default the origin of the map; of several robots (n, 3).
-    sensor
-        How the ranges are measured, if that is known to differ from ``robot`` and ``config``.
+    What it is made of, and its attributes, are those of ``LineSlam``.
 
     Attributes
     ----------
-    robots
-        The front end of each robot.
     filter
         The filter, which an estimator makes itself.
-    increments
-        The motion (3,) of each robot in the latest step as its odometry reports it, without the calibration, in the
-        frame of the robot before it.
-    ticks
-        The ticks (n, 2) of the wheels' encoders, m, as ``encoder_ticks.tick_by`` finds them.
-    closures
-        Pairs of landmarks that were found to be one wall, in order.
-    last_extraction
-        The lines of the latest scan; None before the first.
-    associations
-        The associations of observed lines so far, in order.
-    on_association, on_comparison
-        Called with the association of each observed line, and with each observed line and the landmarks that it was
-        compared with before it is used, if set. Copies have no listeners.
     """
 
     filter: Any

@@ -39,10 +39,10 @@ def fit_line(points: FloatArray, std: float) -> LineFit:
     from the centroid, the offset has variance ``std^2 / n`` and the angle
     ``std^2 / sum(s^2)``, and the two are independent; (r, theta) follow to first order.
     """
-    from limslam_agent.kernels.lines import fit_points
+    from limslam_agent.kernels import lines
 
     line, ends = np.empty(2), np.empty((2, 2))
-    line[:] = fit_points(points, np.arange(len(points)), ends)
+    line[:] = lines.fit_line(points, np.arange(len(points)), ends)
     along = points @ direction(line)
     # Turning the line about the centroid moves the foot of the origin's perpendicular.
     lever = float(along.mean())
