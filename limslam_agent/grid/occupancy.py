@@ -217,15 +217,7 @@ def _moved_with_nearest(points: FloatArray, before: FloatArray, after: FloatArra
 def drawn_grid(
     config: GridConfig, robot: RobotSpec, poses: FloatArray, ranges: FloatArray, measured: BoolArray
 ) -> GridView:
-    """The occupancy grid of all readings of a finished run from other poses than those of the run itself.
-
-    Parameters
-    ----------
-    poses
-        Poses (t, n, 3) of n robots, m and rad.
-    ranges, measured
-        Readings (t, n, n_beams), m, and a mask of the readings that are new.
-    """
+    """The grid of all readings of a finished run from other poses than the run's: :meth:`OccupancyGrid.draw`."""
     grid = OccupancyGrid(config)
     grid.draw(robot, poses, ranges, measured)
     return grid.view

@@ -12,6 +12,8 @@ taken. Here each error is defined relative to the first robot's error, as in an 
 Bonnabel, "An EKF-SLAM algorithm with consistency properties", 2015), and P is transformed when the state changes.
 """
 
+import math
+
 import numpy as np
 
 from limslam_agent.kernels.covariance import correct_state, mirror, move_pose
@@ -35,9 +37,8 @@ class CloneEKF:
     pose
         Start (3,), m, m, rad; of several robots (n, 3).
     calibration
-        Prior covariance (3, 3) about zero of each robot's ``OdometryCalibration``; None if the odometry's calibration
-        is not estimated. It becomes part of the state by :meth:`calibrate`, and until then the state takes the
-        odometry to be without constant errors.
+        Prior covariance (3, 3) about zero of each robot's ``OdometryCalibration``, which becomes part of the state by
+        :meth:`calibrate`; None if it is not estimated.
     range_errors
         Standard deviations of the errors of ``RangeErrors``, m and rad; None if these are not estimated.
 
@@ -59,8 +60,10 @@ class CloneEKF:
             None if range_errors is None else RangeErrors(range_errors),
         )
         robots = len(start) // POSE
-        # Of the poses in the latest step: the change in the world, and the jitter in the robot's frame.
-        self._motions, self._jitters = np.zeros((robots, POSE)), np.zeros((robots, POSE, POSE))
+        # Of the poses in the latest step: the change in the world, the jitter in the robot's frame, and, since each
+        # step asks for it several times, the jitter in the world at a heading.
+        self._motions, self._jitters = np.zeros((robots, POSE)), [np.zeros((POSE, POSE))] * robots
+        self._in_world = [(math.nan, self._jitters[0], self._jitters[0])] * robots
         counts = np.array([len(start), len(start), 0, 0, 0])
         by_errors = np.zeros((len(start), self._errors.count))
         self.arrays = Filter(
@@ -110,9 +113,10 @@ class CloneEKF:
         """Covariance of all poses together (3 n, 3 n), a copy."""
         joint = np.array(self.arrays.P[: self._poses_end, : self._poses_end])
         for robot, jitter in enumerate(self._jitters):
-            if jitter.any():
-                own = slice(POSE * robot, POSE * robot + POSE)
-                joint[own, own] += turned(jitter, float(self.arrays.x[POSE * robot + 2]))
+            own, heading = slice(POSE * robot, POSE * robot + POSE), self.arrays.x.item(POSE * robot + 2)
+            if self._in_world[robot][0] != heading or self._in_world[robot][1] is not jitter:
+                self._in_world[robot] = heading, jitter, turned(jitter, heading)
+            joint[own, own] += self._in_world[robot][2]
         return joint + self._spread_by_turns(len(joint)) if self.has_turned_beams else joint
 
     @property

@@ -54,14 +54,7 @@ class SeparateBias:
 
 
 class OdometryErrors(SeparateBias):
-    """The constant errors of the odometry of n robots, three numbers each.
-
-    Parameters
-    ----------
-    robots
-        Number of robots.
-    prior
-        Covariance (3, 3) of the errors of one robot, about zero.
+    """The constant errors of the odometry of n robots, three numbers each, with a prior covariance (3, 3) about zero.
 
     Attributes
     ----------

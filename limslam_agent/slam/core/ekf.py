@@ -22,14 +22,8 @@ class LineEKF(ExtendedKalmanFilter):
 
     A motion changes only the pose, and an observed line depends on five entries of the state. So ``F`` and ``Q`` hold
     only the pose's (3, 3) block, ``update`` takes the non-zero columns of the Jacobian, and P changes in place by a
-    product of rank two. The result equals that of the dense filter.
-
-    Parameters
-    ----------
-    pose
-        Start (3,), m, m, rad; of several robots (n, 3).
-    covariance
-        Of the start (3 n, 3 n); zero if left out.
+    product of rank two. The result equals that of the dense filter. It starts at the pose (3,), or at those of several
+    robots (n, 3), with a covariance (3 n, 3 n) that is zero if left out.
     """
 
     def __init__(self, pose: FloatArray, covariance: FloatArray | None = None) -> None:

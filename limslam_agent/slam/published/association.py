@@ -58,21 +58,9 @@ def associate(
 ) -> list[CandidateTest]:
     """All landmarks with the exclusion that throws each of them out; without one, an observation may show it.
 
-    Parameters
-    ----------
-    observed
-        The observed line.
-    pose
-        Estimated pose (3,), m, m, rad.
-    lines, segments
-        The landmarks in the world: (N, 2), and with their end points (N, 4), m.
-    innovation
-        From observed line, its covariance and a landmark's index to their difference (2,) and
-        the total covariance of both (2, 2).
-    max_range
-        Largest distance from the robot's centre that its beams measure, m.
-    config
-        Gate and thresholds.
+    The landmarks are lines (N, 2), and segments (N, 4), m, in the world, and the robot is estimated to be at a pose
+    (3,). ``innovation`` makes of observed line, its covariance and a landmark's index their difference (2,) and the
+    covariance of both (2, 2). The robot's beams measure up to ``max_range``, m, from its centre.
     """
     if len(lines) == 0:
         return []
@@ -116,9 +104,9 @@ def visible(
 ) -> BoolArray:
     """Landmarks (N,) that the beams which made the observation can see.
 
-    Most of those beams must meet the landmark, lengthened by ``slack`` (m) at its ends, ahead of them and
-    within ``max_range`` (m). A landmark behind another one counts as visible, because after a loop the map may hold the
-    same wall twice, and the younger landmark must not hide the older one.
+    Most of those beams must meet the landmark, lengthened by ``slack`` (m) at its ends, ahead of them and within
+    ``max_range`` (m). A landmark behind another one counts as visible, because after a loop the map may hold the same
+    wall twice, and the younger landmark must not hide the older one.
     """
     origins = transform_points(pose, observed.origins)
     reaches = transform_points(pose, observed.points) - origins

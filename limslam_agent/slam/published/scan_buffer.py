@@ -82,21 +82,10 @@ class ScanBuffer:
         self._turned += abs(float(increment[2]))
 
     def add(self, ranges: FloatArray, measured: BoolArray, hit: BoolArray, step: int) -> list[Scan]:
-        """Add this side's hits among all beams' readings.
+        """Add this side's hits among all beams' readings (n_beams,), m, at a step; the scans to extract lines from.
 
-        Parameters
-        ----------
-        ranges
-            (n_beams,), m.
-        measured, hit
-            (n_beams,): which beams have measured in this step, and which of them saw a wall.
-        step
-            The step's number.
-
-        Returns
-        -------
-        scans
-            Scans to extract lines from: the points of a wall that has ended, and those of a full buffer.
+        They are the points of a wall that has ended, and those of a full buffer. ``measured`` and ``hit`` (n_beams,)
+        say which beams have measured in this step, and which of them saw a wall.
         """
         chosen = hit[self._beams]
         self._missed |= bool(measured[self._beams].any()) and not chosen.any()
