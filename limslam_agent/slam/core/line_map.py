@@ -50,9 +50,6 @@ class LineMap:
         self._ends: list[FloatArray] = []
         self._observations: list[int] = []
 
-    def __len__(self) -> int:
-        return len(self._ends)
-
     def observations(self, index: int) -> int:
         """Number of observed lines that a landmark was estimated from."""
         return self._observations[index]

@@ -15,7 +15,7 @@ from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Comp
 from limslam_agent.slam.core.ekf import LineEKF
 from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.front_end import FrontEnd
-from limslam_agent.slam.core.hough import ExtractedLine, extract_lines
+from limslam_agent.slam.core.line_fit import ExtractedLine, extract_lines
 from limslam_agent.slam.core.line_map import Landmark, LineMap
 from limslam_agent.slam.core.motion import Motion
 from limslam_agent.slam.core.range_sensor import RangeSensor
