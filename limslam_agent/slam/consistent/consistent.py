@@ -82,7 +82,7 @@ class ConsistentEstimator(Estimator):
         self._pending, self._fill = np.zeros((rows, room, 5)), np.zeros((rows, 2), dtype=np.int64)
         self._sensor = AssumedSensor(self._specified, float(robot.max_ranges.max()), errors)
         self._assume(sensor or self._specified)
-        self._map = WallMap(self.filter, config.extents)
+        self._map: WallMap = WallMap(self.filter, config.extents)
 
     @property
     def walls(self) -> Walls:
@@ -237,21 +237,6 @@ class ConsistentEstimator(Estimator):
             points = end_points(self.filter.arrays, places, readings, math.nan)
             found.append(PendingPoints(number, SIDES[side], points, self.settings.batch, fresh))
         return found
-
-    @property
-    def segments(self) -> FloatArray:
-        """The walls of the map (N, 4), m, in the world."""
-        return self._map.segments
-
-    @property
-    def landmarks(self) -> list[Landmark]:
-        """The landmarks that are walls of the map."""
-        return self._map.landmarks
-
-    @property
-    def all_landmarks(self) -> list[Landmark]:
-        """All landmarks, provisional ones included, by number."""
-        return self._map.all_landmarks
 
     def _assume(self, sensor: RangeSensor) -> None:
         """Take the sensor to measure like this from now on."""

@@ -28,10 +28,11 @@ class Estimator:
     Attributes
     ----------
     filter
-        The filter, which an estimator makes itself.
+        The filter, which an estimator makes itself, as it does the map.
     """
 
     filter: Any
+    _map: Any
     robots: list[FrontEnd]
 
     def __init__(
@@ -140,17 +141,17 @@ class Estimator:
     @property
     def segments(self) -> FloatArray:
         """The walls of the map (N, 4), m, in the world."""
-        raise NotImplementedError
+        return np.asarray(self._map.segments)
 
     @property
     def landmarks(self) -> list[Landmark]:
         """The walls of the map as landmarks, with covariances."""
-        raise NotImplementedError
+        return list(self._map.landmarks)
 
     @property
     def all_landmarks(self) -> list[Landmark]:
         """All landmarks, provisional ones included, by number."""
-        raise NotImplementedError
+        return list(self._map.all_landmarks)
 
     @property
     def pending_points(self) -> list[PendingPoints]:

@@ -5,7 +5,6 @@ being associated with the old one. Later observations fit the new landmark best,
 the two are close enough. If the two landmarks agree, they are the same wall.
 """
 
-from dataclasses import replace
 from typing import cast
 
 import numpy as np
@@ -16,12 +15,11 @@ from limslam_agent.slam.core.ekf import LineEKF
 from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_fit import ExtractedLine, extract_lines
-from limslam_agent.slam.core.line_map import Landmark, LineMap
 from limslam_agent.slam.core.motion import Motion
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.published.association import ObservedLine, associate, difference, end_gaps
+from limslam_agent.slam.published.line_map import LineMap
 from limslam_agent.slam.published.scan_buffer import Scan, ScanBuffer
-from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.se2 import inverse, transform_points
 from limslam_env.interface import Side
 
@@ -35,14 +33,13 @@ class PublishedEstimator(Estimator):
 
     def _begin(self, sensor: RangeSensor | None) -> None:
         del sensor
-        self.filter, self._map = LineEKF(self._start), LineMap()
+        self.filter = LineEKF(self._start)
         self._config = config = cast(PublishedConfig, self.config.estimator)
+        self._map: LineMap = LineMap(self.filter, config.map)
         self._buffers = [{side: ScanBuffer(self.robot, side, config.buffer) for side in SIDES} for _ in self.robots]
         association = config.association
         self._min_new_length = max(association.min_new_length, association.min_new_share * self.robot.reach)
         self._closed: set[tuple[int, int]] = set()
-        self._drawn: FloatArray | None = None
-        self._shown: tuple[FloatArray, IntArray] | None = None
 
     @property
     def association_limits(self) -> dict[str, float]:
@@ -80,43 +77,6 @@ class PublishedEstimator(Estimator):
             for side, buffer in buffers.items()
         ]
 
-    @property
-    def segments(self) -> FloatArray:
-        """The walls of the map (N, 4), m, in the world."""
-        return self._all_segments[self._confirmed]
-
-    @property
-    def landmarks(self) -> list[Landmark]:
-        """The walls of the map as landmarks, with covariances."""
-        every = self.all_landmarks
-        return [replace(every[index], segments=(row,)) for row, index in enumerate(self._confirmed.tolist())]
-
-    @property
-    def all_landmarks(self) -> list[Landmark]:
-        """All landmarks, provisional ones included, by number."""
-        lines, segments = self.filter.lines, self._all_segments
-        return [
-            Landmark(
-                float(lines[index, 0]), float(lines[index, 1]), self.filter.line_covariance(index),
-                segments[index].reshape(2, 2).copy(), self._map.observations(index), index,
-            )
-            for index in range(len(lines))
-        ]  # fmt: skip
-
-    @property
-    def _all_segments(self) -> FloatArray:
-        # Lines only change when one is observed, but every step asks for the map.
-        if self._drawn is None:
-            self._drawn = self._map.segments(self.filter.lines)
-        return self._drawn
-
-    @property
-    def _confirmed(self) -> IntArray:
-        segments = self._all_segments
-        if self._shown is None or self._shown[0] is not segments:
-            self._shown = segments, self._map.confirmed(segments, self._config.map)
-        return self._shown[1]
-
     def _use(self, robot: int, step: int, side: Side, scan: Scan) -> None:
         lines = extract_lines(scan.points, self._config.hough, self.config.range_std)
         found = np.array([line.fit.line for line in lines]).reshape(-1, 2)
@@ -131,7 +91,7 @@ class PublishedEstimator(Estimator):
         covariance = fit.covariance + np.diag([0.0, self._config.filter.drift_share * float(scan.drift.mean())])
         observed = ObservedLine(fit.line, covariance, fit.ends, scan.origins, scan.points)
         tests = associate(
-            observed, pose, self.filter.lines, self._all_segments,
+            observed, pose, self.filter.lines, self._map.every,
             lambda line, covariance, index: self.filter.innovation(line, covariance, index, robot),
             self.robot.reach, self._config.association,
         )  # fmt: skip
@@ -147,13 +107,12 @@ class PublishedEstimator(Estimator):
             if self._config.filter.correct:
                 self.filter.observe_line(fit.line, covariance, landmark, robot)
             pose = self.filter.poses[robot]
-            self._map.grow(landmark, self.filter.lines[landmark], transform_points(pose, fit.ends))
+            self._map.grow(landmark, transform_points(pose, fit.ends))
         elif fit.length < self._min_new_length:
             return
         else:
             landmark = self.filter.augment(fit.line, covariance, robot)
             self._map.add(transform_points(pose, fit.ends))
-        self._drawn = None
         if self.on_association is not None:
             self.on_association(AssociationRecord(landmark, not matches, scan.readings, robot))
 
@@ -170,14 +129,14 @@ class PublishedEstimator(Estimator):
             return False
         (older, younger), before = pair, self._distance(*pair)
         angle, offset_before = self._off(older, younger)
-        lines, segments = self.filter.lines[[older]], self._all_segments
+        lines, segments = self.filter.lines[[older]], self._map.every
         gap = end_gaps(segments[younger].reshape(2, 2), lines, segments[[older]]).item()
         is_near = gap <= -config.min_overlap and offset_before <= config.max_distance
         if before > config.gate or not is_near or angle > config.max_angle:
             return False
         self.filter.observe_landmark(older, younger)
         self._closed.add(pair)
-        self._drawn = None
+        self._map.redraw()
         offset_after = self._off(older, younger)[1]
         self.closures.append(
             Closure(older, younger, step, before, self._distance(*pair), offset_before, offset_after)
@@ -186,7 +145,7 @@ class PublishedEstimator(Estimator):
 
     def _off(self, older: int, younger: int) -> tuple[float, float]:
         """The angle between two landmarks, rad, and the distance of the younger one's middle from the older one, m."""
-        lines, ends = self.filter.lines, self._all_segments[younger].reshape(2, 2)
+        lines, ends = self.filter.lines, self._map.every[younger].reshape(2, 2)
         angles, offsets = difference(lines[younger], ends, lines[[older]])
         return angles.item(), offsets.item()
 
