@@ -15,15 +15,7 @@ from limslam_agent.kernels import tables
 from limslam_agent.readings import as_readings
 from limslam_agent.slam.batch import compiled_steps as steps
 from limslam_agent.slam.batch.grid import CropArray, crop, update
-from limslam_agent.slam.batch.state import (
-    REFUSED,
-    STEP,
-    Capacity,
-    Spec,
-    States,
-    spec_of,
-    states_for,
-)
+from limslam_agent.slam.batch.state import REFUSED, STEP, Capacity, Spec, States, spec_of, states_for
 from limslam_agent.slam.consistent.limits import MAX_GAP, THROUGH_TOLERANCE, WALL_END
 from limslam_agent.slam.consistent.pending_readings import DRIVEN, DRIVEN_AT, FRESH, SIDES, TURNED, TURNED_AT
 from limslam_agent.slam.consistent.wall_map import WallExtent

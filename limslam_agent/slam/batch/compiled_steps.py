@@ -27,10 +27,7 @@ def note_nothing(*_: Any) -> None:
     """A batch estimates no constant errors beside its filters."""
 
 
-_INSTEAD = {
-    separate_bias.note_update: note_nothing,
-    separate_bias.note_readings: note_nothing,
-}
+_INSTEAD = {separate_bias.note_update: note_nothing, separate_bias.note_readings: note_nothing}
 """What takes the place of plain functions that cannot be compiled."""
 
 

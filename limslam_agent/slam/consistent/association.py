@@ -36,10 +36,7 @@ from limslam_agent.slam.consistent.clone_filter import (
     observe,
     straight_segments,
 )
-from limslam_agent.slam.consistent.merging import (
-    along_line,
-    close_loops_of,
-)
+from limslam_agent.slam.consistent.merging import along_line, close_loops_of
 from limslam_agent.slam.consistent.pending_readings import AHEAD, CLONE, DRIVEN_THEN, FRESH, SIDES, WAITING, readings_of
 from limslam_agent.slam.consistent.step_settings import StepSettings
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -179,12 +176,7 @@ def candidates(ekf: Filter, walls: Walls, piece: Piece) -> tuple[FloatArray, Int
 
 
 def update(
-    ekf: Filter,
-    walls: Walls,
-    piece: Piece,
-    index: int,
-    settings: StepSettings,
-    listener: "StepReports | None",
+    ekf: Filter, walls: Walls, piece: Piece, index: int, settings: StepSettings, listener: "StepReports | None"
 ) -> None:
     """Update filter and map by a piece of a landmark, and merge the landmark with others that are the same wall."""
     observe(ekf, piece.places, piece.readings, index, piece.variances, limits.ITERATIONS, limits.HUBER)

@@ -35,12 +35,7 @@ def close_loops_of(
 
 
 def closes_loop(
-    ekf: Filter,
-    walls: Walls,
-    first: int,
-    second: int,
-    settings: StepSettings,
-    listener: "StepReports | None",
+    ekf: Filter, walls: Walls, first: int, second: int, settings: StepSettings, listener: "StepReports | None"
 ) -> bool:
     """Whether two landmarks are one wall; then they are merged, and the younger one is removed."""
     older, younger = min(first, second), max(first, second)

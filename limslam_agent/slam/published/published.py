@@ -20,7 +20,7 @@ from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.published.association import ObservedLine, associate, difference, end_gaps
 from limslam_agent.slam.published.line_map import LineMap
 from limslam_agent.slam.published.scan_buffer import Scan, ScanBuffer
-from limslam_env.geometry.se2 import inverse, transform_points
+from limslam_env.geometry.se2 import transform_points
 from limslam_env.interface import Side
 
 SIDES: tuple[Side, Side] = ("left", "right")
@@ -56,9 +56,8 @@ class PublishedEstimator(Estimator):
 
     def _measure(self, number: int, front: FrontEnd, motion: Motion) -> None:
         """Add points to the buffers, and use each buffer that is full."""
-        back, variance = inverse(motion.increment), float(motion.covariance[2, 2])
         for side, buffer in self._buffers[number].items():
-            buffer.move(motion.increment, variance, back)
+            buffer.move(motion.increment, float(motion.covariance[2, 2]))
             for scan in buffer.add(front.ranges, front.measured, front.hits, front.step):
                 self._use(number, front.step, side, scan)
 

@@ -68,13 +68,10 @@ class ScanBuffer:
         """The points in the buffer, a copy."""
         return Scan(self._places[:, 0].copy(), self._places[:, 1].copy(), self._readings.copy(), self._drift.copy())
 
-    def move(self, increment: FloatArray, turn_variance: float = 0.0, back: FloatArray | None = None) -> None:
-        """Move the points into the frame after a motion (3,) whose heading has a variance, rad^2.
-
-        ``back`` is the inverse of the motion, if that is known.
-        """
+    def move(self, increment: FloatArray, turn_variance: float = 0.0) -> None:
+        """Move the points into the frame after a motion (3,) whose heading has a variance, rad^2."""
         places = self._places.reshape(-1, 2)
-        places[:] = transform_points(inverse(increment) if back is None else back, places)
+        places[:] = transform_points(inverse(increment), places)
         self._drift += turn_variance
         distance = float(np.hypot(increment[0], increment[1]))
         self._since_hit += distance
