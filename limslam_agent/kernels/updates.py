@@ -239,16 +239,9 @@ def update_by_readings(
 ]:  # fmt: skip
     """Find an update by readings of one line, for ``correct_state`` to finish; there is none if none meets the line.
 
-    Returns
-    -------
-    moved, change
-        As of :func:`iterate`.
-    expected, jacobian, columns
-        What ``predict_ranges`` fills (m, 7), and H (m, k) for these states (k,).
-    factor, W, innovation
-        As of :func:`iterate`.
-    chosen
-        Indices (m,) of the readings that are used.
+    Returned are ``moved`` and ``change`` of :func:`iterate`, what ``predict_ranges`` fills (m, 7), H (m, k) for states
+    (k,) and these states, factor, W and innovation of :func:`iterate`, and the indices (m,) of the readings that are
+    used.
     """
     line, start = begins_of[1] + 2 * index, begins_of[2]
     chosen = clear_readings(x, start, places, readings, line, (anchors[index, 0], anchors[index, 1]))

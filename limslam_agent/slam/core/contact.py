@@ -137,16 +137,9 @@ def slip_covariances(
 ) -> FloatArray:
     """Covariances (n, t, 3, 3) of the slip by contact in the motions of a drive of n robots, m^2.
 
-    They are of left and right wheel's travel and of the motion aside.
-
-    Parameters
-    ----------
-    robot, std
-        Body and beams of each robot, and standard deviation of a range, m.
-    wheels
-        Wheel travel (n, t, 2), m.
-    ranges, measured
-        Readings (t + 1, n, n_beams), m, the first ones from before the first motion, and which of them are new.
+    They are of left and right wheel's travel and of the motion aside. The wheels travel (n, t, 2), m. The readings (t +
+    1, n, n_beams), m, of which some were ``measured``, begin before the first motion, and ``std`` is the standard
+    deviation of a range, m.
     """
     by_increment = np.array([[1.0, 0.0, -0.5 * robot.axle], [1.0, 0.0, 0.5 * robot.axle], [0.0, 1.0, 0.0]])
     found = np.zeros((*wheels.shape[:2], 3, 3))
