@@ -19,13 +19,7 @@ from limslam_env.geometry.line import angle_between
 
 
 class SeparateBias:
-    """Constant errors b that a filter takes to be zero: what its innovations say of them.
-
-    Parameters
-    ----------
-    prior
-        Covariance (k, k) of the errors, about zero.
-    """
+    """Constant errors b with a prior covariance (k, k) about zero: what the innovations of a filter say of them."""
 
     def __init__(self, prior: FloatArray) -> None:
         self._prior, count = prior, len(prior)

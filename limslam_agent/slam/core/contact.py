@@ -106,12 +106,7 @@ def slip_covariance(variance: float, angle: float) -> FloatArray:
 class Contacts:
     """Follows the readings and the wheels of one robot, and makes motions in contact less certain.
 
-    Parameters
-    ----------
-    robot
-        Body and beams.
-    std
-        Standard deviation of a range, m.
+    Ranges have the standard deviation ``std``, m.
     """
 
     def __init__(self, robot: RobotSpec, std: float) -> None:

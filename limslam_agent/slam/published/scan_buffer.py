@@ -40,17 +40,7 @@ class Scan:
 
 
 class ScanBuffer:
-    """The points of one side of the robot.
-
-    Parameters
-    ----------
-    robot
-        The robot, whose beams of this side fill the buffer.
-    side
-        ``"left"`` or ``"right"``. The two sides never see the same wall at once.
-    config
-        Size and gap.
-    """
+    """The points of one side of the robot: its two sides never see the same wall at once."""
 
     def __init__(self, robot: RobotSpec, side: Side, config: BufferConfig) -> None:
         self._config = config
