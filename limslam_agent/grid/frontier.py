@@ -15,14 +15,7 @@ _ALL_AROUND = np.ones((3, 3), dtype=int)
 def frontier_cells(grid: GridView, min_size: int, ignored: BoolArray | None = None) -> BoolArray:
     """Free cells (rows, columns) beside an unknown cell, in groups of at least ``min_size``.
 
-    Parameters
-    ----------
-    grid
-        The map.
-    min_size
-        Least number of cells of a group.
-    ignored
-        Cells (rows, columns) that are not frontiers. The remaining cells are grouped without them.
+    Cells that are ``ignored`` (rows, columns) are no frontiers, and the others are grouped without them.
     """
     # Cells beyond the grid are unknown.
     unknown = np.pad(grid.unknown, 1, constant_values=True)

@@ -120,16 +120,9 @@ class OccupancyGrid:
         return GridView(np.asarray(self._known_low * self._config.cell, dtype=np.float64), self._config.cell, values)
 
     def update(self, pose: FloatArray, robot: RobotSpec, ranges: FloatArray, usable: BoolArray) -> None:
-        """Update the grid by one step's readings.
+        """Update the grid by one step's readings (n_beams,), m, from an estimated pose (3,), m, m, rad.
 
-        Parameters
-        ----------
-        pose
-            Estimated pose (3,), m, m, rad.
-        robot
-            Body and beams.
-        ranges, usable
-            Readings (n_beams,), m, and which of them are new.
+        Those readings count that are ``usable`` (n_beams,), since they are new.
 
         Raises
         ------
@@ -154,14 +147,7 @@ class OccupancyGrid:
     def draw(self, robot: RobotSpec, poses: FloatArray, ranges: FloatArray, measured: BoolArray) -> None:
         """Update the grid by all readings of a finished stretch. Those that may be drop-outs are not drawn.
 
-        Parameters
-        ----------
-        robot
-            Body and beams.
-        poses
-            Poses (t, n, 3) of n robots, m and rad.
-        ranges, measured
-            Readings (t, n, n_beams), m, and a mask of the readings that are new.
+        Given are poses (t, n, 3) of n robots, m and rad, readings (t, n, n_beams), m, and which of them are new.
         """
         drawn = [without_dropouts(robot, ranges[:, number], measured[:, number]) for number in range(ranges.shape[1])]
         for row in range(len(poses)):
@@ -217,15 +203,7 @@ def _moved_with_nearest(points: FloatArray, before: FloatArray, after: FloatArra
 def drawn_grid(
     config: GridConfig, robot: RobotSpec, poses: FloatArray, ranges: FloatArray, measured: BoolArray
 ) -> GridView:
-    """The occupancy grid of all readings of a finished run from other poses than those of the run itself.
-
-    Parameters
-    ----------
-    poses
-        Poses (t, n, 3) of n robots, m and rad.
-    ranges, measured
-        Readings (t, n, n_beams), m, and a mask of the readings that are new.
-    """
+    """The grid of all readings of a finished run from other poses than the run's: :meth:`OccupancyGrid.draw`."""
     grid = OccupancyGrid(config)
     grid.draw(robot, poses, ranges, measured)
     return grid.view

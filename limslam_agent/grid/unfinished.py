@@ -27,15 +27,7 @@ _SMOOTHED = 0.25
 
 @dataclass(frozen=True, eq=False)
 class Faces:
-    """Sides of cells where free ground ends.
-
-    Attributes
-    ----------
-    middles
-        Middle of each face (n, 2), m.
-    normals
-        Unit vectors (n, 2) from the face into the free ground.
-    """
+    """Sides of cells where free ground ends: their middles (n, 2), m, and unit normals (n, 2) into the free ground."""
 
     middles: FloatArray
     normals: FloatArray

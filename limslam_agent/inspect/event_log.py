@@ -12,7 +12,7 @@ from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.inspect.columns import rounded
 from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.slam.core.diagnostics import AssociationRecord, CandidateTest, Closure, Comparison, Extraction
-from limslam_agent.slam.core.hough import bin_size
+from limslam_agent.slam.core.line_fit import bin_size
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.status import LEVELS
 from limslam_env.geometry import FloatArray

@@ -29,22 +29,9 @@ def touched_cells(
 ) -> IntArray:  # fmt: skip
     """The cells of the world that the beams and the body of a robot touch.
 
-    Parameters
-    ----------
-    pose
-        (3,), m, m, rad.
-    ranges, measured
-        Readings (b,), m, and which of them are new.
-    beams
-        (b, 6 or more): origin x, y (m), direction x, y, and the ranges (m) up to and from which nothing is measured.
-    radius, cell
-        Of the body, and side of a cell, m.
-
-    Returns
-    -------
-    cells
-        (n, 3): row and column, counted from the world's origin, and ``CROSSED`` or ``ENDED``. Cells may repeat, and
-        those in which a beam ended come first.
+    The robot is at a pose (3,), and those of its readings (b,), m, count that were ``measured``. ``beams`` is
+    ``RobotSpec.beam_table``. Cells (n, 3) are row and column, counted from the world's origin, and ``CROSSED`` or
+    ``ENDED``. They may repeat, and those in which a beam ended come first.
     """
     x, y, cos, sin = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
     spacing, most = 0.5 * cell, len(BODY)
@@ -94,16 +81,9 @@ def change_cells(
 ) -> None:
     """Change the values of touched cells, each of them once, however many beams touch it.
 
-    Parameters
-    ----------
-    values
-        (rows, columns), changed: positive is free, negative is occupied, 0 is unknown.
-    cells
-        (n, 3): row and column in ``values``, and what happened there. Of a cell that repeats, the first row counts.
-    stamps, stamp
-        Scratch (rows, columns), and a number that it does not contain yet.
-    seen_through, hit, limit
-        What is added where a beam crossed, what is subtracted where a beam ended, and the largest absolute value.
+    ``seen_through`` is added to the values (rows, columns) where a beam crossed, ``hit`` is subtracted where one ended,
+    and ``limit`` is the largest absolute value. Of a cell that repeats, the first row counts. ``stamps`` (rows,
+    columns) is scratch, and ``stamp`` a number that it does not contain yet.
     """
     for i in range(len(cells)):
         row, column = cells[i, 0], cells[i, 1]
@@ -130,19 +110,10 @@ def update_grid(
 ) -> bool:  # fmt: skip
     """Update a grid by one step's readings, if it holds all cells that they touch; whether it does.
 
-    Parameters
-    ----------
-    pose, ranges, measured, beams, radius, cell
-        As of :func:`touched_cells`. The beams are those of ``RobotSpec.beam_table``.
-    values, corner
-        Values of the cells (rows, columns), changed, and column and row (2,) of the first of them, counted from the
-        world's origin.
-    rules
-        What is added where a beam crossed, what is subtracted where a beam ended, and the largest absolute value (3,).
-    stamps, stamp
-        Scratch (rows, columns), and a number that it does not contain yet.
-    touched
-        Set to the first column and row that are touched, and to those after the last ones (2, 2).
+    The first arguments are those of :func:`touched_cells`, and the last ones those of :func:`change_cells`. The first
+    of the cells has the column and row ``corner`` (2,), counted from the world's origin, and ``rules`` (3,) are what is
+    added, what is subtracted, and the largest absolute value. ``touched`` (2, 2) is set to the first column and row
+    that are touched, and to those after the last ones.
     """
     cells = touched_cells(pose, ranges, measured, beams, radius, cell)
     x, y, cos, sin = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])

@@ -24,19 +24,22 @@ from limslam_agent.kernels.tables import (
     HITS,
     LEAST,
     LENGTH,
+    LINES,
+    LINES_FROM,
     LOW,
     MISSES,
     MOST,
     NEXT_NUMBER,
     NUMBER,
     OVERFLOWS,
+    POSE,
     READINGS,
     THROUGH_SIGMAS,
     THROUGH_SLACK,
     TOO_NEAR,
     Walls,
 )
-from limslam_env.geometry import BoolArray, FloatArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 
 def add_wall(walls: Walls, index: int) -> None:
@@ -130,24 +133,17 @@ def merge_walls(walls: Walls, older: int, younger: int, factor: float, shift: fl
 
 @lean_entry
 def clear_along_beams(
-    walls: Walls, lines: FloatArray, anchors: FloatArray, pose: FloatArray, variances: tuple[float, float],
+    walls: Walls, x: FloatArray, covariance: FloatArray, counts: IntArray, anchors: FloatArray, at: int,
     ranges: FloatArray, measured: BoolArray, beams: FloatArray, noise: tuple[float, float], rays: FloatArray,
 ) -> None:  # fmt: skip
     """Count the places of landmarks that a robot's new beams have passed through.
 
-    Parameters
-    ----------
-    walls, lines, anchors
-        The landmarks: extents, lines (k, 2) as distance, m, and angle, rad, about anchors (k, 2), m.
-    pose, variances
-        Pose (3,), m and rad, and the variances of its position, m^2, and of its heading, rad^2.
-    ranges, measured, beams
-        Readings (b,), m, which of them are new, and ``RobotSpec.beam_table``.
-    noise
-        Standard deviation of a short range, m, and the growth of ``RangeSensor``, 1/m.
-    rays
-        (b, 6), filled: origin, direction, length, m, and margin, m, of the beams that count.
+    The lines and the robot's pose, which begins at the index ``at``, are those of a ``Filter``. ``beams`` is
+    ``RobotSpec.beam_table``, and ``noise`` the standard deviation of a short range, m, and the growth of
+    ``RangeSensor``. ``rays`` (b, 6) is scratch: origin, direction, length, m, and margin, m, of the beams that count.
     """
+    pose, unsure = x[at : at + POSE], covariance[at, at] + covariance[at + 1, at + 1]
+    turned = covariance[at + 2, at + 2]
     cos, sin, count = math.cos(pose[2]), math.sin(pose[2]), 0
     for beam in range(len(ranges)):
         if measured[beam] and ranges[beam] > beams[beam, TOO_NEAR]:
@@ -155,18 +151,18 @@ def clear_along_beams(
             rays[count, 0] = pose[0] + cos * beams[beam, FROM_X] - sin * beams[beam, FROM_Y]
             rays[count, 1] = pose[1] + sin * beams[beam, FROM_X] + cos * beams[beam, FROM_Y]
             rays[count, 2], rays[count, 3], grown = math.cos(heading), math.sin(heading), noise[1] * far * far
-            margin = THROUGH_SIGMAS * math.sqrt(noise[0] ** 2 + grown**2 + variances[0] + variances[1] * far**2)
+            margin = THROUGH_SIGMAS * math.sqrt(noise[0] ** 2 + grown**2 + unsure + turned * far**2)
             rays[count, 4], rays[count, 5], count = far - THROUGH_SLACK, margin, count + 1
-    ends = walls.ends
-    for index in range(len(lines)):
-        nx, ny, low, high = math.cos(lines[index, 1]), math.sin(lines[index, 1]), ends[index, LEAST], ends[index, MOST]
+    for index in range(counts[LINES]):
+        line, low, high = counts[LINES_FROM] + 2 * index, walls.ends[index, LEAST], walls.ends[index, MOST]
+        nx, ny = math.cos(x[line + 1]), math.sin(x[line + 1])
         for ray in range(count):
             ux, uy = rays[ray, 2], rays[ray, 3]
             cosine = ux * nx + uy * ny
             if abs(cosine) <= GRAZING:
                 continue
             off_x, off_y = rays[ray, 0] - anchors[index, 0], rays[ray, 1] - anchors[index, 1]
-            ahead = (lines[index, 0] - off_x * nx - off_y * ny) / cosine
+            ahead = (x[line] - off_x * nx - off_y * ny) / cosine
             if ahead > 0.0 and ahead + rays[ray, 5] / abs(cosine) < rays[ray, 4]:
                 position = (off_y + ahead * uy) * nx - (off_x + ahead * ux) * ny
                 if low < position < high:

@@ -86,7 +86,7 @@ def peaks(
     return lines
 
 
-@compiled
+@entry
 def fit_line(points: FloatArray, members: IntArray, ends: FloatArray) -> tuple[float, float]:
     """(r, theta), normalised, of the line through some points by total least squares; fills its ends (2, 2), m."""
     middle_x, middle_y, number = 0.0, 0.0, len(members)
@@ -151,20 +151,9 @@ def refine_lines(
 ) -> int:  # fmt: skip
     """Refine candidate lines on their points, and cut them at gaps; the number k of lines.
 
-    Parameters
-    ----------
-    points, candidates
-        Points (n, 2), m, and candidates as (r, theta) about the mean of the points, m and rad, best first.
-    limits, votes
-        As of :func:`refined`, and the least number of points of a line.
-    gap, least
-        Longest gap in a line, and its least length, m.
-    only_best
-        Whether to stop after the first candidate that has lines.
-    owner
-        Set to the line of each point (n,), -1 for none.
-    lines, ends
-        Set to the lines (k, 2) as (r, theta), and their end points (k, 2, 2), m.
+    The candidates are (r, theta) about the mean of the points (n, 2), best first. ``limits`` and ``votes`` are those of
+    :func:`refined`, ``gap`` is the longest gap in a line, and ``least`` its least length, m. Set are the ``owner`` of
+    each point (n,), -1 for none, the ``lines`` (k, 2) as (r, theta), and their ``ends`` (k, 2, 2), m.
     """
     total, size, middle_x, middle_y = len(points), 0, 0.0, 0.0
     for i in range(total):
@@ -236,9 +225,3 @@ def extract_lines(
     limits = r_step, near_line
     number = refine_lines(points, candidates, limits, min_votes, max_gap, least, only_best, owner, lines, ends)
     return owner, lines[:number], ends[:number]
-
-
-@entry
-def fit_points(points: FloatArray, members: IntArray, ends: FloatArray) -> tuple[float, float]:
-    """:func:`fit_line`, as Python calls it."""
-    return fit_line(points, members, ends)

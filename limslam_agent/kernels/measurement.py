@@ -55,18 +55,10 @@ def predict_ranges(
     x: FloatArray, start: int, places: IntArray, readings: FloatArray, chosen: IntArray, line: tuple[float, float],
     anchor: tuple[float, float], out: FloatArray,
 ) -> None:  # fmt: skip
-    """Predict the ranges of some beams that meet a line.
+    """Predict the ranges of those readings that are ``chosen`` (k,), whose beams meet a line.
 
-    Parameters
-    ----------
-    x, start, places, readings
-        As above.
-    chosen
-        Indices (k,) of the readings that are predicted.
-    line, anchor
-        (d, theta), m and rad, and the anchor, m.
-    out
-        (k, 7), filled: range, derivatives by pose (3) and by line (2), and cosine between beam and normal.
+    ``line`` is (d, theta), m and rad, about an ``anchor``, m. ``out`` (k, 7) is filled: range, derivatives by pose (3)
+    and by line (2), and cosine between beam and normal.
     """
     nx, ny = math.cos(line[1]), math.sin(line[1])
     for i in range(len(chosen)):
@@ -106,16 +98,7 @@ def fill_transport(
 ) -> None:
     """Derivative (size, 3) of the state by the first robot's pose when robot and world move together rigidly.
 
-    Parameters
-    ----------
-    x, size
-        The state, and its length.
-    begins
-        Where the poses end in the state, and where lines and clones begin.
-    anchors, num_lines
-        Anchors, m, of the lines, and the number of lines.
-    out
-        Is filled.
+    ``begins`` says where the poses end in the state, and where lines and clones begin. ``out`` is filled.
     """
     poses_end, first, clones_from = begins
     out[:size] = 0.0

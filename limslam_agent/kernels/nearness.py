@@ -21,16 +21,10 @@ def beam_end(
 def place_readings(
     pose: FloatArray, ranges: FloatArray, beams: FloatArray, touching: float, seen: FloatArray, touched: FloatArray
 ) -> None:
-    """Find where a step's readings ended, and where something touched a sensor.
+    """Set where a step's readings ended, and where something touched a sensor (b, 2), m; NaN for nowhere.
 
-    Parameters
-    ----------
-    pose, ranges, beams
-        Pose (3,), m and rad, readings (b,), m, and ``RobotSpec.beam_table``.
-    touching
-        A beam at its minimum range has hit something at this share of the minimum range.
-    seen, touched
-        Set to the points (b, 2), m; NaN where there is none.
+    A beam at its minimum range has hit something at the share ``touching`` of it. ``beams`` is
+    ``RobotSpec.beam_table``.
     """
     cos, sin = math.cos(pose[2]), math.sin(pose[2])
     for beam in range(len(ranges)):
@@ -71,18 +65,9 @@ def safe_share(
 ) -> float:  # fmt: skip
     """The first of some shares of a way that a body can move without coming too close to a point; 0 if there is none.
 
-    Parameters
-    ----------
-    pose, way
-        Pose (3,) of the body, m and rad, and the way (2,), m.
-    seen, touched
-        Points (n, b, 2), m, of which some may be NaN.
-    deepest
-        Points nearer than this to the body's middle do not count, m.
-    farthest
-        The body's middle must come no nearer to a point than this, m, or than it is.
-    shares
-        The shares (k,).
+    The body is at a ``pose`` (3,), and the ``way`` is (2,), m. Of the points (n, b, 2), m, that were ``seen`` and
+    ``touched``, some may be NaN, and those nearer to the body's middle than ``deepest``, m, do not count. The middle
+    must come no nearer to a point than ``farthest``, m, or than it is.
     """
     for number in range(len(shares)):
         share = float(shares[number])
@@ -96,14 +81,8 @@ def safe_share(
 def room_ahead(ranges: FloatArray, beams: FloatArray, front: float, radius: float, margin: float) -> float:
     """Distance (m) that a body can drive straight ahead before it meets the nearest point seen by a front beam.
 
-    Parameters
-    ----------
-    ranges, beams
-        Readings (b,), m, and ``RobotSpec.beam_table``.
-    front
-        Largest angle of a front beam from straight ahead, rad.
-    radius, margin
-        Of the body, and at its sides, m.
+    ``front`` is the largest angle of a front beam from straight ahead, rad, and ``margin`` is kept at the body's sides,
+    m. ``beams`` is ``RobotSpec.beam_table``.
     """
     has_front, has_reading, room = False, False, math.inf
     for beam in range(len(ranges)):
@@ -129,18 +108,11 @@ def beams_on_robot(
     sensor: tuple[float, float, float, float],
     covariance: FloatArray, at: int, other_at: int, margins: tuple[float, float, float], found: BoolArray,
 ) -> None:  # fmt: skip
-    """Mark the beams of a robot at a pose (3,) that may end on the body of another robot at a pose (3,).
+    """Mark the beams (b,) of a robot at a pose (3,) that may end on the body of another robot at a pose (3,).
 
-    Parameters
-    ----------
-    ranges, beams, sensor
-        Readings (b,), m, ``RobotSpec.beam_table``, and ``RangeSensor.numbers``.
-    covariance, at, other_at
-        Joint covariance (n, n) of all poses, and where those of the two robots begin.
-    margins
-        Radius of the body, m, number of standard deviations, and slack, m.
-    found
-        Is set where a beam (b,) may end on that robot.
+    ``sensor`` is ``RangeSensor.numbers``, and ``beams`` is ``RobotSpec.beam_table``. The two poses begin in the joint
+    ``covariance`` at ``at`` and ``other_at``. The margins are the radius of the body, m, a number of standard
+    deviations, and a slack, m.
     """
     cos, sin, (radius, sigmas, slack) = math.cos(pose[2]), math.sin(pose[2]), margins
     for beam in range(len(ranges)):

@@ -58,24 +58,20 @@ def search_paths(
     """Find the least-cost paths from a cell to those around it.
 
     Of equally cheap cells, the one with the largest index is visited first. So paths of equal cost are chosen by the
-    grid alone.
+    grid alone. Arrays of cells are (rows, columns), or (n,) with flat indices.
 
     Parameters
     ----------
     open_cells, prices
-        Cells that can be entered (rows, columns), and the cost of a step of the length of a cell in each of them.
-    wanted
-        The search ends when the cheapest of these cells (rows, columns) is known; an array without cells for no end.
-    extra
-        What the wanted cells cost besides their paths (rows, columns), m, at least 0; an array without cells for
-        nothing.
-    start
-        Flat index of the cell where paths begin.
-    queue, places
-        Scratch (n,) for n cells: a binary heap, and where each cell is in it.
+        Cells that can be entered, and the cost of a step of the length of a cell in each of them.
+    wanted, extra
+        The search ends when the cheapest of the wanted cells is known, with what it costs besides its path, m, at least
+        0; arrays without cells for no end, and for nothing.
+    start, queue, places
+        Where paths begin, and scratch (n,): a binary heap, and where each cell is in it.
     cost, before
-        Costs (n,), all infinite, and flat indices (n,) of the cells before each cell on its path, all negative. They
-        are set where a path has been found.
+        Costs (n,), all infinite, and the cells (n,) before each cell on its path, all negative. They are set where a
+        path has been found.
     """
     rows, columns = open_cells.shape
     cost[start], nearest, size = 0.0, math.inf, 1

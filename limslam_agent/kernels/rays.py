@@ -113,18 +113,9 @@ def explain(
     """The evidence of a reading for a map against a random place, where it contradicts the map, and whether it might.
 
     The second number is the distance at which it contradicts the map, m: at a wall that it has passed, or where it
-    ended in free ground. It is 0 if it contradicts nothing.
-
-    Parameters
-    ----------
-    length, reach
-        Reading and longest reading, m.
-    wall, cosine
-        Distance to the first wall, m, and the cosine of the angle between the ray and its normal.
-    free, ends_at
-        How far all cells along the ray are free, m, and the value of the cell there.
-    spread
-        Variance of the distance to a wall, m^2, and how it grows with the squared distance, rad^2.
+    ended in free ground. It is 0 if it contradicts nothing. The first wall is at the distance ``wall``, m, with this
+    cosine between the ray and its normal; cells are ``free`` so far, m, and then have the value ``ends_at``. ``spread``
+    is the variance of the distance to a wall, m^2, and how it grows with the squared distance, rad^2.
     """
     if wall < reach and wall <= free + _UNSEEN:
         std = math.sqrt(spread[0] + spread[1] * wall**2) / max(cosine, _STEEPEST)
@@ -195,20 +186,11 @@ def weigh_poses(
 ) -> None:  # fmt: skip
     """Find the evidence of rays for poses of their frame in a map.
 
-    Parameters
-    ----------
-    poses, rays
-        Poses (m, 3), m and rad, and rays (n, 7).
-    segments, walls
-        Walls (k, 4), m, and scratch (k, 5).
-    values, low, cell
-        Values of the cells (rows, columns), positive if free, the lower left corner (2,), m, and the side, m.
-    spread, cone
-        That of :func:`explain`, and half the opening angle of the beams, rad.
-    evidence
-        Set to the logarithm of the likelihood ratio (m,) of each pose and of a random place.
-    counts
-        Set to the numbers of rays (m, 2) that contradict the map, and that could have done so.
+    Set are the logarithm of the likelihood ratio ``evidence`` (m,) of each of the poses (m, 3) and of a random place,
+    and the numbers of rays ``counts`` (m, 2), of (n, 7), that contradict the map, and that could have done so. The map
+    is walls (k, 4), m, and cells (rows, columns), positive if free, with the lower left corner ``low`` (2,), m.
+    ``spread`` is that of :func:`explain`, ``cone`` is half the opening angle of the beams, rad, and ``walls`` (k, 5) is
+    scratch.
     """
     fill_table(segments, walls)
     for number in range(len(poses)):
@@ -345,23 +327,11 @@ def scan_poses(
 ) -> None:  # fmt: skip
     """Roughly weigh poses on a grid: a ray counts by the cell of its end, and by two cells on its way.
 
-    All places of a row are weighed at once, so that memory is read in order.
-
-    Parameters
-    ----------
-    turns
-        The turns (t,), rad.
-    rays, middle
-        Rays (n, 7), and the point (2,), m, which is placed in the middle of every second cell of every second row.
-    fields
-        Evidence (2, 2, 2, rows, columns) of an end of a ray in each cell, and of a ray on its way there. The second and
-        the third index say whether the cells have odd rows and odd columns.
-    cell
-        Side of the cells, m.
-    offsets
-        Scratch (n, 6).
-    scores
-        Set to the evidence (t, rows, columns).
+    All places of a row are weighed at once, so that memory is read in order. Set are the ``scores`` (t, rows, columns)
+    of the ``turns`` (t,), rad, of rays (n, 7) about the ``middle`` (2,), m, which is placed in the middle of every
+    second cell of every second row. ``fields`` (2, 2, 2, rows, columns) are the evidence of an end of a ray in each
+    cell, and of a ray on its way there; the second and the third index say whether the cells have odd rows and odd
+    columns. ``offsets`` (n, 6) is scratch.
     """
     rows = fields.shape[3]
     for turn in range(len(turns)):

@@ -37,17 +37,9 @@ def sort_readings(
 ) -> int:  # fmt: skip
     """Turn what a sensor reports into readings; the number of values that are no readings.
 
-    Parameters
-    ----------
-    values
-        What the sensor reports (b,), m.
-    lowest, highest, too_near, too_far
-        Those of the robot's beams (b,), m.
-    readings
-        Set to the readings (b,), m, as ``limslam_agent.readings.as_readings`` does.
-    measured, hits
-        Beams that take a new measurement in this step (b,). Those without a reading are removed; ``hits`` is set to
-        those that show a wall.
+    The ``values``, m, become ``readings`` (b,) as ``limslam_agent.readings.as_readings`` does it. ``measured`` (b,)
+    holds the beams that take a new measurement in this step, of which those without a reading are removed. ``hits`` is
+    set to those that show a wall.
     """
     refused = 0
     for beam in range(len(values)):
@@ -73,14 +65,9 @@ def reading_evidence(
 ) -> float:  # fmt: skip
     """The evidence of a reading that the robot was carried away before its step.
 
-    Parameters
-    ----------
-    ranges, nothing
-        The reading, the one before, and the one before that, m, and whether the beam saw nothing.
-    motion
-        Distance and turn before the reading, and the turn before the reading before, m and rad, without signs.
-    reach, std, growth
-        The longest range, m, and those of the ``RangeSensor``.
+    ``ranges`` are the reading, the one before, and the one before that, m; ``nothing`` says whether the beam saw
+    nothing. ``motion`` is the distance and the turn before the reading, and the turn before the reading before, without
+    signs.
     """
     (now, before, earlier), (travel, turn, turn_before) = ranges, motion
     if nothing[0] and nothing[1]:
@@ -114,16 +101,9 @@ def weigh_changes(
 ) -> None:  # fmt: skip
     """Find the evidence of each reading that the robot was carried away before its step.
 
-    Parameters
-    ----------
-    ranges, usable
-        Readings of m + 2 steps (m + 2, b), m, and a mask of those that count.
-    motions
-        Length and angle of the motion before each of the steps (m + 2, 2), m and rad, without signs.
-    beams, std, growth
-        ``RobotSpec.beam_table``, and those of the ``RangeSensor``.
-    evidence
-        Set to the evidence (m, b) of the readings of the steps but the first two; 0 where a reading does not count.
+    Given are readings of m + 2 steps, a mask of those that count, both (m + 2, b), and length and angle of the motion
+    before each of the steps (m + 2, 2), m and rad, without signs. ``beams`` is ``RobotSpec.beam_table``. Set is the
+    evidence (m, b) for the steps but the first two; 0 where a reading does not count.
     """
     for row in range(evidence.shape[0]):
         for beam in range(evidence.shape[1]):
@@ -148,16 +128,9 @@ def count_misses(
 ) -> None:
     """Count readings that saw nothing, and among them those between two readings of the same wall.
 
-    Parameters
-    ----------
-    ranges, measured, beams
-        Readings (b,), m, which of them are new, and ``RobotSpec.beam_table``.
-    last
-        The last two new readings of each beam (2, b), m, changed; NaN where there is none.
-    in_a_row
-        How many new readings of each beam (b,) in a row saw nothing, changed.
-    counts
-        Number of readings between two of the same wall, and of those among them that saw nothing (2,), changed.
+    Changed are the ``last`` two new readings of each beam (2, b), m, NaN where there is none, how many new readings of
+    each beam ``in_a_row`` (b,) saw nothing, and ``counts`` (2,): readings between two of the same wall, and those among
+    them that saw nothing.
     """
     for beam in range(len(ranges)):
         if not measured[beam]:

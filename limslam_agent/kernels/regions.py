@@ -72,21 +72,11 @@ def mark_drawn(
     middles: FloatArray, normals: FloatArray, walls: FloatArray, across: float, sideways: float, past: float,
     same_way: float, drawn: BoolArray,
 ) -> None:  # fmt: skip
-    """Find the faces at which a wall is drawn.
+    """Set which faces (n,), with these middles, m, and normals (n, 2), have a wall drawn at them.
 
-    Parameters
-    ----------
-    middles, normals
-        Middles (n, 2), m, and normals (n, 2) of the faces.
-    walls
-        Start, m, unit vector along the wall, and length, m, of each wall (m, 5).
-    across, sideways, past
-        Farthest distances, m, from the wall: of a face that looks along the wall's normal, of any other face, and past
-        the wall's ends.
-    same_way
-        Least cosine between the normals of a face and of a wall that look along one line.
-    drawn
-        Set to whether each face (n,) has a wall.
+    Each of the walls (m, 5) has its start, m, unit vector along it, and length, m. A face that looks along a wall's
+    normal, by a cosine of at least ``same_way``, may be ``across`` away from it, m, and any other face ``sideways``;
+    past the wall's ends, ``past``.
     """
     for i in range(len(middles)):
         drawn[i] = False

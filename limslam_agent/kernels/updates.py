@@ -185,16 +185,8 @@ def iterate(
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:  # fmt: skip
     """Iterate an update by readings of one line, with Huber weights, linearised anew at each iteration.
 
-    Parameters
-    ----------
-    x, P, size, begins_of, anchors, num_lines
-        The state and its parts. x is moved to where the last iteration linearises.
-    columns, begins
-        As of :func:`involved`.
-    places, readings, chosen, index
-        Readings, the indices (m,) of those that are used, and the index of their line.
-    variances, iterations, huber
-        Variances of the used ranges (m,), m^2, the number of iterations, and the limit of the Huber weights.
+    ``columns`` and ``begins`` are those of :func:`involved`, ``chosen`` (m,) are the readings that are used, with
+    ``variances`` (m,), m^2, and ``huber`` limits the weights. x is moved to where the last iteration linearises.
 
     Returns
     -------
@@ -247,16 +239,9 @@ def update_by_readings(
 ]:  # fmt: skip
     """Find an update by readings of one line, for ``correct_state`` to finish; there is none if none meets the line.
 
-    Returns
-    -------
-    moved, change
-        As of :func:`iterate`.
-    expected, jacobian, columns
-        What ``predict_ranges`` fills (m, 7), and H (m, k) for these states (k,).
-    factor, W, innovation
-        As of :func:`iterate`.
-    chosen
-        Indices (m,) of the readings that are used.
+    Returned are ``moved`` and ``change`` of :func:`iterate`, what ``predict_ranges`` fills (m, 7), H (m, k) for states
+    (k,) and these states, factor, W and innovation of :func:`iterate`, and the indices (m,) of the readings that are
+    used.
     """
     line, start = begins_of[1] + 2 * index, begins_of[2]
     chosen = clear_readings(x, start, places, readings, line, (anchors[index, 0], anchors[index, 1]))

@@ -12,57 +12,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import AgentConfig, preset
-from limslam_agent.kernels.tables import (
-    ANGLE,
-    CLONES,
-    CLOSURES,
-    LENGTH,
-    LINES,
-    LINES_FROM,
-    LOW,
-    OVERFLOWS,
-    POSE,
-    POSES_END,
-    READINGS,
-    TOO_FAR,
-    TOO_NEAR,
-    Filter,
-    Walls,
-)
+from limslam_agent.kernels import tables
 from limslam_agent.readings import as_readings
-from limslam_agent.slam.batch.compilation import algebra, entry
-from limslam_agent.slam.batch.compiled_steps import (
-    clear,
-    clone,
-    collect,
-    first_jitter,
-    has_ended,
-    is_due,
-    jitter_of,
-    move,
-    process,
-    prune,
-    size_of,
-    slip,
-    slip_covariance,
-    tick_by,
-    turned,
-    wheel_motion,
-)
+from limslam_agent.slam.batch import compiled_steps as steps
 from limslam_agent.slam.batch.grid import CropArray, crop, update
-from limslam_agent.slam.batch.state import (
-    REFUSED,
-    STEP,
-    Capacity,
-    Spec,
-    States,
-    spec_of,
-    states_for,
-)
+from limslam_agent.slam.batch.state import REFUSED, STEP, Capacity, Spec, States, spec_of, states_for
 from limslam_agent.slam.consistent.limits import MAX_GAP, THROUGH_TOLERANCE, WALL_END
 from limslam_agent.slam.consistent.pending_readings import DRIVEN, DRIVEN_AT, FRESH, SIDES, TURNED, TURNED_AT
 from limslam_agent.slam.consistent.wall_map import WallExtent
-from limslam_env.compilation import next_of
+from limslam_env.compilation import algebra, next_of
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.line import at
 from limslam_env.geometry.segment import lengths
@@ -146,7 +104,7 @@ class BatchSlam:
         self._states = states_for(robot, config.estimator, num_envs, self.capacity)
         self._pool: ThreadPoolExecutor | None = None
         self._threads = threads
-        self.reset(np.zeros((num_envs, POSE)))
+        self.reset(np.zeros((num_envs, tables.POSE)))
 
     def reset(self, start_poses: ArrayLike, mask: ArrayLike | None = None) -> None:
         """Start again from known poses (n, 3), m, m, rad, with empty maps; with a mask (n,), only where it is true.
@@ -158,7 +116,7 @@ class BatchSlam:
         """
         starts = np.array(start_poses, dtype=float)
         chosen = self._chosen(mask)
-        if starts.shape != (self.num_envs, POSE):
+        if starts.shape != (self.num_envs, tables.POSE):
             raise ValueError(f"{self.num_envs} robots need start poses ({self.num_envs}, 3), not {starts.shape}")
         _refuse_if_not_finite(starts, chosen, "start pose")
         begin_some(self._states, starts, chosen, self.config.grid.cell)
@@ -191,7 +149,7 @@ class BatchSlam:
         _refuse_if_not_finite(travel, chosen, "wheel travel")
         seen = np.ascontiguousarray(as_readings(seen, self.robot.min_ranges, self.robot.max_ranges))
         travel = np.ascontiguousarray(travel)
-        poses, covariances = np.zeros((self.num_envs, POSE)), np.zeros((self.num_envs, POSE, POSE))
+        poses, covariances = np.zeros((self.num_envs, tables.POSE)), np.zeros((self.num_envs, tables.POSE, tables.POSE))
         grids = np.zeros((self.num_envs, 1, self.size, self.size), dtype=np.uint8)
         begun = np.zeros(1, dtype=np.int64)
         self._share(
@@ -214,13 +172,13 @@ class BatchSlam:
         """The walls of one robot's map (k, 4), m, in the world: those of ``WallMap.segments``."""
         settings, (belief, walls) = self._extents, (self._states.filter, self._states.walls)
         found = [np.zeros((0, 4))]
-        for index in range(belief.counts[number, LINES]):
+        for index in range(belief.counts[number, tables.LINES]):
             wall = walls.table[number, index]
-            if wall[READINGS] < settings.min_readings:
+            if wall[tables.READINGS] < settings.min_readings:
                 continue
-            counted = walls.counted[number, index, :, : wall[LENGTH]]
-            extent = WallExtent(int(wall[LOW]), counted, walls.reached[number, index, :, : wall[LENGTH]])
-            line = belief.x[number, POSE + 2 * index : POSE + 2 * index + 2]
+            counted = walls.counted[number, index, :, : wall[tables.LENGTH]]
+            extent = WallExtent(int(wall[tables.LOW]), counted, walls.reached[number, index, :, : wall[tables.LENGTH]])
+            line = belief.x[number, tables.POSE + 2 * index : tables.POSE + 2 * index + 2]
             intervals = extent.intervals(MAX_GAP, THROUGH_TOLERANCE)
             found.append((belief.anchors[number, index] + at(line, intervals)).reshape(-1, 4))
         every = np.concatenate(found)
@@ -229,12 +187,12 @@ class BatchSlam:
     @property
     def num_landmarks(self) -> IntArray:
         """Number of landmarks of each robot (n,), provisional ones included."""
-        return self._states.filter.counts[:, LINES].copy()
+        return self._states.filter.counts[:, tables.LINES].copy()
 
     @property
     def num_closures(self) -> IntArray:
         """Number of pairs of landmarks that each robot has merged (n,)."""
-        return self._states.walls.tally[:, CLOSURES].copy()
+        return self._states.walls.tally[:, tables.CLOSURES].copy()
 
     @property
     def overflows(self) -> IntArray:
@@ -242,7 +200,7 @@ class BatchSlam:
 
         While the number is 0, the robot's estimates equal those of ``LineSlam``.
         """
-        return self._states.walls.tally[:, OVERFLOWS].copy()
+        return self._states.walls.tally[:, tables.OVERFLOWS].copy()
 
     @property
     def refused_readings(self) -> IntArray:
@@ -281,11 +239,11 @@ def state_of(states: States, number: int) -> States:
     """The state of one robot, as views of the arrays."""
     ekf, walls = states.filter, states.walls
     return States(
-        Filter(
+        tables.Filter(
             ekf.x[number], ekf.P[number], ekf.by_errors[number], ekf.anchors[number], ekf.clones[number],
             ekf.counts[number], ekf.errors,
         ),
-        Walls(
+        tables.Walls(
             walls.table[number], walls.counted[number], walls.reached[number], walls.ends[number],
             walls.tally[number],
         ),
@@ -309,33 +267,33 @@ def accept(
         is_number = math.isfinite(ranges[beam])
         ekf.counts[REFUSED] += not is_number
         measured[beam] = is_number and ekf.counts[STEP] % spec.periods[beam] == 0
-        hits[beam] = measured[beam] and beams[beam, TOO_NEAR] < ranges[beam] < beams[beam, TOO_FAR]
-    increment, covariance = wheel_motion(wheels, settings.axle, settings.wheel_variance)
+        hits[beam] = measured[beam] and beams[beam, tables.TOO_NEAR] < ranges[beam] < beams[beam, tables.TOO_FAR]
+    increment, covariance = steps.wheel_motion(wheels, settings.axle, settings.wheel_variance)
     before = state.ticks.copy()
     for wheel in range(2):
-        state.ticks[wheel] = tick_by(before[wheel], wheels[wheel])
-    covariance += first_jitter(before, state.ticks, settings.axle)
-    jitter = jitter_of(state.ticks, settings.axle)
-    angles, too_near, radius = beams[:, ANGLE], beams[:, TOO_NEAR], settings.radius
-    variance, angle = slip(state.contact, ranges, measured, increment[0], angles, too_near, radius, settings.std)
+        state.ticks[wheel] = steps.tick_by(before[wheel], wheels[wheel])
+    covariance += steps.first_jitter(before, state.ticks, settings.axle)
+    jitter = steps.jitter_of(state.ticks, settings.axle)
+    angles, too_near, radius = beams[:, tables.ANGLE], beams[:, tables.TOO_NEAR], settings.radius
+    variance, angle = steps.slip(state.contact, ranges, measured, increment[0], angles, too_near, radius, settings.std)
     if variance:
-        covariance = covariance + slip_covariance(variance, angle)
-    by_pose, by_increment = np.zeros((POSE, POSE)), np.zeros((POSE, POSE))
-    move(ekf.x, ekf.P, size_of(ekf.counts), 0, increment, covariance, by_pose, by_increment, POSE)
+        covariance = covariance + steps.slip_covariance(variance, angle)
+    by_pose, by_increment = np.zeros((tables.POSE, tables.POSE)), np.zeros((tables.POSE, tables.POSE))
+    steps.move(ekf.x, ekf.P, steps.size_of(ekf.counts), 0, increment, covariance, by_pose, by_increment, tables.POSE)
     travel[DRIVEN] += math.hypot(increment[0], increment[1])
     travel[TURNED] += abs(increment[2])
-    lines = ekf.x[POSE : POSE + 2 * ekf.counts[LINES]].reshape(ekf.counts[LINES], 2)
-    unsure, noise = (ekf.P[0, 0] + ekf.P[1, 1], ekf.P[2, 2]), (settings.std, settings.growth)
-    clear(walls, lines, ekf.anchors, ekf.x[:POSE], unsure, ranges, measured, beams, noise, np.empty((len(ranges), 6)))
-    if is_due(travel, hits, spec.sides, settings):
-        if ekf.counts[CLONES] == len(ekf.clones):
-            walls.tally[OVERFLOWS] += 1
-            prune(ekf, state.pending, state.fill, len(ekf.clones) - 1)
-        collect(travel, state.pending, state.fill, ekf.counts[STEP], ranges, hits, spec.sides, clone(ekf, 0, jitter))
+    noise, rays = (settings.std, settings.growth), np.empty((len(ranges), 6))
+    steps.clear(walls, ekf.x, ekf.P, ekf.counts, ekf.anchors, 0, ranges, measured, beams, noise, rays)
+    if steps.is_due(travel, hits, spec.sides, settings):
+        if ekf.counts[tables.CLONES] == len(ekf.clones):
+            walls.tally[tables.OVERFLOWS] += 1
+            steps.prune(ekf, state.pending, state.fill, len(ekf.clones) - 1)
+        number = steps.clone(ekf, 0, jitter)
+        steps.collect(travel, state.pending, state.fill, ekf.counts[STEP], ranges, hits, spec.sides, number)
     return jitter
 
 
-@entry
+@steps.entry
 def step_some(
     states: States,
     spec: Spec,
@@ -362,14 +320,14 @@ def step_some(
         ekf, travel = state.filter, state.travel
         jitter = accept(state, ranges[number], wheels[number], spec, measured)
         for side in range(_NUM_SIDES):
-            is_over = has_ended(travel, state.fill, side, WALL_END)
+            is_over = steps.has_ended(travel, state.fill, side, WALL_END)
             if state.fill[side, FRESH] >= settings.batch or is_over:
-                process(
+                steps.process(
                     ekf, state.walls, state.pending, state.fill, side, travel[DRIVEN], settings, spec.beams, is_over,
                     None,
                 )  # fmt: skip
-        pose[number] = ekf.x[:POSE]
-        covariance[number] = ekf.P[:POSE, :POSE] + turned(jitter, ekf.x[2])
+        pose[number] = ekf.x[: tables.POSE]
+        covariance[number] = ekf.P[: tables.POSE, : tables.POSE] + steps.turned(jitter, ekf.x[2])
         update(
             pose[number], state.grid, state.window, ranges[number], measured, settings, spec.beams, stamps, place + 1
         )  # fmt: skip
@@ -383,9 +341,9 @@ def begin(state: States, start: FloatArray, cell: float) -> None:
     """Reset one robot to a known pose (3,), m, m, rad, with empty maps."""
     ekf = state.filter
     ekf.counts[:] = 0
-    ekf.counts[POSES_END], ekf.counts[LINES_FROM], ekf.counts[STEP] = POSE, POSE, -1
-    ekf.x[:POSE] = start
-    ekf.P[:POSE, :POSE] = 0.0
+    ekf.counts[tables.POSES_END], ekf.counts[tables.LINES_FROM], ekf.counts[STEP] = tables.POSE, tables.POSE, -1
+    ekf.x[: tables.POSE] = start
+    ekf.P[: tables.POSE, : tables.POSE] = 0.0
     state.travel[:] = 0.0
     state.fill[:] = 0
     state.walls.tally[:] = 0
@@ -397,7 +355,7 @@ def begin(state: States, start: FloatArray, cell: float) -> None:
     state.window[1] = math.floor(start[0] / cell) - half
 
 
-@entry
+@steps.entry
 def begin_some(states: States, starts: FloatArray, chosen: IntArray, cell: float) -> None:
     """Reset the chosen robots to known poses (n, 3)."""
     for number in chosen:

@@ -6,10 +6,20 @@ from typing import Any
 
 from limslam_agent.kernels.covariance import move_pose
 from limslam_agent.kernels.extents import clear_along_beams
-from limslam_agent.slam.batch.compilation import algebra
 from limslam_agent.slam.consistent import association, clone_filter, pending_readings, separate_bias
 from limslam_agent.slam.core import contact, encoder_ticks, motion
+from limslam_env.compilation import algebra, entry_of
 from limslam_env.geometry import se2
+
+entry = entry_of(
+    "limslam_env.interface",
+    "limslam_agent.config",
+    "limslam_agent.slam.core",
+    "limslam_agent.kernels",
+    "limslam_agent.slam.consistent",
+    "limslam_agent.slam.batch",
+)
+"""The decorator for kernels of the batch that Python calls."""
 
 
 @algebra
@@ -17,10 +27,7 @@ def note_nothing(*_: Any) -> None:
     """A batch estimates no constant errors beside its filters."""
 
 
-_INSTEAD = {
-    separate_bias.note_update: note_nothing,
-    separate_bias.note_readings: note_nothing,
-}
+_INSTEAD = {separate_bias.note_update: note_nothing, separate_bias.note_readings: note_nothing}
 """What takes the place of plain functions that cannot be compiled."""
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limslam_agent.kernels.cells import SKIPPED, GridArray, StampArray, change_cells, touched_cells
-from limslam_agent.slam.batch.compilation import compiled
+from limslam_env.compilation import compiled
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 CropArray: TypeAlias = NDArray[np.uint8]

@@ -24,6 +24,7 @@ from limslam_agent.kernels.tables import (
     Filter,
     Walls,
 )
+from limslam_agent.slam.consistent import limits
 from limslam_agent.slam.consistent.clone_filter import (
     add_line,
     compare,
@@ -35,22 +36,7 @@ from limslam_agent.slam.consistent.clone_filter import (
     observe,
     straight_segments,
 )
-from limslam_agent.slam.consistent.limits import (
-    COMPLETE_AFTER,
-    FAR_GATE,
-    GAP_AHEAD,
-    HUBER,
-    ITERATIONS,
-    LENGTH_IF_COMPLETE,
-    MAX_ANGLE,
-    MAX_ANGLE_STD,
-    MAX_END_GAP,
-    MAX_OFFSET,
-)
-from limslam_agent.slam.consistent.merging import (
-    along_line,
-    close_loops_of,
-)
+from limslam_agent.slam.consistent.merging import along_line, close_loops_of
 from limslam_agent.slam.consistent.pending_readings import AHEAD, CLONE, DRIVEN_THEN, FRESH, SIDES, WAITING, readings_of
 from limslam_agent.slam.consistent.step_settings import StepSettings
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -87,20 +73,9 @@ def process(
 ) -> None:  # fmt: skip
     """Find straight pieces in the pending readings of a side, use them, and drop what is consumed or too old.
 
-    Parameters
-    ----------
-    ekf, walls
-        The lines and clones, and the extents of the landmarks.
-    pending, fill, row
-        The pending readings of all sides, and which side is processed.
-    driven
-        Distance that the robot has driven, m.
-    settings, beams
-        Settings, and ``RobotSpec.beam_table``.
-    is_over
-        Whether no more readings of the side's walls will come.
-    listener
-        Is told of each decision, if given.
+    ``row`` is the side, of those of all robots, of a robot that has ``driven`` so far, m. ``beams`` is
+    ``RobotSpec.beam_table``, and ``is_over`` says that no more readings of the side's walls will come. The listener is
+    told of each decision.
     """
     count = int(fill[row, WAITING])
     fill[row, FRESH] = 0
@@ -108,7 +83,7 @@ def process(
     places, readings, variances = readings_of(ekf, waiting, beams, settings)
     points = end_points(ekf, places, readings, math.nan)
     # Beams ahead meet a wall at points far apart, with nothing in between.
-    max_gap = GAP_AHEAD if row % _NUM_SIDES == AHEAD else settings.segment_gap
+    max_gap = limits.GAP_AHEAD if row % _NUM_SIDES == AHEAD else settings.segment_gap
     owner, lines, ends = extract_lines(
         points, max_gap, settings.min_votes, settings.r_step, settings.theta_step, settings.near_line,
         settings.segment_length, settings.only_best,
@@ -128,7 +103,7 @@ def process(
             these = members[own]
             if listener is not None:
                 listener.considered(waiting[these], residuals[own])
-            is_complete = is_over or driven - waiting[these, DRIVEN_THEN].max() > COMPLETE_AFTER
+            is_complete = is_over or driven - waiting[these, DRIVEN_THEN].max() > limits.COMPLETE_AFTER
             piece = Piece(places[these], readings[these], variances[these], now[these], segments[number])
             is_kept[these] = not is_used(ekf, walls, piece, settings, is_complete, listener)
     if is_over:
@@ -167,16 +142,16 @@ def is_used(
     second_best = squared[1] if len(squared) > 1 else np.inf
     segment = piece.segment
     is_enough = len(piece.points) >= settings.new_readings * settings.usual_std
-    is_sure = is_enough and segment[ANGLE_STD] <= MAX_ANGLE_STD
+    is_sure = is_enough and segment[ANGLE_STD] <= limits.MAX_ANGLE_STD
     # A filter that is more wrong than it states refuses the right walls, unless nothing else can be meant.
-    gate = FAR_GATE if is_sure and second_best >= FAR_GATE else settings.gate
+    gate = limits.FAR_GATE if is_sure and second_best >= limits.FAR_GATE else settings.gate
     if listener is not None:
         listener.compared(piece, squared, landmarks, gate)
     if best <= gate:
         update(ekf, walls, piece, int(landmarks[0]), settings, listener)
         return True
-    least = LENGTH_IF_COMPLETE if is_complete else settings.new_length
-    if best < FAR_GATE or segment[EXTENT] < least or not is_sure:
+    least = limits.LENGTH_IF_COMPLETE if is_complete else settings.new_length
+    if best < limits.FAR_GATE or segment[EXTENT] < least or not is_sure:
         return False
     if num_lines(ekf) == len(walls.table):
         walls.tally[OVERFLOWS] += 1
@@ -190,26 +165,21 @@ def is_used(
 def candidates(ekf: Filter, walls: Walls, piece: Piece) -> tuple[FloatArray, IntArray]:
     """Chi-squares (k,) and indices (k,) of the landmarks that a piece may show, best first."""
     segment = piece.segment
-    near = lines_near(ekf, segment[THETA], segment[MIDDLE_X], segment[MIDDLE_Y], MAX_ANGLE, MAX_OFFSET)
+    near = lines_near(ekf, segment[THETA], segment[MIDDLE_X], segment[MIDDLE_Y], limits.MAX_OFFSET)
     squared = np.full(len(near), np.inf)
     for place, index in enumerate(near):
         along = along_line(ekf, index, piece.points)
-        if max(along.min() - walls.ends[index, 1], walls.ends[index, 0] - along.max()) <= MAX_END_GAP:
+        if max(along.min() - walls.ends[index, 1], walls.ends[index, 0] - along.max()) <= limits.MAX_END_GAP:
             squared[place] = compare(ekf, piece.places, piece.readings, index, piece.variances)
     order = np.argsort(squared)[: np.count_nonzero(squared < np.inf)]
     return squared[order], near[order]
 
 
 def update(
-    ekf: Filter,
-    walls: Walls,
-    piece: Piece,
-    index: int,
-    settings: StepSettings,
-    listener: "StepReports | None",
+    ekf: Filter, walls: Walls, piece: Piece, index: int, settings: StepSettings, listener: "StepReports | None"
 ) -> None:
     """Update filter and map by a piece of a landmark, and merge the landmark with others that are the same wall."""
-    observe(ekf, piece.places, piece.readings, index, piece.variances, ITERATIONS, HUBER)
+    observe(ekf, piece.places, piece.readings, index, piece.variances, limits.ITERATIONS, limits.HUBER)
     points = end_points(ekf, piece.places, piece.readings, line_of(ekf, index)[1])
     count_hits(walls, index, along_line(ekf, index, points))
     if listener is not None:

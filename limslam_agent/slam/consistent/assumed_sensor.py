@@ -21,14 +21,7 @@ assumed.
 class AssumedSensor:
     """The sensor that is assumed, and the residuals since then.
 
-    Parameters
-    ----------
-    specified
-        The sensor as the robot's settings state it.
-    reach
-        Longest range, m.
-    config
-        When the sensor is taken to be different.
+    The sensor is assumed to be as ``specified`` by the robot's settings at first; its longest range is ``reach``, m.
 
     Attributes
     ----------
@@ -62,10 +55,7 @@ class AssumedSensor:
     def correction(self, errors: RangeErrors | None) -> RangeSensor | None:
         """The sensor that the readings so far require; None if the assumed one will do, or nothing is new.
 
-        Parameters
-        ----------
-        errors
-            Errors as estimated beside the filter; None if they are not estimated.
+        The errors are those that are estimated beside the filter; None if they are not.
         """
         if not self._is_counted or errors is None:
             return None

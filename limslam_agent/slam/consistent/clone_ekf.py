@@ -12,6 +12,8 @@ taken. Here each error is defined relative to the first robot's error, as in an 
 Bonnabel, "An EKF-SLAM algorithm with consistency properties", 2015), and P is transformed when the state changes.
 """
 
+import math
+
 import numpy as np
 
 from limslam_agent.kernels.covariance import correct_state, mirror, move_pose
@@ -35,9 +37,8 @@ class CloneEKF:
     pose
         Start (3,), m, m, rad; of several robots (n, 3).
     calibration
-        Prior covariance (3, 3) about zero of each robot's ``OdometryCalibration``; None if the odometry's calibration
-        is not estimated. It becomes part of the state by :meth:`calibrate`, and until then the state takes the
-        odometry to be without constant errors.
+        Prior covariance (3, 3) about zero of each robot's ``OdometryCalibration``, which becomes part of the state by
+        :meth:`calibrate`; None if it is not estimated.
     range_errors
         Standard deviations of the errors of ``RangeErrors``, m and rad; None if these are not estimated.
 
@@ -59,8 +60,10 @@ class CloneEKF:
             None if range_errors is None else RangeErrors(range_errors),
         )
         robots = len(start) // POSE
-        # Of the poses in the latest step: the change in the world, and the jitter in the robot's frame.
-        self._motions, self._jitters = np.zeros((robots, POSE)), np.zeros((robots, POSE, POSE))
+        # Of the poses in the latest step: the change in the world, the jitter in the robot's frame, and, since each
+        # step asks for it several times, the jitter in the world at a heading.
+        self._motions, self._jitters = np.zeros((robots, POSE)), [np.zeros((POSE, POSE))] * robots
+        self._in_world = [(math.nan, self._jitters[0], self._jitters[0])] * robots
         counts = np.array([len(start), len(start), 0, 0, 0])
         by_errors = np.zeros((len(start), self._errors.count))
         self.arrays = Filter(
@@ -109,9 +112,11 @@ class CloneEKF:
     def joint_pose_covariance(self) -> FloatArray:
         """Covariance of all poses together (3 n, 3 n), a copy."""
         joint = np.array(self.arrays.P[: self._poses_end, : self._poses_end])
-        for first, jitter in zip(range(0, len(joint), POSE), self._jitters, strict=True):
-            own = slice(first, first + POSE)
-            joint[own, own] += turned(jitter, float(self.arrays.x[first + 2]))
+        for robot, jitter in enumerate(self._jitters):
+            own, heading = slice(POSE * robot, POSE * robot + POSE), self.arrays.x.item(POSE * robot + 2)
+            if self._in_world[robot][0] != heading or self._in_world[robot][1] is not jitter:
+                self._in_world[robot] = heading, jitter, turned(jitter, heading)
+            joint[own, own] += self._in_world[robot][2]
         return joint + self._spread_by_turns(len(joint)) if self.has_turned_beams else joint
 
     @property
@@ -135,18 +140,18 @@ class CloneEKF:
 
     def line_covariance(self, index: int) -> FloatArray:
         """Covariance (2, 2) of one line as (r, theta) in the world."""
-        part = self._part(index)
-        theta, anchor = float(self.x[part][1]), self.anchors[index]
+        theta, anchor = self.line(index).item(1), self.anchors[index]
         lever = anchor[1] * np.cos(theta) - anchor[0] * np.sin(theta)
         sign = 1.0 if self._about_origin()[index, 0] >= 0.0 else -1.0
         by_line = np.array([[sign, sign * lever], [0.0, 1.0]])
-        lower = np.tril(self.arrays.P[part, part])  # all that is kept
-        return np.asarray(by_line @ (lower + np.tril(lower, -1).T) @ by_line.T)
+        return np.asarray(by_line @ self._block(self._part(index)) @ by_line.T)
 
     def calibration(self, robot: int = 0) -> tuple[FloatArray, FloatArray] | None:
         """A robot's odometry calibration (3,) and its covariance (3, 3); None if it is not part of the state."""
+        if self._lines_from == self._poses_end:
+            return None
         part = self._calibration_part(robot)
-        return (np.array(self.x[part]), np.array(self.P[part, part])) if self._lines_from > self._poses_end else None
+        return self.x[part].copy(), self._block(part)
 
     @property
     def calibration_evidence(self) -> float | None:
@@ -213,17 +218,10 @@ class CloneEKF:
     def relocate(
         self, pose: FloatArray, covariance: FloatArray, robot: int = 0, by_lines: FloatArray | None = None
     ) -> None:
-        """Put a robot at another pose, which was found without regard to where it was before.
+        """Put a robot at another pose (3,), which was found without regard to where it was before.
 
-        Parameters
-        ----------
-        pose, covariance
-            The pose (3,), m, m, rad, and the covariance (3, 3) of its error with respect to the lines.
-        robot
-            Which robot is put there.
-        by_lines
-            Derivative (3, 2 N) of the pose by the lines among which it was found. The pose then has their errors. If
-            left out, the pose is independent of all else.
+        The covariance (3, 3) is that of its error with respect to the lines. With a derivative ``by_lines`` (3, 2 N) of
+        the pose by the lines among which it was found, it has their errors; otherwise it is independent of all else.
         """
         by_state, part = np.zeros((POSE, len(self.x))), slice(POSE * robot, POSE * robot + POSE)
         if by_lines is not None:
@@ -334,6 +332,11 @@ class CloneEKF:
     def _part(self, index: int) -> slice:
         first = line_at(self.arrays.counts, index)
         return slice(first, first + 2)
+
+    def _block(self, part: slice) -> FloatArray:
+        """Covariance of some states that follow the poses, of which only the lower triangle is kept."""
+        lower = np.tril(self.arrays.P[part, part])
+        return np.asarray(lower + np.tril(lower, -1).T)
 
     def _calibration_part(self, robot: int) -> slice:
         first = self._poses_end + POSE * robot

@@ -13,9 +13,8 @@ from limslam_agent.kernels.measurement import ends_of_beams, error_transport
 from limslam_agent.kernels.segments import cut_at_bends
 from limslam_agent.kernels.tables import CLONES, LINES, LINES_FROM, NEXT_CLONE, POSE, POSES_END, Filter
 from limslam_agent.kernels.updates import compare_readings, update_by_readings
-from limslam_agent.slam.consistent.limits import EQUALITY_NOISE, LINE_PRIOR
+from limslam_agent.slam.consistent.limits import EQUALITY_NOISE, KNOWN_PLACE, LINE_PRIOR, MAX_ANGLE
 from limslam_agent.slam.consistent.separate_bias import note_readings, note_update
-from limslam_agent.slam.core.carried_anchors import KNOWN_PLACE, by_carried_anchor
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 
@@ -58,13 +57,13 @@ def anchor_of(ekf: Filter, index: int) -> tuple[float, float]:
     return float(ekf.anchors[index, 0]), float(ekf.anchors[index, 1])
 
 
-def lines_near(ekf: Filter, theta: float, x: float, y: float, angle: float, offset: float) -> IntArray:
-    """Lines (k,) with a direction within ``angle``, rad, that pass a point, m, at less than ``offset``, m."""
+def lines_near(ekf: Filter, theta: float, x: float, y: float, offset: float) -> IntArray:
+    """Lines (k,) with about this direction, rad, that pass a point, m, at less than ``offset``, m."""
     first, end, anchors = line_at(ekf.counts, 0), clones_from(ekf.counts), ekf.anchors[: ekf.counts[LINES]]
     d, own = ekf.x[first:end:2], ekf.x[first + 1 : end : 2]
     turn = np.abs((own - theta + 0.5 * math.pi) % math.pi - 0.5 * math.pi)
     off = np.abs((x - anchors[:, 0]) * np.cos(own) + (y - anchors[:, 1]) * np.sin(own) - d)
-    return np.flatnonzero((turn < angle) & (off < offset))
+    return np.flatnonzero((turn < MAX_ANGLE) & (off < offset))
 
 
 def end_points(ekf: Filter, places: IntArray, readings: FloatArray, theta: float) -> FloatArray:
@@ -146,17 +145,9 @@ def observe(
 ) -> None:  # fmt: skip
     """Update by readings of one line: the iterated EKF, linearised anew at each iteration.
 
-    Parameters
-    ----------
-    places, readings, index
-        Places of the clones (n,), beams and ranges (n, 6), and the line that they show.
-    variances
-        Variances of the ranges (n,), m^2.
-    iterations
-        Number of iterations.
-    huber
-        Residuals larger than so many standard deviations are down-weighted (P. Huber, "Robust estimation of a
-        location parameter", 1964); 0 for no weights.
+    The readings (n, 6) with variances (n,), m^2, were taken from the clones at these places (n,). Residuals of more
+    than ``huber`` standard deviations are down-weighted (P. Huber, "Robust estimation of a location parameter", 1964);
+    0 for no weights.
     """
     counts = ekf.counts
     found = update_by_readings(
@@ -173,7 +164,12 @@ def observe(
 def equality(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatArray, IntArray]:
     """Difference (2,) of two lines about the younger's anchor, m and rad, its derivative (2, 7), and by which states.
 
-    The derivative by the first robot's pose is zero if the place of the anchor is known.
+    The offset of two lines that are not exactly parallel depends on where along them it is measured. A robot whose
+    place is uncertain by metres does not know where along its walls the anchor is. If the anchor were a fixed point,
+    moving the whole world along a wall by some metres would explain an offset of some centimetres. So it is carried
+    along with the first robot's pose, unless its place is known: then a common motion of robot and world changes
+    nothing in the difference (G. Huang, A. Mourikis and S. Roumeliotis, "Observability-based rules for designing
+    consistent EKF SLAM estimators", 2010).
     """
     (d, theta), (other_d, other) = line_of(ekf, older), line_of(ekf, younger)
     (from_x, from_y), (x, y) = anchor_of(ekf, older), anchor_of(ekf, younger)
@@ -188,7 +184,8 @@ def equality(ekf: Filter, older: int, younger: int) -> tuple[FloatArray, FloatAr
         columns[k] = k
     for k in range(2):
         columns[POSE + k], columns[POSE + 2 + k] = line_at(ekf.counts, older) + k, line_at(ekf.counts, younger) + k
-    by_pose, variance = by_carried_anchor(x - ekf.x[0], y - ekf.x[1], theta, other, sign), 0.0
+    along_x, along_y, variance = math.cos(other) - sign * cos, math.sin(other) - sign * sin, 0.0
+    by_pose = along_x, along_y, (x - ekf.x[0]) * along_y - (y - ekf.x[1]) * along_x
     for i in range(POSE):
         for j in range(POSE):
             variance += by_pose[i] * ekf.P[i, j] * by_pose[j]

@@ -7,12 +7,12 @@ them and it is clear which wall the line is. Then each reading updates the filte
 import math
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from limslam_agent.config.consistent import ConsistentConfig
-from limslam_agent.kernels.tables import FEWEST, POSE, Walls
+from limslam_agent.kernels.tables import FEWEST, LINES, POSE, Walls
 from limslam_agent.slam.consistent import limits
 from limslam_agent.slam.consistent.assumed_sensor import AssumedSensor
 from limslam_agent.slam.consistent.map_state import MapState
@@ -34,15 +34,15 @@ from limslam_agent.slam.consistent.pending_readings import (
 from limslam_agent.slam.consistent.reports import StepReports
 from limslam_agent.slam.consistent.step_settings import step_settings
 from limslam_agent.slam.consistent.wall_map import NEW, WallMap
+from limslam_agent.slam.core.contact import Contacts
 from limslam_agent.slam.core.diagnostics import PendingPoints
 from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_agent.slam.core.motion import AS_SPECIFIED, Motion, OdometryCalibration
+from limslam_agent.slam.core.motion import AS_SPECIFIED, Motion, OdometryCalibration, calibrated
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.segment import sample
-from limslam_env.interface import RobotSpec
 
 if TYPE_CHECKING:
     from limslam_agent.slam.consistent.clone_ekf import CloneEKF
@@ -57,57 +57,32 @@ _CALIBRATION_GATE = 8.0  # twice the logarithm of the Bayes factor for wheels an
 
 
 class ConsistentEstimator(Estimator):
-    """SLAM in which each reading updates, once, the pose that it was taken from.
+    """SLAM in which each reading updates, once, the pose that it was taken from."""
 
-    Parameters
-    ----------
-    robot
-        Body and beams of each robot.
-    config
-        Settings of every stage.
-    range_std
-        Standard deviation of a range, m.
-    start
-        Start poses of the robots (n, 3), m, m, rad.
-    sensor
-        How the ranges are measured, if that is known to differ from robot and ``range_std``.
-    """
+    filter: "CloneEKF"
 
-    def __init__(
-        self,
-        robot: RobotSpec,
-        config: ConsistentConfig,
-        range_std: float,
-        start: FloatArray,
-        sensor: RangeSensor | None = None,
-    ) -> None:
+    def _begin(self, sensor: RangeSensor | None) -> None:
         # Kernels. Who imports this module need not wait for numba.
         from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 
+        robot, robots, config = self.robot, len(self.robots), cast(ConsistentConfig, self.config.estimator)
         calibration, errors = config.self_calibration, config.range_errors
-        beams = len(robot.beams) if len(start) == 1 else 0
-        stds = errors.stds(beams, robot.control_period) if errors.enabled else None
-        self._filter = CloneEKF(start, None if calibration.calibrate == "never" else calibration.covariance, stds)
+        stds = errors.stds(len(robot.beams) if robots == 1 else 0, robot.control_period) if errors.enabled else None
+        odometry = None if calibration.calibrate == "never" else calibration.covariance
+        self.filter = CloneEKF(self._start, odometry, stds)
         if calibration.calibrate == "always":
-            self._filter.calibrate()
-        self._config = config
-        super().__init__(robot, self._filter)
+            self.filter.calibrate()
+        self._contacts = [Contacts(robot, self.config.range_std) for _ in self.robots]
         pending, self._sides = config.pending, sides_of(robot, config.pending.beams)
         widest = int(np.bincount(self._sides + 1, minlength=2)[1:].max())
-        room = widest * most_clones(pending.batch, pending.max_clones, len(start))
-        self._travel = np.zeros((len(start), POSE + 1 + len(SIDES)))
+        room = widest * most_clones(pending.batch, pending.max_clones, robots)
+        self._travel = np.zeros((robots, POSE + 1 + len(SIDES)))
         self._travel[:, [DRIVEN_AT, TURNED_AT]] = -math.inf
-        rows = len(start) * len(SIDES)
+        rows = robots * len(SIDES)
         self._pending, self._fill = np.zeros((rows, room, 5)), np.zeros((rows, 2), dtype=np.int64)
-        specified = RangeSensor(range_std, cone=robot.cone)
-        self._sensor = AssumedSensor(specified, float(robot.max_ranges.max()), errors)
-        self._assume(sensor or specified)
-        self._map = WallMap(self._filter, config.extents)
-
-    @property
-    def belief(self) -> "CloneEKF":
-        """The filter."""
-        return self._filter
+        self._sensor = AssumedSensor(self._specified, float(robot.max_ranges.max()), errors)
+        self._assume(sensor or self._specified)
+        self._map: WallMap = WallMap(self.filter, config.extents)
 
     @property
     def walls(self) -> Walls:
@@ -133,26 +108,20 @@ class ConsistentEstimator(Estimator):
             if mark.segments:
                 points, _ = sample(segments[list(mark.segments)], KNOWN_SPACING)
                 spread = mark.covariance + np.diag(KNOWN_VARIANCES)
-                self._filter.add_known_line(np.array([mark.r, mark.theta]), spread, points.mean(axis=0))
+                self.filter.add_known_line(np.array([mark.r, mark.theta]), spread, points.mean(axis=0))
                 self._map.add_known(points)
 
-    def odometry_calibration(self, robot: int) -> tuple[OdometryCalibration, FloatArray] | None:
-        """A robot's odometry calibration and its covariance (3, 3); None if its odometry is not corrected."""
-        found = self._filter.calibration(robot)
-        return (OdometryCalibration(*found[0].tolist()), found[1]) if found else None
+    @property
+    def odometry_calibrations(self) -> list[tuple[OdometryCalibration, FloatArray] | None]:
+        """Each robot's odometry calibration and its covariance (3, 3); None while its odometry is not corrected."""
+        found = [self.filter.calibration(robot) for robot in range(len(self.robots))]
+        return [each and (OdometryCalibration(*each[0].tolist()), each[1]) for each in found]
 
     def calibrate(self, found: tuple[OdometryCalibration, FloatArray] | None = None) -> None:
         """Correct the odometry from now on, by the readings so far or by what another drive of the robot has found."""
-        self._filter.calibrate()
+        self.filter.calibrate()
         if found is not None:
-            self._filter.know_calibration(np.array(found[0]), found[1])
-
-    def assumed_calibration(self, robot: int) -> OdometryCalibration | None:
-        """The odometry calibration by which a robot's next motion is corrected; None if it is never estimated."""
-        if self._filter.calibration_evidence is not None:
-            return AS_SPECIFIED
-        found = self.odometry_calibration(robot)
-        return found and found[0]
+            self.filter.know_calibration(np.array(found[0]), found[1])
 
     @property
     def sensor(self) -> RangeSensor:
@@ -160,17 +129,26 @@ class ConsistentEstimator(Estimator):
         return self._sensor.sensor
 
     @property
-    def further_turns(self) -> FloatArray:
-        """By what beams are turned beyond ``sensor``, with standard deviations (n_beams, 2), rad; empty if unknown."""
-        return np.zeros((0, 2)) if self._filter.range_errors is None else self._filter.range_errors.turns
+    def beam_turns(self) -> FloatArray | None:
+        """By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad; None if no beam is."""
+        turns, errors = self.sensor.turns, self.filter.range_errors
+        if not turns or errors is None or not len(errors.turns):
+            return None
+        return np.asarray(errors.turns + np.column_stack((turns, np.zeros(len(turns)))))
+
+    @property
+    def is_renewable(self) -> bool:
+        """Whether pose and map can be replaced: those of a single robot."""
+        return len(self.robots) == 1
 
     @property
     def map_state(self) -> MapState:
         """The pose of the robot and the map, without the pending readings. Later steps do not change it."""
-        ekf = self._filter
+        self._check_renewable()
+        ekf = self.filter
         return MapState(ekf.pose, ekf.anchored, ekf.anchors.copy(), ekf.marginal(), self._map.walls)
 
-    def renew(self, state: MapState, step: int) -> None:
+    def renew(self, state: MapState) -> None:
         """Replace the pose of the only robot and the map, and forget the pending readings, which the new map knows.
 
         Landmarks with the number ``NEW`` get new numbers, and those that are a known wall are merged with it: at first
@@ -179,26 +157,51 @@ class ConsistentEstimator(Estimator):
         """
         from limslam_agent.slam.consistent.merging import close_loops_of
 
+        self._check_renewable()
         walls = self._map.up_to_date(state.walls)
         state = replace(state, walls=walls).select([index for index, wall in enumerate(walls) if wall.is_wall])
-        self._filter.restart(state.pose, state.lines, state.anchors, state.covariance)
+        self.filter.restart(state.pose, state.lines, state.anchors, state.covariance)
         new, known_as = self._map.replace(state.walls), [wall.known_as for wall in state.walls if wall.number == NEW]
-        reports = StepReports(self, 0, step)
+        reports = StepReports(self, 0, self.robots[0].step)
         self._merge_recognised(new, known_as, reports)
         for number in new:
             places = np.flatnonzero(self._map.numbers == number)
             if len(places):
-                index = int(places[0])
-                close_loops_of(self._filter.arrays, self.walls, index, self.settings, reports)
+                close_loops_of(self.filter.arrays, self.walls, int(places[0]), self.settings, reports)
         self._fill[:] = 0
 
-    def predict(self, motion: Motion, robot: int) -> None:
-        """Predict the pose of a robot that has moved."""
-        self._filter.predict(motion, robot)
-        self._travel[robot, DRIVEN] += math.hypot(*motion.increment[:2].tolist())
-        self._travel[robot, TURNED] += abs(float(motion.increment[2]))
+    def relocate(
+        self, pose: FloatArray, covariance: FloatArray, robot: int = 0, ends: FloatArray | None = None
+    ) -> None:
+        """Put a robot at another pose (3,): see the base class."""
+        self.finish()
+        by_lines = None if ends is None or not self.is_renewable else self.map_state.by_walls(pose, ends)
+        self.filter.relocate(pose, covariance, robot, by_lines)
 
-    def measure(self, number: int, front: FrontEnd, motion: Motion) -> None:
+    def close(self, pose: FloatArray, covariance: FloatArray, ends: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+        """Close a loop: see ``LineSlam.close``."""
+        self.finish()
+        before = self.map_state
+        found = before.closed(pose, covariance, ends)
+        if found is None:
+            return None
+        self.renew(found[0])
+        return before.anchors, found[1]
+
+    def _predict(self, number: int, motion: Motion, *, by_wheels: bool) -> None:
+        """Predict the pose of a robot, whose motion is less certain if it touches something, as the wheels show."""
+        found, front = self.filter.calibration(number), self.robots[number]
+        if found is not None:
+            motion = calibrated(motion, self.robot.axle, OdometryCalibration(*found[0].tolist()))
+        elif self.filter.calibration_evidence is not None:
+            motion = calibrated(motion, self.robot.axle, AS_SPECIFIED)
+        if by_wheels:
+            motion = self._contacts[number].loosened(motion, front.ranges, front.measured)
+        self.filter.predict(motion, number)
+        self._travel[number, DRIVEN] += math.hypot(*motion.increment[:2].tolist())
+        self._travel[number, TURNED] += abs(float(motion.increment[2]))
+
+    def _measure(self, number: int, front: FrontEnd, motion: Motion) -> None:
         """Collect the new readings of a robot, and process each side that has enough of them."""
         del motion
         self._clear_along_beams(number, front)
@@ -206,59 +209,45 @@ class ConsistentEstimator(Estimator):
         own = slice(number * len(SIDES), number * len(SIDES) + len(SIDES))
         pending, fill = self._pending[own], self._fill[own]
         if is_due(travel, front.hits, self._sides, settings):
-            clone = self._filter.clone(number)
+            clone = self.filter.clone(number)
             collect(travel, pending, fill, front.step, front.ranges, front.hits, self._sides, clone)
         for side in range(len(SIDES)):
             is_over = has_ended(travel, fill, side, limits.WALL_END)
             if fill[side, FRESH] >= settings.batch or is_over:
                 self._process(number, side, front.step, is_over=is_over)
-        if (self._filter.calibration_evidence or 0.0) > _CALIBRATION_GATE:
+        if (self.filter.calibration_evidence or 0.0) > _CALIBRATION_GATE:
             self.calibrate()
         self._correct_sensor()
 
-    def finish(self, fronts: Sequence[FrontEnd]) -> None:
+    def finish(self) -> None:
         """Process all pending readings."""
-        for number, front in enumerate(fronts):
+        for number, front in enumerate(self.robots):
             for side in range(len(SIDES)):
                 self._process(number, side, front.step, is_over=True)
 
-    def pending_points(self, fronts: Sequence[FrontEnd]) -> list[PendingPoints]:
+    @property
+    def pending_points(self) -> list[PendingPoints]:
         """End points of the pending readings, by robot and side."""
         from limslam_agent.slam.consistent.clone_filter import end_points
 
-        del fronts
         found, table = [], self._mounted.beam_table
         for row, (waiting, fresh) in enumerate(self._fill.tolist()):
-            places, readings, _ = readings_of(self._filter.arrays, self._pending[row, :waiting], table, self.settings)
+            places, readings, _ = readings_of(self.filter.arrays, self._pending[row, :waiting], table, self.settings)
             number, side = divmod(row, len(SIDES))
-            points = end_points(self._filter.arrays, places, readings, math.nan)
+            points = end_points(self.filter.arrays, places, readings, math.nan)
             found.append(PendingPoints(number, SIDES[side], points, self.settings.batch, fresh))
         return found
-
-    @property
-    def segments(self) -> FloatArray:
-        """The walls of the map (N, 4), m, in the world."""
-        return self._map.segments
-
-    @property
-    def landmarks(self) -> list[Landmark]:
-        """The landmarks that are walls of the map."""
-        return self._map.landmarks
-
-    @property
-    def all_landmarks(self) -> list[Landmark]:
-        """All landmarks, provisional ones included, by number."""
-        return self._map.all_landmarks
 
     def _assume(self, sensor: RangeSensor) -> None:
         """Take the sensor to measure like this from now on."""
         self._sensor.assume(sensor)
-        self._mounted, self._filter.has_turned_beams = sensor.mounted(self.robot), bool(sensor.turns)
-        self.settings = step_settings(self._config, sensor, self._sensor.usual_std)
+        self._mounted, self.filter.has_turned_beams = sensor.mounted(self.robot), bool(sensor.turns)
+        config = cast(ConsistentConfig, self.config.estimator)
+        self.settings = step_settings(config, sensor, self._sensor.usual_std)
 
     def assume(self, sensor: RangeSensor) -> None:
         """Take the sensor to measure like this from now on, and correct the state for what was assumed before."""
-        self._filter.correct_ranges(sensor.change_from(self.sensor))
+        self.filter.correct_ranges(sensor.change_from(self.sensor))
         self._assume(sensor)
 
     def correct_delay(self) -> None:
@@ -266,18 +255,23 @@ class ConsistentEstimator(Estimator):
 
         Without that, the same delay would be found again and again.
         """
-        found = self._sensor.delayed(self._filter.range_errors)
+        found = self._sensor.delayed(self.filter.range_errors)
         if found is not None:
             self.assume(found)
 
     def leave_out(self, beam: int) -> None:
         """Use no further readings of a broken beam. What was found about the sensor may have been due to it."""
-        sensor = self._sensor.specified
-        self.assume(sensor._replace(delay=self.sensor.delay, broken=(*self.sensor.broken, beam)))
+        if self.is_renewable:
+            broken = (*self.sensor.broken, beam)
+            self.assume(self._specified._replace(delay=self.sensor.delay, broken=broken))
+
+    def _check_renewable(self) -> None:
+        if not self.is_renewable:
+            raise TypeError("only the estimate of a single robot can be renewed")
 
     def _correct_sensor(self) -> None:
         """Take the sensor's errors as estimated, if the readings say that they are not as assumed."""
-        found = self._sensor.correction(self._filter.range_errors)
+        found = self._sensor.correction(self.filter.range_errors)
         if found is not None:
             self.assume(found)
 
@@ -285,13 +279,11 @@ class ConsistentEstimator(Estimator):
         """Count the places of landmarks that a robot's new beams have passed through."""
         from limslam_agent.kernels.extents import clear_along_beams
 
-        if len(self._map):
-            ekf, at, sensor = self._filter, POSE * number, self.sensor
-            x, y, heading = ekf.arrays.P.diagonal()[at : at + POSE].tolist()
+        ekf, sensor = self.filter.arrays, self.sensor
+        if ekf.counts[LINES]:
             clear_along_beams(
-                self.walls, ekf.anchored, ekf.anchors, ekf.x[at : at + POSE], (x + y, heading), front.ranges,
-                front.measured, self._mounted.beam_table, (float(sensor.std), float(sensor.growth)),
-                np.empty((len(front.ranges), 6)),
+                self.walls, ekf.x, ekf.P, ekf.counts, ekf.anchors, POSE * number, front.ranges, front.measured,
+                self._mounted.beam_table, sensor.numbers[:2], np.empty((len(front.ranges), 6)),
             )  # fmt: skip
 
     def _process(self, number: int, side: int, step: int, *, is_over: bool) -> None:
@@ -301,9 +293,9 @@ class ConsistentEstimator(Estimator):
         row = number * len(SIDES) + side
         lines = 1 + int(self._fill[row, WAITING]) // min(self.settings.min_votes, FEWEST)
         self._map.make_room(lines)
-        self._filter.make_room(lines=lines)
+        self.filter.make_room(lines=lines)
         process(
-            self._filter.arrays, self.walls, self._pending, self._fill, row, float(self._travel[number, DRIVEN]),
+            self.filter.arrays, self.walls, self._pending, self._fill, row, float(self._travel[number, DRIVEN]),
             self.settings, self._mounted.beam_table, is_over, StepReports(self, number, step),
         )  # fmt: skip
 
@@ -320,4 +312,4 @@ class ConsistentEstimator(Estimator):
         agreeing = [pairs[chosen] for chosen in self._map.agreeing(pairs, limits.ONE_WALL_GATE)]
         # The younger landmark is removed: the last ones first, so that the others keep their places.
         for older, younger in sorted(agreeing, key=lambda pair: -pair[1]):
-            merge_landmarks(self._filter.arrays, self.walls, older, younger, reports)
+            merge_landmarks(self.filter.arrays, self.walls, older, younger, reports)

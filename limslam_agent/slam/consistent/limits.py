@@ -62,6 +62,9 @@ difference that is known more exactly than any wall is straight.
 EQUALITY_NOISE = (1e-4**2, 1e-5**2)
 """Variances, m^2 and rad^2, of the constraint that two merged lines are equal: small, but P stays regular."""
 
+KNOWN_PLACE = 0.01**2
+"""Variance of the offset of two lines by the place of its anchor, m^2, below which the place counts as known."""
+
 # Extents of landmarks.
 MAX_GAP = 0.30
 """Longest stretch without readings that is drawn as wall."""

@@ -8,15 +8,8 @@ from typing import TYPE_CHECKING
 
 from limslam_agent.kernels.extents import merge_walls
 from limslam_agent.kernels.tables import NUMBER, Filter, Walls
+from limslam_agent.slam.consistent import limits
 from limslam_agent.slam.consistent.clone_filter import anchor_of, difference, line_of, lines_near, merge, num_lines
-from limslam_agent.slam.consistent.limits import (
-    ITERATIONS,
-    MAX_ANGLE,
-    MAX_OFFSET,
-    MIN_OVERLAP,
-    ONE_WALL_GATE,
-    STRAIGHTNESS,
-)
 from limslam_agent.slam.consistent.step_settings import StepSettings
 from limslam_env.geometry import FloatArray
 
@@ -32,7 +25,7 @@ def close_loops_of(
     while found:
         found = False
         x, y = anchor_of(ekf, index)
-        for other in lines_near(ekf, line_of(ekf, index)[1], x, y, MAX_ANGLE, 2.0 * MAX_OFFSET):
+        for other in lines_near(ekf, line_of(ekf, index)[1], x, y, 2.0 * limits.MAX_OFFSET):
             if other != index and closes_loop(ekf, walls, other, index, settings, listener):
                 # The younger landmark is removed. If that is this one, there is nothing left to compare.
                 if other < index:
@@ -42,20 +35,15 @@ def close_loops_of(
 
 
 def closes_loop(
-    ekf: Filter,
-    walls: Walls,
-    first: int,
-    second: int,
-    settings: StepSettings,
-    listener: "StepReports | None",
+    ekf: Filter, walls: Walls, first: int, second: int, settings: StepSettings, listener: "StepReports | None"
 ) -> bool:
     """Whether two landmarks are one wall; then they are merged, and the younger one is removed."""
     older, younger = min(first, second), max(first, second)
     overlap, offset = separation(ekf, walls, older, younger)
-    if not settings.closes_loops or overlap < MIN_OVERLAP or offset > MAX_OFFSET:
+    if not settings.closes_loops or overlap < limits.MIN_OVERLAP or offset > limits.MAX_OFFSET:
         return False
     off, covariance = difference(ekf, older, younger)
-    if abs(off[1]) > MAX_ANGLE or squared_difference(off, covariance) > ONE_WALL_GATE:
+    if abs(off[1]) > limits.MAX_ANGLE or squared_difference(off, covariance) > limits.ONE_WALL_GATE:
         return False
     merge_landmarks(ekf, walls, older, younger, listener)
     return True
@@ -70,7 +58,7 @@ def merge_landmarks(ekf: Filter, walls: Walls, older: int, younger: int, listene
         listener.merged(
             numbers[0], numbers[1], squared_difference(off, covariance), separation(ekf, walls, older, younger)[1]
         )
-    merge(ekf, older, younger, ITERATIONS)
+    merge(ekf, older, younger, limits.ITERATIONS)
     factor = 1.0 if math.cos(theta - line_of(ekf, older)[1]) > 0.0 else -1.0
     merge_walls(walls, older, younger, factor, along_point(ekf, older, x, y), count)
 
@@ -90,7 +78,7 @@ def separation(ekf: Filter, walls: Walls, older: int, younger: int) -> tuple[flo
 
 def squared_difference(off: FloatArray, covariance: FloatArray) -> float:
     """Squared Mahalanobis distance of two landmarks by their difference (2,), m and rad, with its covariance (2, 2)."""
-    a, b, c = covariance[0, 0] + STRAIGHTNESS[0], covariance[0, 1], covariance[1, 1] + STRAIGHTNESS[1]
+    a, b, c = covariance[0, 0] + limits.STRAIGHTNESS[0], covariance[0, 1], covariance[1, 1] + limits.STRAIGHTNESS[1]
     return float((c * off[0] ** 2 - 2.0 * b * off[0] * off[1] + a * off[1] ** 2) / (a * c - b * b))
 
 

@@ -55,13 +55,12 @@ def most_clones(batch: int, max_clones: int, robots: int) -> int:
 
 def is_due(travel: FloatArray, hits: BoolArray, sides: IntArray, settings: StepSettings) -> bool:
     """Whether there are new hits (b,), and the robot has moved far enough since the last collection."""
-    seen = hits & (sides >= 0)
-    if not seen.any():
-        return False
-    for side in sides[seen]:
-        travel[LAST_HIT + side] = travel[DRIVEN]
+    is_seen = False
+    for beam in range(len(hits)):
+        if hits[beam] and sides[beam] >= 0:
+            travel[LAST_HIT + sides[beam]], is_seen = travel[DRIVEN], True
     has_driven = travel[DRIVEN] - travel[DRIVEN_AT] >= settings.min_distance
-    return bool(has_driven or travel[TURNED] - travel[TURNED_AT] >= settings.min_turn)
+    return bool(is_seen and (has_driven or travel[TURNED] - travel[TURNED_AT] >= settings.min_turn))
 
 
 def collect(
@@ -70,12 +69,14 @@ def collect(
 ) -> None:  # fmt: skip
     """Add a robot's new hits (b,), which were taken from the pose of a clone, to its sides (3, most, 5)."""
     travel[DRIVEN_AT], travel[TURNED_AT] = travel[DRIVEN], travel[TURNED]
-    for beam in np.flatnonzero(hits & (sides >= 0)):
-        side = sides[beam]
-        reading = pending[side, fill[side, WAITING]]
-        reading[CLONE], reading[BEAM], reading[RANGE] = clone, beam, ranges[beam]
-        reading[DRIVEN_THEN], reading[TAKEN_AT] = travel[DRIVEN], step
-        fill[side] += 1
+    for beam in range(len(hits)):
+        if hits[beam] and sides[beam] >= 0:
+            side = sides[beam]
+            reading = pending[side, fill[side, WAITING]]
+            reading[CLONE], reading[BEAM], reading[RANGE] = clone, beam, ranges[beam]
+            reading[DRIVEN_THEN], reading[TAKEN_AT] = travel[DRIVEN], step
+            fill[side, WAITING] += 1
+            fill[side, FRESH] += 1
 
 
 def has_ended(travel: FloatArray, fill: IntArray, side: int, gap: float) -> bool:

@@ -46,15 +46,9 @@ class NoiseEstimate(NamedTuple):
 class RangeNoise:
     """Counts residuals, and says how large the noise of ranges is.
 
-    Parameters
-    ----------
-    assumed
-        The noise in whose standard deviations the residuals are given.
-    reach
-        Longest range, m.
-    least_std, least_ratio
-        Least noise that is considered, m, and the factor by which noise differs from the assumed one, in the mean, if
-        it is not as assumed.
+    The residuals are given in standard deviations of the ``assumed`` noise; the longest range is ``reach``, m. Noise
+    below ``least_std``, m, is not considered, nor noise that differs by less than the factor ``least_ratio``, in the
+    mean.
     """
 
     def __init__(self, assumed: RangeSensor, reach: float, least_std: float, least_ratio: float) -> None:

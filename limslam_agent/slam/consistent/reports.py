@@ -42,7 +42,7 @@ class StepReports:
         distances = dict(zip(landmarks.tolist(), squared.tolist(), strict=True))
         tests = tuple(
             self._test(index, piece, distances.get(index, np.nan), gate)
-            for index in range(self._estimator.belief.num_lines)
+            for index in range(self._estimator.filter.num_lines)
         )
         tangent = direction(np.array([0.0, piece.segment[THETA]]))
         middle = piece.segment[THETA + 1 : THETA + 3]
@@ -61,7 +61,7 @@ class StepReports:
 
     def _test(self, index: int, piece: "Piece", squared: float, gate: float) -> CandidateTest:
         """The test that threw a landmark out, if any."""
-        belief, walls = self._estimator.belief, self._estimator.walls
+        belief, walls = self._estimator.filter, self._estimator.walls
         line, middle = belief.line(index), piece.segment[THETA + 1 : THETA + 3]
         angle = abs(float(angle_between(float(line[1]) - piece.segment[THETA])))
         offset = abs(float((middle - belief.anchors[index]) @ normal(line) - line[0]))

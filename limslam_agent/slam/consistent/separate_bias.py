@@ -19,13 +19,7 @@ from limslam_env.geometry.line import angle_between
 
 
 class SeparateBias:
-    """Constant errors b that a filter takes to be zero: what its innovations say of them.
-
-    Parameters
-    ----------
-    prior
-        Covariance (k, k) of the errors, about zero.
-    """
+    """Constant errors b with a prior covariance (k, k) about zero: what the innovations of a filter say of them."""
 
     def __init__(self, prior: FloatArray) -> None:
         self._prior, count = prior, len(prior)
@@ -54,14 +48,7 @@ class SeparateBias:
 
 
 class OdometryErrors(SeparateBias):
-    """The constant errors of the odometry of n robots, three numbers each.
-
-    Parameters
-    ----------
-    robots
-        Number of robots.
-    prior
-        Covariance (3, 3) of the errors of one robot, about zero.
+    """The constant errors of the odometry of n robots, three numbers each, with a prior covariance (3, 3) about zero.
 
     Attributes
     ----------
@@ -199,18 +186,14 @@ def note_update(
     ekf: Any, jacobian: FloatArray, columns: IntArray, innovation: FloatArray, factor: FloatArray,
     whitened: FloatArray, moved: FloatArray, moved_again: FloatArray, direct: FloatArray | None,
 ) -> None:  # fmt: skip
-    """Change V as an update of the filter by m measurements has changed its state, and estimate the errors anew.
+    """Change V as an update of a ``Filter`` by m measurements has changed its state, and estimate the errors anew.
 
     Parameters
     ----------
-    ekf
-        The ``Filter``.
     jacobian, columns
         Derivative (m, n) of the measurements by these states (n,).
-    innovation, factor
-        The innovation (m,), and the Cholesky factor L (m, m) of its covariance.
-    whitened
-        L^-1 H P (m, size), where H is the derivative by all states, and P the state's covariance before the update.
+    innovation, factor, whitened
+        The innovation (m,), the Cholesky factor L (m, m) of its covariance, and L^-1 H P (m, size) by all states.
     moved, moved_again
         The error of the first robot's pose was added to the state's error with these factors (size, 3), before and
         after the update.
@@ -261,21 +244,13 @@ def by_range_errors(
 ) -> FloatArray:
     """Derivatives (n, 3 + beams) of predicted ranges by the errors of ``RangeErrors``, at a given state.
 
-    These are a bias of all ranges, half the opening angle of the beams, and the directions of the robot's beams. The
-    delay, the third one, acts by the poses of the clones alone. At the
-    angle phi to the normal, a beam reads r tan(phi) more for each radian that it is turned away from the normal. A
-    wider cone reads the wall under a ray that is nearer to the perpendicular, and so a shorter range.
+    The delay acts by the poses of the clones alone. At the angle phi to the normal, a beam reads r tan(phi) more for
+    each radian that it is turned away from the normal. A wider cone reads the wall under a ray that is nearer to the
+    perpendicular, and so a shorter range.
 
-    Parameters
-    ----------
-    expected, readings
-        What ``kernels.measurement.predict_ranges`` fills (n, 7), and the readings (n, 6).
-    headings
-        Those of the poses that the readings were taken from (n,), rad.
-    theta
-        Direction of the line's normal, rad.
-    beams
-        Number of beams of the robot; 0 if their directions are not estimated.
+    ``expected`` (n, 7) is what ``kernels.measurement.predict_ranges`` fills for the readings (n, 6), which were taken
+    with these headings (n,), rad, of a line with its normal at ``theta``, rad. ``beams`` is 0 if directions are not
+    estimated.
     """
     cosines = np.maximum(np.abs(expected[:, 6]), LEAST_DIVISOR)
     sines = np.sqrt(np.maximum(1.0 - cosines**2, 0.0))

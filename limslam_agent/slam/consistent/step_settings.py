@@ -3,7 +3,7 @@
 from typing import NamedTuple
 
 from limslam_agent.config.consistent import ConsistentConfig
-from limslam_agent.slam.core.hough import bin_size, max_distance
+from limslam_agent.slam.core.line_fit import bin_size, max_distance
 from limslam_agent.slam.core.range_sensor import RangeSensor
 
 

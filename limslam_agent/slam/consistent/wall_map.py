@@ -62,12 +62,8 @@ class WallExtent:
     def intervals(self, max_gap: float, tolerance: float) -> FloatArray:
         """Intervals (k, 2), m, in which there is wall.
 
-        Parameters
-        ----------
-        max_gap
-            Longest gap between two hits that is drawn as wall if no beam has passed through it, m.
-        tolerance
-            Number of beams that may pass through a bin for each beam that ended in it.
+        A gap between two hits is drawn as wall up to ``max_gap``, m, if no beam has passed through it, and up to
+        ``tolerance`` beams may pass through a bin for each beam that ended in it.
         """
         hits, misses, (least, most) = self.counted[HITS], self.counted[MISSES], self.reached
         is_wall = (hits > 0) & (misses <= tolerance * hits)

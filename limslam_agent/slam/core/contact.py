@@ -52,27 +52,21 @@ def slip(
     radius: float,
     std: float,
 ) -> tuple[float, float]:
-    """How much of the wheels' travel may have been slip by contact.
+    """How much of the wheels' travel may have been slip by contact: a variance, m^2, and the angle of the beam, rad.
 
-    Plain numbers and loops, because the batch compiles the same function.
+    Plain numbers and loops, because the batch compiles the same function. The variance is 0 without contact.
 
     Parameters
     ----------
     memory
         Is changed: for each beam the distance along it since it first read its minimum, m, -1 where it does not.
-    ranges, measured
-        Readings (n_beams,), m, and which of them are new.
+    ranges, measured, angles, too_near
+        Readings (n_beams,), m, which of them are new, directions of the beams, rad, and readings up to which something
+        is near, m.
     ahead
         Distance by the wheels in this step, m; negative backwards.
-    angles, too_near
-        Directions (n_beams,) of the beams, rad, and the readings up to which something is near, m.
     radius, std
         Radius of the body, m, and standard deviation of a range, m.
-
-    Returns
-    -------
-    variance, angle
-        Variance of the slip in this step, m^2, 0 without contact, and the direction of the beam that shows it, rad.
     """
     most, angle = 0.0, 0.0
     for beam in range(len(ranges)):
@@ -112,12 +106,7 @@ def slip_covariance(variance: float, angle: float) -> FloatArray:
 class Contacts:
     """Follows the readings and the wheels of one robot, and makes motions in contact less certain.
 
-    Parameters
-    ----------
-    robot
-        Body and beams.
-    std
-        Standard deviation of a range, m.
+    Ranges have the standard deviation ``std``, m.
     """
 
     def __init__(self, robot: RobotSpec, std: float) -> None:
@@ -143,16 +132,9 @@ def slip_covariances(
 ) -> FloatArray:
     """Covariances (n, t, 3, 3) of the slip by contact in the motions of a drive of n robots, m^2.
 
-    They are of left and right wheel's travel and of the motion aside.
-
-    Parameters
-    ----------
-    robot, std
-        Body and beams of each robot, and standard deviation of a range, m.
-    wheels
-        Wheel travel (n, t, 2), m.
-    ranges, measured
-        Readings (t + 1, n, n_beams), m, the first ones from before the first motion, and which of them are new.
+    They are of left and right wheel's travel and of the motion aside. The wheels travel (n, t, 2), m. The readings (t +
+    1, n, n_beams), m, of which some were ``measured``, begin before the first motion, and ``std`` is the standard
+    deviation of a range, m.
     """
     by_increment = np.array([[1.0, 0.0, -0.5 * robot.axle], [1.0, 0.0, 0.5 * robot.axle], [0.0, 1.0, 0.0]])
     found = np.zeros((*wheels.shape[:2], 3, 3))

@@ -22,14 +22,8 @@ class LineEKF(ExtendedKalmanFilter):
 
     A motion changes only the pose, and an observed line depends on five entries of the state. So ``F`` and ``Q`` hold
     only the pose's (3, 3) block, ``update`` takes the non-zero columns of the Jacobian, and P changes in place by a
-    product of rank two. The result equals that of the dense filter.
-
-    Parameters
-    ----------
-    pose
-        Start (3,), m, m, rad; of several robots (n, 3).
-    covariance
-        Of the start (3 n, 3 n); zero if left out.
+    product of rank two. The result equals that of the dense filter. It starts at the pose (3,), or at those of several
+    robots (n, 3), with a covariance (3 n, 3 n) that is zero if left out.
     """
 
     def __init__(self, pose: FloatArray, covariance: FloatArray | None = None) -> None:
@@ -58,28 +52,11 @@ class LineEKF(ExtendedKalmanFilter):
         """Covariance of all poses together (3 n, 3 n), a copy."""
         return np.array(self.P[: self._first, : self._first])
 
-    def relocate(
-        self, pose: FloatArray, covariance: FloatArray, robot: int = 0, by_lines: FloatArray | None = None
-    ) -> None:
-        """Put a robot at another pose, which was found without regard to where it was before.
-
-        Parameters
-        ----------
-        pose, covariance
-            The pose (3,), m, m, rad, and the covariance (3, 3) of its error with respect to the lines.
-        robot
-            Which robot is put there.
-        by_lines
-            Derivative (3, 2 N) of the pose by the lines among which it was found. The pose then has their errors. If
-            left out, the pose is independent of all else.
-        """
-        by_state = np.zeros((POSE, len(self.x)))
-        if by_lines is not None:
-            by_state[:, self._first : self._first + by_lines.shape[1]] = by_lines
-        part, joint = slice(POSE * robot, POSE * robot + POSE), by_state @ self.P
-        own = joint @ by_state.T + covariance
-        self.x[part], self.P[part], self.P[:, part] = pose, joint, joint.T
-        self.P[part, part] = own
+    def relocate(self, pose: FloatArray, covariance: FloatArray, robot: int = 0) -> None:
+        """Put a robot at another pose (3,) with a covariance (3, 3), which is independent of all else."""
+        part = slice(POSE * robot, POSE * robot + POSE)
+        self.x[part], self.P[part], self.P[:, part] = pose, 0.0, 0.0
+        self.P[part, part] = covariance
 
     @property
     def lines(self) -> FloatArray:

@@ -7,6 +7,8 @@ reported. The tick need not be known beforehand, since all reported travels are 
 The functions are plain, and a batch compiles them.
 """
 
+import functools
+
 import numpy as np
 
 from limslam_env.geometry import FloatArray
@@ -46,6 +48,14 @@ def jitter_of(ticks: FloatArray, axle: float) -> FloatArray:
     """Covariance (3, 3) of a pose, in its frame, about the sum of what encoders with ticks (2,), m, have reported."""
     by_wheels = np.array([[0.5, 0.0, -1.0 / axle], [0.5, 0.0, 1.0 / axle]])
     return np.asarray(by_wheels.T @ (tick_variances(ticks).reshape(2, 1) * by_wheels))
+
+
+@functools.lru_cache
+def known_jitter(left: float, right: float, axle: float) -> FloatArray:
+    """:func:`jitter_of` the encoders' ticks, m, which seldom change: read-only."""
+    jitter = jitter_of(np.array([left, right]), axle)
+    jitter.setflags(write=False)
+    return jitter
 
 
 def first_jitter(before: FloatArray, ticks: FloatArray, axle: float) -> FloatArray:

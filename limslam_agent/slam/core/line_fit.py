@@ -1,10 +1,11 @@
-"""A line through points by total least squares, with its covariance."""
+"""Lines in points: the Hough transform finds them, and total least squares refines them, with their covariance."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from limslam_env.geometry import FloatArray
+from limslam_agent.config.shared import HoughConfig
+from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import direction
 
 
@@ -39,13 +40,51 @@ def fit_line(points: FloatArray, std: float) -> LineFit:
     from the centroid, the offset has variance ``std^2 / n`` and the angle
     ``std^2 / sum(s^2)``, and the two are independent; (r, theta) follow to first order.
     """
-    from limslam_agent.kernels.lines import fit_points
+    from limslam_agent.kernels import lines
 
     line, ends = np.empty(2), np.empty((2, 2))
-    line[:] = fit_points(points, np.arange(len(points)), ends)
+    line[:] = lines.fit_line(points, np.arange(len(points)), ends)
     along = points @ direction(line)
     # Turning the line about the centroid moves the foot of the origin's perpendicular.
     lever = float(along.mean())
     of_angle = std**2 / max(float(((along - lever) ** 2).sum()), 1e-9)
     crossed = lever * of_angle
     return LineFit(line, np.array([[std**2 / len(points) + lever * crossed, crossed], [crossed, of_angle]]), ends)
+
+
+@dataclass(frozen=True, eq=False)
+class ExtractedLine:
+    """A line segment that was found in a buffer of points.
+
+    Attributes
+    ----------
+    fit
+        The line with covariance and ends.
+    members
+        Indices (n,) of its points in the buffer.
+    """
+
+    fit: LineFit
+    members: IntArray
+
+
+def bin_size(config: HoughConfig, std: float) -> float:
+    """Size of a bin of r, m, for points with noise ``std``, m."""
+    return max(config.r_step, 3.0 * std)
+
+
+def max_distance(config: HoughConfig, std: float) -> float:
+    """Largest distance of a point from its line, m, for points with noise ``std``, m."""
+    return max(config.max_offset, 2.5 * std)
+
+
+def extract_lines(points: FloatArray, config: HoughConfig, std: float) -> list[ExtractedLine]:
+    """All lines in a buffer of points (n, 2), m, whose ranges have noise ``std`` (m), best first."""
+    from limslam_agent.kernels import lines
+
+    owner, found, _ = lines.extract_lines(
+        points, float(config.max_gap), config.min_votes, float(bin_size(config, std)), float(config.theta_step),
+        float(max_distance(config, std)), float(config.min_length), config.only_best,
+    )  # fmt: skip
+    parts = [np.flatnonzero(owner == line) for line in range(len(found))]
+    return [ExtractedLine(fit_line(points[part], std), part) for part in parts]

@@ -1,7 +1,7 @@
 """Motion of a robot in one step, with its covariance, from wheel travel or from a log's odometry."""
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -49,7 +49,8 @@ class Motion:
         A filter takes the derivative by a constant error as exact, and would explain the noise of a straight drive by
         an axle that is too narrow, or by late ranges (errors in variables).
         """
-        return bool(self.increment[2] ** 2 > _SURE_TURN**2 * (self.covariance[2, 2] + 2.0 * self.jitter[2, 2]))
+        turn, covariance, jitter = self.increment.item(2), self.covariance.item(8), self.jitter.item(8)
+        return bool(turn**2 > _SURE_TURN**2 * (covariance + 2.0 * jitter))
 
 
 class OdometryCalibration(NamedTuple):
@@ -135,11 +136,11 @@ def calibrated(motion: Motion, axle: float, calibration: OdometryCalibration) ->
         [0.5 * driven - lever, 0.5 * driven + lever, 0.0],
         [(0.5 * sure - drift) / wider, (0.5 * sure + drift) / wider, -sure_turned / wider],
     ])  # fmt: skip
-    if calibration == AS_SPECIFIED:
-        return replace(motion, by_calibration=by_calibration)
-    # The motion of a log need not be an arc that wheels can drive.
-    aside = motion.increment - arc(driven, turn)
-    return replace(motion, increment=arc(distance, turned) + aside, by_calibration=by_calibration)
+    increment = motion.increment
+    if calibration != AS_SPECIFIED:
+        # The motion of a log need not be an arc that wheels can drive.
+        increment = arc(distance, turned) + (increment - arc(driven, turn))
+    return Motion(increment, motion.covariance, by_calibration, motion.jitter)
 
 
 def motion_of(observation: Observation, robot: RobotSpec, noise: NominalNoise, odometry: OdometryConfig) -> Motion:

@@ -1,4 +1,8 @@
-"""Association of an observed line with landmarks: the Mahalanobis distance, and four exclusion tests."""
+"""Association of an observed line with landmarks: the Mahalanobis distance, and four exclusion tests.
+
+Exclusion 1 is by the end points along the wall, 2 by what the beams can see, 3 by the distance from the robot, and 4 by
+the direction of the line and the distance of its middle.
+"""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -54,35 +58,25 @@ def associate(
 ) -> list[CandidateTest]:
     """All landmarks with the exclusion that throws each of them out; without one, an observation may show it.
 
-    Parameters
-    ----------
-    observed
-        The observed line.
-    pose
-        Estimated pose (3,), m, m, rad.
-    lines, segments
-        The landmarks in the world: (N, 2), and with their end points (N, 4), m.
-    innovation
-        From observed line, its covariance and a landmark's index to their difference (2,) and
-        the total covariance of both (2, 2).
-    max_range
-        Largest distance from the robot's centre that its beams measure, m.
-    config
-        Gate and thresholds.
+    The landmarks are lines (N, 2), and segments (N, 4), m, in the world, and the robot is estimated to be at a pose
+    (3,). ``innovation`` makes of observed line, its covariance and a landmark's index their difference (2,) and the
+    covariance of both (2, 2). The robot's beams measure up to ``max_range``, m, from its centre.
     """
     if len(lines) == 0:
         return []
     ends, line, reach = transform_points(pose, observed.ends), from_frame(observed.line, pose), max_range
+    reach += config.range_slack
     # Beams must meet the landmark even where the test of the ends is disabled.
     seen_past_ends = min(config.max_end_gap, _MOST_UNSEEN) + config.range_slack
+    # Two walls on one line with a door between them remain two landmarks by the test of the ends.
+    (angles, offsets), gaps = difference(line, ends, lines), end_gaps(ends, lines, segments)
     passed = {
-        "ends": near_ends(ends, lines, segments, config.max_end_gap),
-        "range": in_range(pose, segments, reach + config.range_slack),
-        "direction": alike(line, ends, lines, config.max_angle, config.max_distance),
-        "hidden": visible(observed, pose, segments, reach + config.range_slack, seen_past_ends),
+        "ends": gaps <= config.max_end_gap,
+        "range": segment_distances(pose[None, :2], segments)[0] <= reach,
+        "direction": (angles <= config.max_angle) & (offsets <= config.max_distance),
+        "hidden": visible(observed, pose, segments, reach, seen_past_ends),
     }
-    angles, offsets = difference(line, ends, lines)
-    gaps, tests = end_gaps(ends, lines, segments), []
+    tests = []
     for index in range(len(lines)):
         excluded, squared = next((name for name, passes in passed.items() if not passes[index]), ""), np.nan
         if not excluded:
@@ -92,14 +86,6 @@ def associate(
         angle, offset, gap = float(angles[index]), float(offsets[index]), float(gaps[index])
         tests.append(CandidateTest(index, excluded, angle, offset, gap, squared))
     return tests
-
-
-def near_ends(ends: FloatArray, lines: FloatArray, segments: FloatArray, max_gap: float) -> BoolArray:
-    """Exclusion 1: landmarks (N,) whose end points lie near the observation's ends (2, 2), along the wall.
-
-    So two walls on one line with a door between them remain two landmarks.
-    """
-    return np.asarray(end_gaps(ends, lines, segments) <= max_gap)
 
 
 def end_gaps(ends: FloatArray, lines: FloatArray, segments: FloatArray) -> FloatArray:
@@ -116,11 +102,11 @@ def end_gaps(ends: FloatArray, lines: FloatArray, segments: FloatArray) -> Float
 def visible(
     observed: ObservedLine, pose: FloatArray, segments: FloatArray, max_range: float, slack: float
 ) -> BoolArray:
-    """Exclusion 2: landmarks (N,) that the beams which made the observation can see.
+    """Landmarks (N,) that the beams which made the observation can see.
 
-    Most of those beams must meet the landmark, lengthened by ``slack`` (m) at its ends, ahead of them and
-    within ``max_range`` (m). A landmark behind another one counts as visible, because after a loop the map may hold the
-    same wall twice, and the younger landmark must not hide the older one.
+    Most of those beams must meet the landmark, lengthened by ``slack`` (m) at its ends, ahead of them and within
+    ``max_range`` (m). A landmark behind another one counts as visible, because after a loop the map may hold the same
+    wall twice, and the younger landmark must not hide the older one.
     """
     origins = transform_points(pose, observed.origins)
     reaches = transform_points(pose, observed.points) - origins
@@ -141,17 +127,6 @@ def _crossings(origins: FloatArray, directions: FloatArray, segments: FloatArray
         position = (offset[..., 0] * directions[:, 1:] - offset[..., 1] * directions[:, :1]) / cross
     met = (ahead > -_BEHIND) & (position > -slack) & (position < length + slack)
     return np.where(met, ahead, np.inf)
-
-
-def in_range(pose: FloatArray, segments: FloatArray, max_range: float) -> BoolArray:
-    """Exclusion 3: landmarks (N,) of which some part lies within ``max_range`` (m) of the robot."""
-    return np.asarray(segment_distances(pose[None, :2], segments)[0] <= max_range)
-
-
-def alike(line: FloatArray, ends: FloatArray, lines: FloatArray, max_angle: float, max_distance: float) -> BoolArray:
-    """Exclusion 4: landmarks (N,) with nearly the direction (rad) of a line and near its middle (m)."""
-    angles, offsets = difference(line, ends, lines)
-    return np.asarray((angles <= max_angle) & (offsets <= max_distance))
 
 
 def difference(line: FloatArray, ends: FloatArray, lines: FloatArray) -> tuple[FloatArray, FloatArray]:

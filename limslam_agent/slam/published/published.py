@@ -1,7 +1,11 @@
-"""The published method's estimator: buffers, Hough lines, association, update, loop closing (steps 2 to 7)."""
+"""The published method's estimator: buffers, Hough lines, association, update, loop closing (steps 2 to 7).
 
-from collections.abc import Sequence
-from dataclasses import replace
+After a loop, a wall that is observed again first becomes a new landmark, because the drift of the pose keeps it from
+being associated with the old one. Later observations fit the new landmark best, and the old landmark second best if
+the two are close enough. If the two landmarks agree, they are the same wall.
+"""
+
+from typing import cast
 
 import numpy as np
 
@@ -10,42 +14,32 @@ from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure, Comp
 from limslam_agent.slam.core.ekf import LineEKF
 from limslam_agent.slam.core.estimator import Estimator
 from limslam_agent.slam.core.front_end import FrontEnd
-from limslam_agent.slam.core.hough import ExtractedLine, extract_lines
-from limslam_agent.slam.core.line_map import Landmark, LineMap
+from limslam_agent.slam.core.line_fit import ExtractedLine, extract_lines
 from limslam_agent.slam.core.motion import Motion
-from limslam_agent.slam.published.association import ObservedLine, associate
-from limslam_agent.slam.published.loop_closing import agree, offset, squared_distance
+from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.slam.published.association import ObservedLine, associate, difference, end_gaps
+from limslam_agent.slam.published.line_map import LineMap
 from limslam_agent.slam.published.scan_buffer import Scan, ScanBuffer
-from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.geometry.se2 import inverse, transform_points
-from limslam_env.interface import RobotSpec, Side
+from limslam_env.geometry.se2 import transform_points
+from limslam_env.interface import Side
 
 SIDES: tuple[Side, Side] = ("left", "right")
 
 
 class PublishedEstimator(Estimator):
-    """The published method, which treats lines from points collected by odometry as independent of the odometry.
+    """The published method, which treats lines from points collected by odometry as independent of the odometry."""
 
-    Parameters
-    ----------
-    robot
-        Body and beams of each robot.
-    config
-        Settings of every stage.
-    start
-        Start poses of the robots (n, 3), m, m, rad.
-    """
+    filter: LineEKF
 
-    def __init__(self, robot: RobotSpec, config: PublishedConfig, range_std: float, start: FloatArray) -> None:
-        super().__init__(robot, LineEKF(start))
-        self._config, self._std = config, range_std
-        self._map = LineMap()
-        self._buffers = [{side: ScanBuffer(robot, side, config.buffer) for side in SIDES} for _ in start]
+    def _begin(self, sensor: RangeSensor | None) -> None:
+        del sensor
+        self.filter = LineEKF(self._start)
+        self._config = config = cast(PublishedConfig, self.config.estimator)
+        self._map: LineMap = LineMap(self.filter, config.map)
+        self._buffers = [{side: ScanBuffer(self.robot, side, config.buffer) for side in SIDES} for _ in self.robots]
         association = config.association
-        self._min_new_length = max(association.min_new_length, association.min_new_share * robot.reach)
+        self._min_new_length = max(association.min_new_length, association.min_new_share * self.robot.reach)
         self._closed: set[tuple[int, int]] = set()
-        self._drawn: FloatArray | None = None
-        self._shown: tuple[FloatArray, IntArray] | None = None
 
     @property
     def association_limits(self) -> dict[str, float]:
@@ -56,82 +50,48 @@ class PublishedEstimator(Estimator):
             "loop_gate": loop.gate, "loop_overlap": loop.min_overlap, "loop_offset": loop.max_distance,
         }  # fmt: skip
 
-    def measure(self, number: int, front: FrontEnd, motion: Motion) -> None:
+    def _predict(self, number: int, motion: Motion, *, by_wheels: bool) -> None:
+        del by_wheels
+        self.filter.predict(motion.increment, motion.covariance, number)
+
+    def _measure(self, number: int, front: FrontEnd, motion: Motion) -> None:
         """Add points to the buffers, and use each buffer that is full."""
-        back, variance = inverse(motion.increment), float(motion.covariance[2, 2])
         for side, buffer in self._buffers[number].items():
-            buffer.move(motion.increment, variance, back)
+            buffer.move(motion.increment, float(motion.covariance[2, 2]))
             for scan in buffer.add(front.ranges, front.measured, front.hits, front.step):
                 self._use(number, front.step, side, scan)
 
-    def finish(self, fronts: Sequence[FrontEnd]) -> None:
+    def finish(self) -> None:
         """Use the points that remain in the buffers."""
-        for number, front in enumerate(fronts):
+        for number, front in enumerate(self.robots):
             for side, buffer in self._buffers[number].items():
                 self._use(number, front.step, side, buffer.take())
 
-    def pending_points(self, fronts: Sequence[FrontEnd]) -> list[PendingPoints]:
+    @property
+    def pending_points(self) -> list[PendingPoints]:
         """The points in the buffers, by robot and side."""
-        del fronts
         return [
             PendingPoints(number, side, transform_points(pose, buffer.scan.points), self._config.buffer.size)
             for number, (pose, buffers) in enumerate(zip(self.poses, self._buffers, strict=True))
             for side, buffer in buffers.items()
         ]
 
-    @property
-    def segments(self) -> FloatArray:
-        """The walls of the map (N, 4), m, in the world."""
-        return self._all_segments[self._confirmed]
-
-    @property
-    def landmarks(self) -> list[Landmark]:
-        """The walls of the map as landmarks, with covariances."""
-        every = self.all_landmarks
-        return [replace(every[index], segments=(row,)) for row, index in enumerate(self._confirmed.tolist())]
-
-    @property
-    def all_landmarks(self) -> list[Landmark]:
-        """All landmarks, provisional ones included, by number."""
-        lines, segments = self._belief.lines, self._all_segments
-        return [
-            Landmark(
-                float(lines[index, 0]), float(lines[index, 1]), self._belief.line_covariance(index),
-                segments[index].reshape(2, 2).copy(), self._map.observations(index), index,
-            )
-            for index in range(len(lines))
-        ]  # fmt: skip
-
-    @property
-    def _all_segments(self) -> FloatArray:
-        # Lines only change when one is observed, but every step asks for the map.
-        if self._drawn is None:
-            self._drawn = self._map.segments(self._belief.lines)
-        return self._drawn
-
-    @property
-    def _confirmed(self) -> IntArray:
-        segments = self._all_segments
-        if self._shown is None or self._shown[0] is not segments:
-            self._shown = segments, self._map.confirmed(segments, self._config.map)
-        return self._shown[1]
-
     def _use(self, robot: int, step: int, side: Side, scan: Scan) -> None:
-        lines = extract_lines(scan.points, self._config.hough, self._std)
+        lines = extract_lines(scan.points, self._config.hough, self.config.range_std)
         found = np.array([line.fit.line for line in lines]).reshape(-1, 2)
         ends = np.array([line.fit.ends for line in lines]).reshape(-1, 2, 2)
-        self.last_extraction = Extraction(robot, side, step, self._belief.poses[robot], scan.points, found, ends)
+        self.last_extraction = Extraction(robot, side, step, self.filter.poses[robot], scan.points, found, ends)
         for line in lines:
             self._incorporate(robot, step, line, scan.select(line.members))
 
     def _incorporate(self, robot: int, step: int, line: ExtractedLine, scan: Scan) -> None:
         """Associate an observed line with a known landmark or a new one, or close a loop with it."""
-        fit, pose = line.fit, self._belief.poses[robot]
+        fit, pose = line.fit, self.filter.poses[robot]
         covariance = fit.covariance + np.diag([0.0, self._config.filter.drift_share * float(scan.drift.mean())])
         observed = ObservedLine(fit.line, covariance, fit.ends, scan.origins, scan.points)
         tests = associate(
-            observed, pose, self._belief.lines, self._all_segments,
-            lambda line, covariance, index: self._belief.innovation(line, covariance, index, robot),
+            observed, pose, self.filter.lines, self._map.every,
+            lambda line, covariance, index: self.filter.innovation(line, covariance, index, robot),
             self.robot.reach, self._config.association,
         )  # fmt: skip
         if self.on_comparison is not None:
@@ -144,15 +104,14 @@ class PublishedEstimator(Estimator):
         if matches:
             landmark = matches[0]
             if self._config.filter.correct:
-                self._belief.observe_line(fit.line, covariance, landmark, robot)
-            pose = self._belief.poses[robot]
-            self._map.grow(landmark, self._belief.lines[landmark], transform_points(pose, fit.ends))
+                self.filter.observe_line(fit.line, covariance, landmark, robot)
+            pose = self.filter.poses[robot]
+            self._map.grow(landmark, transform_points(pose, fit.ends))
         elif fit.length < self._min_new_length:
             return
         else:
-            landmark = self._belief.augment(fit.line, covariance, robot)
+            landmark = self.filter.augment(fit.line, covariance, robot)
             self._map.add(transform_points(pose, fit.ends))
-        self._drawn = None
         if self.on_association is not None:
             self.on_association(AssociationRecord(landmark, not matches, scan.readings, robot))
 
@@ -167,22 +126,34 @@ class PublishedEstimator(Estimator):
         is_wanted = config.enabled and self._config.filter.correct
         if len(landmarks) < 2 or pair in self._closed or not is_wanted:
             return False
-        before = self._distance(*pair)
-        lines, segments = self._belief.lines, self._all_segments
-        if not agree(*pair, lines, segments, before, config):
+        (older, younger), before = pair, self._distance(*pair)
+        angle, offset_before = self._off(older, younger)
+        lines, segments = self.filter.lines[[older]], self._map.every
+        gap = end_gaps(segments[younger].reshape(2, 2), lines, segments[[older]]).item()
+        is_near = gap <= -config.min_overlap and offset_before <= config.max_distance
+        if before > config.gate or not is_near or angle > config.max_angle:
             return False
-        older, younger = pair
-        offset_before = offset(lines[older], segments[younger])
-        self._belief.observe_landmark(older, younger)
+        self.filter.observe_landmark(older, younger)
         self._closed.add(pair)
-        self._drawn = None
-        offset_after = offset(self._belief.lines[older], self._all_segments[younger])
+        self._map.redraw()
+        offset_after = self._off(older, younger)[1]
         self.closures.append(
             Closure(older, younger, step, before, self._distance(*pair), offset_before, offset_after)
         )  # fmt: skip
         return True
 
+    def _off(self, older: int, younger: int) -> tuple[float, float]:
+        """The angle between two landmarks, rad, and the distance of the younger one's middle from the older one, m."""
+        lines, ends = self.filter.lines, self._map.every[younger].reshape(2, 2)
+        angles, offsets = difference(lines[younger], ends, lines[[older]])
+        return angles.item(), offsets.item()
+
     def _distance(self, older: int, younger: int) -> float:
+        """Squared Mahalanobis distance between two landmarks.
+
+        Without a floor, the difference of two landmarks that were always seen together would be known more exactly than
+        any wall is straight.
+        """
         floor = np.array([self._config.closing.floor_distance, self._config.closing.floor_angle])
-        difference, covariance = self._belief.difference(older, younger)
-        return squared_distance(difference, covariance, floor)
+        off, covariance = self.filter.difference(older, younger)
+        return float(off @ np.linalg.solve(covariance + np.diag(floor**2), off))

@@ -40,17 +40,7 @@ class Scan:
 
 
 class ScanBuffer:
-    """The points of one side of the robot.
-
-    Parameters
-    ----------
-    robot
-        The robot, whose beams of this side fill the buffer.
-    side
-        ``"left"`` or ``"right"``. The two sides never see the same wall at once.
-    config
-        Size and gap.
-    """
+    """The points of one side of the robot: its two sides never see the same wall at once."""
 
     def __init__(self, robot: RobotSpec, side: Side, config: BufferConfig) -> None:
         self._config = config
@@ -68,13 +58,10 @@ class ScanBuffer:
         """The points in the buffer, a copy."""
         return Scan(self._places[:, 0].copy(), self._places[:, 1].copy(), self._readings.copy(), self._drift.copy())
 
-    def move(self, increment: FloatArray, turn_variance: float = 0.0, back: FloatArray | None = None) -> None:
-        """Move the points into the frame after a motion (3,) whose heading has a variance, rad^2.
-
-        ``back`` is the inverse of the motion, if that is known.
-        """
+    def move(self, increment: FloatArray, turn_variance: float = 0.0) -> None:
+        """Move the points into the frame after a motion (3,) whose heading has a variance, rad^2."""
         places = self._places.reshape(-1, 2)
-        places[:] = transform_points(inverse(increment) if back is None else back, places)
+        places[:] = transform_points(inverse(increment), places)
         self._drift += turn_variance
         distance = float(np.hypot(increment[0], increment[1]))
         self._since_hit += distance
@@ -82,21 +69,10 @@ class ScanBuffer:
         self._turned += abs(float(increment[2]))
 
     def add(self, ranges: FloatArray, measured: BoolArray, hit: BoolArray, step: int) -> list[Scan]:
-        """Add this side's hits among all beams' readings.
+        """Add this side's hits among all beams' readings (n_beams,), m, at a step; the scans to extract lines from.
 
-        Parameters
-        ----------
-        ranges
-            (n_beams,), m.
-        measured, hit
-            (n_beams,): which beams have measured in this step, and which of them saw a wall.
-        step
-            The step's number.
-
-        Returns
-        -------
-        scans
-            Scans to extract lines from: the points of a wall that has ended, and those of a full buffer.
+        They are the points of a wall that has ended, and those of a full buffer. ``measured`` and ``hit`` (n_beams,)
+        say which beams have measured in this step, and which of them saw a wall.
         """
         chosen = hit[self._beams]
         self._missed |= bool(measured[self._beams].any()) and not chosen.any()

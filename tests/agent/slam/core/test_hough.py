@@ -9,7 +9,7 @@ import pytest
 from limslam_agent.config.shared import HoughConfig
 from limslam_agent.kernels import lines
 from limslam_agent.kernels.compilation import entry
-from limslam_agent.slam.core.hough import ExtractedLine, extract_lines
+from limslam_agent.slam.core.line_fit import ExtractedLine, extract_lines
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import at, nearest_form
 
