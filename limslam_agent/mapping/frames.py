@@ -1,7 +1,6 @@
 """Frames: the frames in which robots map one after the other, and how a lost robot goes from one to the next."""
 
 from collections.abc import Iterable
-from typing import NamedTuple
 
 import numpy as np
 
@@ -19,19 +18,6 @@ from limslam_env.geometry import FloatArray
 from limslam_env.interface import Observation, RobotSpec
 
 WRONG_PLACE = Loss(Status("lost", "the readings contradict the map at the place that was found"), 0)
-
-
-class ProcessedAgain(NamedTuple):
-    """Stored steps of a robot that were processed again.
-
-    Attributes
-    ----------
-    poses, covariances
-        Poses (t, 3), m and rad, and covariances (t, 3, 3) after each step.
-    """
-
-    poses: FloatArray
-    covariances: FloatArray
 
 
 class Frames:
@@ -95,8 +81,8 @@ class Frames:
         self._maps += 1
         self.map_number, self._own_map = self._maps, self._maps if is_own else self._own_map
 
-    def _process_again(self, observations: Iterable[Observation]) -> ProcessedAgain:
-        """Process stored observations of the only robot in the present frame."""
+    def _process_again(self, observations: Iterable[Observation], begin: int = 0) -> Revision:
+        """Process stored observations of the only robot, from a step on, in the present frame."""
         poses, covariances = list[FloatArray](), list[FloatArray]()
         for observation in observations:
             # The caller has later steps already, which a renewal would not move.
@@ -104,11 +90,11 @@ class Frames:
             self.slam_ms += self._present.slam_ms
             poses.append(self.slam.pose)
             covariances.append(self.slam.covariance)
-        return ProcessedAgain(np.array(poses).reshape(-1, 3), np.array(covariances).reshape(-1, 3, 3))
+        return Revision(begin, np.array(poses).reshape(-1, 3), np.array(covariances).reshape(-1, 3, 3))
 
-    def _replay(self, log: StepLog, begin: int, end: int) -> ProcessedAgain:
+    def _replay(self, log: StepLog, begin: int, end: int) -> Revision:
         """Process the logged steps from ``begin`` to before ``end`` again, and log their new poses."""
-        again = self._process_again(log[number].observation for number in range(begin, end))
+        again = self._process_again((log[number].observation for number in range(begin, end)), begin)
         log.move(begin, again.poses)
         return again
 
@@ -168,7 +154,7 @@ class Frames:
         self._present.begin_anew()
         again = self._replay(log, second, log.end)
         if is_anew:
-            self._revise(absence.first, begun, again)
+            self._revise(begun, again)
 
     def _go_on_renewed(self, recovery: Recovery) -> bool:
         """Renew the estimate of a robot that has just been lost, if that explains its readings; whether it was done."""
@@ -192,7 +178,7 @@ class Frames:
         # The comparisons until now have seen how the robot was carried away, and no stretch with that motion can be
         # smoothed.
         self._present.begin_anew()
-        self._revise(log.begin, before, self._replay(log, found.step, log.end))
+        self._revise(before, self._replay(log, found.step, log.end))
         # The search has weighed the readings of these steps together. While they are processed again, a bent map may
         # contradict a few of them, and the robot would be lost and found in turns.
         self._present.reset_monitors()
@@ -209,8 +195,8 @@ class Frames:
         self.slam.relocate(pose, covariance)
         recovery.note_event("not found", step=recovery.log.end - 1)
 
-    def _revise(self, begin: int, *parts: ProcessedAgain) -> None:
-        """Note that the poses from a step on are known better now."""
-        poses = np.concatenate([part.poses for part in parts])
-        covariances = np.concatenate([part.covariances for part in parts])
-        self._revisions.append(Revision(begin, poses, covariances))
+    def _revise(self, first: Revision, second: Revision) -> None:
+        """Note that the poses from a step on, in two parts, are known better now."""
+        poses = np.concatenate([first.poses, second.poses])
+        covariances = np.concatenate([first.covariances, second.covariances])
+        self._revisions.append(Revision(first.begin, poses, covariances))

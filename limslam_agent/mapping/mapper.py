@@ -5,6 +5,8 @@ What a step does within a frame is in :mod:`limslam_agent.mapping.frame_mapper`,
 or sensor are found early, begins in the map of an earlier run, and goes on in other frames when the robot is lost.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from limslam_agent.belief import Belief
@@ -12,7 +14,6 @@ from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.mapping.frames import Frames
-from limslam_agent.mapping.map_snapshot import MapSnapshot
 from limslam_agent.places.history import LoggedStep, copied
 from limslam_agent.places.lookup import NOT_YET_FOUND, Lookup
 from limslam_agent.places.recovery import Recovery
@@ -20,12 +21,13 @@ from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.late_ranges import WaitingTravel, ahead
+from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import check_travel, longest_travel
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.rays import wall_points
 from limslam_agent.status.status import Status
 from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.geometry.se2 import compose
+from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import Observation, RobotSpec
 
 RESTART_WITHIN = 1800
@@ -33,6 +35,44 @@ RESTART_WITHIN = 1800
 
 MOST_RESTARTS = 6
 """A mapper begins again at most this often. Later estimates of the errors only act from then on."""
+
+
+@dataclass(frozen=True, eq=False)
+class MapSnapshot:
+    """The map and the poses at one moment. Later steps do not change a snapshot.
+
+    Attributes
+    ----------
+    poses
+        Estimated pose of each robot (n, 3) in the world frame: x (m), y (m), heading (rad).
+    covariances
+        Covariance of each estimated pose (n, 3, 3). It grows while a robot is lost.
+    odometry
+        Pose of each robot by odometry alone (n, 3).
+    landmarks
+        The walls of the map as lines with covariances.
+    segments
+        The walls of the map (N, 4) as x1, y1, x2, y2 in the world frame, m.
+    grid
+        Occupancy grid.
+    """
+
+    poses: FloatArray
+    covariances: FloatArray
+    odometry: FloatArray
+    landmarks: list[Landmark]
+    segments: FloatArray
+    grid: GridView
+
+    @property
+    def pose(self) -> FloatArray:
+        """Pose of the first robot (3,)."""
+        return np.asarray(self.poses[0])
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of the first robot's pose (3, 3)."""
+        return np.asarray(self.covariances[0])
 
 
 class Mapper(Frames):
@@ -295,10 +335,10 @@ class Mapper(Frames):
         found = lookup.seek(self._starts[0], self.slam.range_sensor)
         if found is None:
             return
-        self.prior_frame = found.frame
-        slam = self._slam_at(found.start)
+        self.prior_frame = compose(found.pose, inverse(self._starts[0]))
+        slam = self._slam_at(found.pose)
         slam.know(lookup.saved.landmarks, lookup.saved.segments)
-        slam.relocate(found.start, found.covariance, ends=wall_points(found.rays))
+        slam.relocate(found.pose, found.covariance, ends=wall_points(found.rays))
         self._use(slam, OccupancyGrid.of(lookup.saved.grid, self.config.grid))
         self._number_map(is_own=True)
         self._recovery = self._new_recovery()

@@ -8,8 +8,7 @@ import numpy as np
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.mapping.joining import JoiningMapper
-from limslam_agent.mapping.map_snapshot import MapSnapshot
-from limslam_agent.mapping.mapper import Mapper
+from limslam_agent.mapping.mapper import Mapper, MapSnapshot
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.policies.policy import Policy, checked_action, checked_plan
 from limslam_agent.policies.wall_policy import explorer

@@ -168,7 +168,7 @@ class Absence:
 
 
 class Placement(NamedTuple):
-    """How a robot goes on in the frame that it was lost from.
+    """How a robot goes on in the frame that it was lost from, or in the map of an earlier run.
 
     Attributes
     ----------
@@ -186,7 +186,7 @@ class Placement(NamedTuple):
     pose: FloatArray
     covariance: FloatArray
     rays: FloatArray
-    has_drifted: bool
+    has_drifted: bool = False
 
     def put(self, slam: LineSlam, grid: OccupancyGrid) -> tuple["Placement", KnownPlaces | None]:
         """Put the robot at its place in the known frame, and close a loop by it if it has drifted.

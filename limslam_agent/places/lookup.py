@@ -1,9 +1,10 @@
 """The search for a robot's place in the map of an earlier run."""
 
-from typing import Any, NamedTuple
+from typing import Any
 
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
+from limslam_agent.places.absence import Placement
 from limslam_agent.places.history import LoggedStep
 from limslam_agent.places.localisation import KnownPlaces, match_covariance
 from limslam_agent.places.saved_map import SavedMap
@@ -17,25 +18,6 @@ from limslam_env.interface import RobotSpec
 
 NOT_YET_FOUND = Status("unsure", "the robot's place in the saved map is not found yet")
 """The status of a robot that maps in a frame of its own, and searches for its place in an earlier map."""
-
-
-class Arrival(NamedTuple):
-    """The place of a robot in a saved map.
-
-    Attributes
-    ----------
-    frame
-        Pose (3,) of the robot's frame in the saved map.
-    start, covariance
-        Start pose (3,) in the saved map, and its covariance (3, 3).
-    rays
-        The rays (n, 7) in the saved map by which it was found.
-    """
-
-    frame: FloatArray
-    start: FloatArray
-    covariance: FloatArray
-    rays: FloatArray
 
 
 class Lookup:
@@ -78,8 +60,8 @@ class Lookup:
         """Whether the saved map is to be searched now."""
         return self.is_open and self._search.is_due
 
-    def seek(self, start: FloatArray, sensor: RangeSensor) -> Arrival | None:
-        """Search the saved map for the place; it is found if two searches in succession find the same place.
+    def seek(self, start: FloatArray, sensor: RangeSensor) -> Placement | None:
+        """Search the saved map for the start; it is found if two searches in succession find the same place.
 
         ``start`` is the start pose (3,) in the robot's own frame, and ``sensor`` the sensor that is known now.
         """
@@ -91,7 +73,7 @@ class Lookup:
         frame = found.fit.pose
         placed, middle = compose(frame, start), transform_points(frame, found.middle[None])[0]
         self._close("found in the saved map")
-        return Arrival(frame, placed, match_covariance(middle, placed), moved(rays, frame))
+        return Placement(0, placed, match_covariance(middle, placed), moved(rays, frame))
 
     def end(self, reason: str) -> None:
         """End a search that found nothing."""

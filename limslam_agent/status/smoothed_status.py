@@ -45,20 +45,10 @@ def smoothed_status(
         Time after the start, s, from which on the filter did not know the robot's place, or was wrong about it; None if
         it was not.
     """
-    if lost_since is not None:
-        return Status("lost", f"the place of the robot is unknown from {lost_since:.0f} s on")
-    return _by_readings(contradictions, filtered, smoothed, while_driving)
-
-
-def _by_readings(
-    contradictions: float,
-    filtered: tuple[FloatArray, FloatArray],
-    smoothed: tuple[FloatArray, FloatArray],
-    while_driving: Level,
-) -> Status:
     share = f"{100.0 * contradictions:.2g} % of the readings contradict the smoothed map"
-    if contradictions >= _LOST_SHARE:
-        return Status("lost", share)
+    if lost_since is not None or contradictions >= _LOST_SHARE:
+        unknown = "" if lost_since is None else f"the place of the robot is unknown from {lost_since:.0f} s on"
+        return Status("lost", unknown or share)
     if contradictions >= _DOUBTED_SHARE and while_driving != "ok":
         return Status(while_driving, f"{share}, and the robot was {while_driving} while it drove")
     if contradictions >= _UNSURE_SHARE:
