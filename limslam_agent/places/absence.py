@@ -9,10 +9,9 @@ import numpy as np
 
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.places.history import LoggedStep
-from limslam_agent.places.localisation import KnownPlaces
-from limslam_agent.places.search import PlaceSearch
+from limslam_agent.places.localisation import KnownPlaces, PlaceSearch
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.monitor import covariance_of_lost
+from limslam_agent.status.monitor import Loss, covariance_of_lost
 from limslam_agent.status.rays import moved, wall_points
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import between, compose, compose_jacobians, inverse
@@ -113,8 +112,8 @@ class Absence:
 
     Attributes
     ----------
-    reason
-        Why the robot is lost, or unsure of its place, in words.
+    loss
+        Why the robot is lost, or unsure of its place, and what the readings have said of that.
     first, since
         First step in the local frame, and that of the first one of several local frames.
     known, search
@@ -122,28 +121,22 @@ class Absence:
         run, or has begun its map anew.
     steps
         The steps before ``since`` as they were believed when the robot was lost.
-    is_dated, is_carried
-        Whether the readings have said in which step the robot was carried away, and that it was.
-    jump
-        Standard deviation of the position at the beginning, m.
+    jump, driven
+        Standard deviation of the position at the beginning, m, and distance since then, m.
     covariance, left
         Covariance (3, 3) of the pose when it was lost, and that pose (3,).
-    driven
-        Distance since then, m.
     placed
         The place that was found; None while the robot is lost.
     has_returned
         Whether a place was found at any time.
     """
 
-    reason: str
+    loss: Loss
     first: int
     since: int
     known: KnownFrame | None = None
     search: PlaceSearch | None = None
     steps: Sequence[LoggedStep] = ()
-    is_dated: bool = False
-    is_carried: bool = False
     jump: float = 0.0
     covariance: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     left: FloatArray = field(default_factory=lambda: np.zeros(3))
@@ -154,7 +147,7 @@ class Absence:
     @property
     def was_moved(self) -> bool:
         """Whether something says that the robot has moved otherwise than its odometry reports."""
-        return self.is_carried or self.jump > 0.0
+        return self.loss.is_carried or self.jump > 0.0
 
     def covariance_at(self, pose: FloatArray) -> FloatArray:
         """What has to be added to the covariance (3, 3) at a pose (3,) of the local frame.
@@ -162,7 +155,7 @@ class Absence:
         The pose at which the robot was lost stays as uncertain as it was in the earlier frame. An error of its heading
         moves the poses that are far from there.
         """
-        since = covariance_of_lost(self.jump, self.driven, knows_heading=not self.is_carried)
+        since = covariance_of_lost(self.jump, self.driven, knows_heading=not self.loss.is_carried)
         by_left, _ = compose_jacobians(self.left, between(self.left, pose))
         return by_left @ self.covariance @ by_left.T + since
 

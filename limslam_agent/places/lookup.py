@@ -6,9 +6,8 @@ from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.places.absence import Placement
 from limslam_agent.places.history import LoggedStep
-from limslam_agent.places.localisation import KnownPlaces, match_covariance
+from limslam_agent.places.localisation import KnownPlaces, PlaceSearch, match_covariance
 from limslam_agent.places.saved_map import SavedMap
-from limslam_agent.places.search import PlaceSearch
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.rays import moved, rays_of
 from limslam_agent.status.status import Status

@@ -7,8 +7,7 @@ import numpy as np
 
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.places.history import LoggedStep
-from limslam_agent.places.localisation import KnownPlaces
-from limslam_agent.places.search import CONFIRMED, FAR_CONFIRMED, PlaceSearch, other_place
+from limslam_agent.places.localisation import CONFIRMED, FAR_CONFIRMED, KnownPlaces, PlaceSearch, other_place
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.known_map import DECIDED, PlaceFit, drift_fit

@@ -18,18 +18,21 @@ from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.places.absence import LEAST_KNOWN, Absence, KnownFrame, Placed, Placement, known_before
 from limslam_agent.places.history import LoggedStep, StepLog, carried_at
 from limslam_agent.places.localisation import (
+    CONFIRMED,
+    FAR_CONFIRMED,
     FAR_SHARE,
     LEAD,
     KnownPlaces,
     Localisation,
+    PlaceSearch,
     is_far,
     match_covariance,
+    other_place,
 )
 from limslam_agent.places.revisions import BEGUN_ANEW, NOT_CONFIRMED
-from limslam_agent.places.search import CONFIRMED, FAR_CONFIRMED, PlaceSearch, other_place
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.known_map import DECIDED, UNLIKELY, KnownMap, NearFit, drift_fit, slip_fit
+from limslam_agent.status.known_map import DECIDED, UNLIKELY, KnownMap, drift_fit, slip_fit
 from limslam_agent.status.monitor import Loss, StatusMonitor
 from limslam_agent.status.rays import moved, rays_of
 from limslam_agent.status.status import Status
@@ -105,10 +108,10 @@ class Recovery:
         if self.absence is None:
             return own
         if self.absence.placed is None:
-            return Status("lost", self.absence.reason)
+            return self.absence.loss.status
         if own.level != "ok":
             return own
-        return Status("unsure", NOT_CONFIRMED if self.absence.known is not None else self.absence.reason)
+        return Status("unsure", NOT_CONFIRMED if self.absence.known is not None else self.absence.loss.status.reason)
 
     @property
     def added_covariance(self) -> FloatArray:
@@ -165,7 +168,7 @@ class Recovery:
             first, before.placed = before.since, None
             self.log.steps[: len(before.steps)] = before.steps
         else:
-            before.is_carried |= loss.is_carried
+            before.loss = before.loss._replace(is_carried=before.loss.is_carried or loss.is_carried)
         before.first = max(first, self.log.begin + 1)
         if before.search is not None:
             before.search.begin_anew()
@@ -179,12 +182,9 @@ class Recovery:
         """
         known = known_before(self._copies, first, 1 if loss.is_dated else _MARGIN) or self._copy(slam, grid)
         self.log.forget_before(known.step)
-        jump = max(jump, known.spread) if loss.is_carried else jump
-        since = max(first, self.log.begin + 1)
-        return Absence(
-            loss.status.reason, since, since, known, PlaceSearch(known.places), self.log.before(since), loss.is_dated,
-            loss.is_carried, jump, slam.covariance, slam.pose,
-        )  # fmt: skip
+        jump, since = max(jump, known.spread) if loss.is_carried else jump, max(first, self.log.begin + 1)
+        search, steps = PlaceSearch(known.places), self.log.before(since)
+        return Absence(loss, since, since, known, search, steps, jump, slam.covariance, slam.pose)
 
     def begin_anew(self) -> bool:
         """Whether a lost robot begins a new map where it believes to be, since it cannot be found in its earlier map.
@@ -196,7 +196,8 @@ class Recovery:
             return False
         self._offset = self.added_covariance
         self.note_event("begun anew", step=absence.first)
-        self.absence = Absence(BEGUN_ANEW, absence.first, absence.first, placed=Placed(0.0, np.empty((0, 7)), None))
+        placed = Placed(0.0, np.empty((0, 7)), None)
+        self.absence = Absence(Loss(Status("unsure", BEGUN_ANEW), 0), absence.first, absence.first, placed=placed)
         return True
 
     def arrive(self, steps: Sequence[LoggedStep], poses: FloatArray, rays: FloatArray) -> None:
@@ -206,7 +207,7 @@ class Recovery:
         """
         self.log = StepLog(0, list(steps))
         self.log.move(0, poses)
-        self.absence = Absence(NOT_CONFIRMED, 0, 0, placed=Placed(0.0, rays, None))
+        self.absence = Absence(Loss(Status("unsure", NOT_CONFIRMED), 0), 0, 0, placed=Placed(0.0, rays, None))
 
     def is_refuted(self, sensor: RangeSensor) -> bool:
         """Whether the readings since the robot was placed contradict the map in which it was."""
@@ -229,7 +230,7 @@ class Recovery:
         assert absence is not None and absence.search is not None  # noqa: PT018, S101 (only lost robots seek)
         place, rays = absence.search.place, rays_of(self.log.since(absence.first), self._robot, sensor)
         place.sensor = sensor
-        if absence.is_carried:
+        if absence.loss.is_carried:
             found = absence.search.seek(rays, may_be_bent=False)
         else:  # it has drifted, and is near, where a search of the whole map may miss its place
             near = drift_fit(place, rays, absence.covariance).fit
@@ -248,17 +249,13 @@ class Recovery:
         rays = rays_of(self.log.since(absence.first), self._robot, sensor)
         # Ground that the map does not have is unlikely beforehand, since nothing says that the robot was carried away.
         near = slip_fit(known, rays) if known else drift_fit(absence.search.place, rays, absence.covariance)
-        if not self._fits_near(near, rays):
+        if near.evidence < LEAD or near.fit.is_on_map < 0.0:  # without rays, the evidence is 0
             return None
-        return self._placement(absence, rays, absence.search.accept(near.fit, rays[:, :2].mean(axis=0)), sensor)
-
-    def _fits_near(self, near: NearFit, rays: FloatArray) -> bool:
-        """Whether rays (n, 7) fit the map at their likeliest place near the believed pose, and do not contradict it.
-
-        Along a long wall, other places near by fit as well. So the covariance of the pose counts, too.
-        """
-        fits = near.evidence >= LEAD and near.fit.is_on_map >= 0.0  # without rays, they do not
-        return fits and not is_far(near.fit.pose, rays[:, :2].mean(axis=0))
+        middle = rays[:, :2].mean(axis=0)
+        if is_far(near.fit.pose, middle):  # along a long wall, other places near by fit as well
+            return None
+        absence.search.latest = found = Localisation(near.fit, 0.0, middle, "")
+        return self._placement(absence, rays, found, sensor)
 
     @property
     def may_have_drifted(self) -> bool:
@@ -340,7 +337,7 @@ class Recovery:
         # A robot that was lost in its local frame, too, was carried away before it was lost for the first time.
         placed = log.driven_back(compose(frame, log[last].pose), last + 1)[: max(absence.since - log.begin, 1)]
         step = log.begin + len(placed)
-        if not absence.is_dated:
+        if not absence.loss.is_dated:
             step = carried_at(log, placed, self._robot, sensor, absence.search.place)
         pose = placed[step - 1 - log.begin]
         covariance = match_covariance(transform_points(frame, found.middle[None])[0], pose)

@@ -11,8 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from limslam_agent.kernels.tables import RAY_TO_X, RAY_X
-from limslam_agent.places.localisation import LEAD, KnownPlaces
-from limslam_agent.places.search import LARGEST_RUNNER_UP
+from limslam_agent.places.localisation import LARGEST_RUNNER_UP, LEAD, KnownPlaces
 from limslam_agent.replay.record import Replay
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.graph.agreement import AGREE_DISTANCE, AGREE_TURN
