@@ -14,8 +14,7 @@ if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig, preset, with_until
     from limslam_agent.logs.log_reader import read_log
     from limslam_agent.mapping.agent import LimSlamAgent
-    from limslam_agent.mapping.mapper import MapSnapshot
-    from limslam_agent.mapping.mapper import Mapper
+    from limslam_agent.mapping.mapper import Mapper, MapSnapshot
     from limslam_agent.mapping.team import LimSlamTeam
     from limslam_agent.output.live_map import save_map
     from limslam_agent.policies.frontier_policy import FrontierPolicy
