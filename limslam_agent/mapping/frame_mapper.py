@@ -3,8 +3,6 @@
 import time
 from collections.abc import Sequence
 
-import numpy as np
-
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.drawing import ReadingDrawer
 from limslam_agent.grid.occupancy import OccupancyGrid
@@ -13,7 +11,7 @@ from limslam_agent.slam.core.diagnostics import Extraction
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.known_map import KnownMap
 from limslam_agent.status.monitor import StatusMonitor
-from limslam_agent.status.sudden_changes import Sight
+from limslam_agent.status.rays import Sight
 from limslam_env.interface import Observation
 
 
@@ -94,7 +92,7 @@ class FrameMapper:
                 self.reset_monitors()
         before, self._extraction = self._extraction, self.slam.last_extraction
         for number in range(len(self.monitors)):
-            self._watch(number, is_busy=before is not self._extraction)
+            self._watch(number, observations[number], is_busy=before is not self._extraction)
         for pose, front, drawer in zip(self.slam.poses, self.slam.robots, self.drawers, strict=True):
             drawer.draw(self.grid, frame, pose, front.ranges, front.measured)
         return self._renew(observations[0], may_renew=may_renew)
@@ -110,11 +108,10 @@ class FrameMapper:
     def _new_drawers(self) -> Sequence[ReadingDrawer]:
         return [ReadingDrawer(self.slam.mounted) for _ in self.slam.robots]
 
-    def _watch(self, number: int, *, is_busy: bool) -> None:
+    def _watch(self, number: int, observation: Observation, *, is_busy: bool) -> None:
         """Tell a robot's monitor the motion and the readings of this step, and let it compare them if that is due."""
         monitor, slam, front = self.monitors[number], self.slam, self.slam.robots[number]
-        ranges = np.where(front.measured, front.ranges, np.nan)
-        sight = Sight(slam.poses[number], ranges, slam.increments[number])
+        sight = Sight.of(front, slam.poses[number], slam.increments[number], observation)
         if monitor.observe(sight, is_busy=is_busy):
             monitor.sensor = slam.range_sensor
             counts = self._config.free_space_counts

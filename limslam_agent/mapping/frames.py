@@ -8,11 +8,12 @@ from limslam_agent.config.presets import AgentConfig, self_calibrating
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.mapping.frame_mapper import FrameMapper
 from limslam_agent.places.absence import Placement
-from limslam_agent.places.history import LoggedStep, StepLog
+from limslam_agent.places.history import StepLog
 from limslam_agent.places.recovery import Recovery
 from limslam_agent.places.revisions import Revision, Unplaced
 from limslam_agent.slam.slam import LineSlam, RangeSensor
 from limslam_agent.status.monitor import Loss
+from limslam_agent.status.rays import Sight
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import Observation, RobotSpec
@@ -101,7 +102,7 @@ class Frames:
     def _follow(self, recovery: Recovery, observation: Observation, motion: FloatArray) -> None:
         """Keep a step, and see to it that a lost robot goes on in a local frame and finds its place again."""
         own, sensor = self._present.monitors[0], self.slam.range_sensor
-        step = LoggedStep.of(observation, self.slam, motion)
+        step = Sight.of(self.slam.robots[0], self.slam.pose, motion, observation)
         recovery.note(step, self.slam, self._present.grid, is_suspicious=own.is_suspicious)
         if own.loss is not None and recovery.still_fits(own, sensor):
             self._present.reset_monitors()

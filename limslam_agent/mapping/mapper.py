@@ -14,7 +14,7 @@ from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.mapping.frames import Frames
-from limslam_agent.places.history import LoggedStep, copied
+from limslam_agent.places.history import copied
 from limslam_agent.places.lookup import NOT_YET_FOUND, Lookup
 from limslam_agent.places.recovery import Recovery
 from limslam_agent.places.revisions import PlaceHistory
@@ -24,7 +24,7 @@ from limslam_agent.slam.core.late_ranges import WaitingTravel, ahead
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import check_travel, longest_travel
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.rays import wall_points
+from limslam_agent.status.rays import Sight, wall_points
 from limslam_agent.status.status import Status
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose, inverse
@@ -183,7 +183,7 @@ class Mapper(Frames):
         self.odometry = np.array([compose(*each) for each in zip(self.odometry, motions, strict=True)])
         self.odometry.setflags(write=False)
         if self._lookup is not None and self._lookup.is_open:
-            self._lookup.note(LoggedStep.of(observations[0], self.slam, motions[0]))
+            self._lookup.note(Sight.of(self.slam.robots[0], self.slam.pose, motions[0], observations[0]))
         if self._is_to_restart(told):
             self._restart()
             return

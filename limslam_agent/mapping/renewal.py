@@ -13,7 +13,7 @@ from limslam_agent.slam.consistent.limits import ONE_WALL_GATE
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.known_map import DECIDED, DRIFT, KnownMap
-from limslam_agent.status.rays import Look, rays_of
+from limslam_agent.status.rays import Sight, rays_of
 from limslam_agent.status.status import LARGE_CORRECTION
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose, inverse, wrap_angle
@@ -137,7 +137,7 @@ class Renewal:
         """
         sensor = slam.range_sensor
         _, ranges, measured, _, _ = zip(*self._rows[1:], strict=True)
-        steps = [Look(*each) for each in zip(poses, np.where(measured, ranges, np.nan), strict=True)]
+        steps = [Sight(*each) for each in zip(poses, np.where(measured, ranges, np.nan), strict=True)]
         rays = rays_of(steps, slam.robot, sensor)
         return KnownMap(slam.segments, grid.view, sensor).fit_here(rays).is_on_map
 

@@ -8,11 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.places.history import LoggedStep
 from limslam_agent.places.localisation import KnownPlaces, PlaceSearch
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.monitor import Loss, covariance_of_lost
-from limslam_agent.status.rays import moved, wall_points
+from limslam_agent.status.rays import Sight, moved, wall_points
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import between, compose, compose_jacobians, inverse
 
@@ -136,7 +135,7 @@ class Absence:
     since: int
     known: KnownFrame | None = None
     search: PlaceSearch | None = None
-    steps: Sequence[LoggedStep] = ()
+    steps: Sequence[Sight] = ()
     jump: float = 0.0
     covariance: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     left: FloatArray = field(default_factory=lambda: np.zeros(3))

@@ -1,15 +1,14 @@
 """The latest observations of a robot, and the step at which it was most likely carried away."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import cast
 
 import numpy as np
 
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.known_map import KnownMap
-from limslam_agent.status.rays import step_rays
+from limslam_agent.status.rays import Sight, step_rays
 from limslam_agent.status.sudden_changes import change_evidence
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, inverse
@@ -20,32 +19,6 @@ def copied(observations: Sequence[Observation]) -> tuple[Observation, ...]:
     """Copies of the observations of a step, which their sender cannot change any more."""
     copies = ({name: np.array(value) for name, value in seen.items()} for seen in observations)
     return cast("tuple[Observation, ...]", tuple(copies))
-
-
-@dataclass(frozen=True, eq=False)
-class LoggedStep:
-    """One step of a robot.
-
-    Attributes
-    ----------
-    observation
-        What the robot observed.
-    pose, motion
-        The pose (3,) that was estimated, and the motion (3,) that the odometry reported, in the frame before it.
-    ranges
-        Readings (n_beams,), m. They are NaN where there is no new reading.
-    """
-
-    observation: Observation
-    pose: FloatArray
-    motion: FloatArray
-    ranges: FloatArray
-
-    @classmethod
-    def of(cls, observation: Observation, slam: LineSlam, motion: FloatArray) -> "LoggedStep":
-        """The step that a SLAM of one robot has just processed."""
-        front = slam.robots[0]
-        return cls(observation, slam.pose, motion, np.where(front.measured, front.ranges, np.nan))
 
 
 @dataclass(eq=False)
@@ -61,28 +34,28 @@ class StepLog:
     """
 
     begin: int = 0
-    steps: list[LoggedStep] = field(default_factory=list)
+    steps: list[Sight] = field(default_factory=list)
 
     @property
     def end(self) -> int:
         """Number of the next step."""
         return self.begin + len(self.steps)
 
-    def __getitem__(self, number: int) -> LoggedStep:
+    def __getitem__(self, number: int) -> Sight:
         return self.steps[number - self.begin]
 
-    def since(self, number: int) -> list[LoggedStep]:
+    def since(self, number: int) -> list[Sight]:
         """The steps from a number on, as far as they are kept."""
         return self.steps[max(number - self.begin, 0) :]
 
-    def before(self, number: int) -> list[LoggedStep]:
+    def before(self, number: int) -> list[Sight]:
         """The steps before a number, as far as they are kept."""
         return self.steps[: number - self.begin]
 
     def move(self, begin: int, poses: Sequence[FloatArray] | FloatArray) -> None:
         """Replace the poses of the steps from ``begin`` on by others (m, 3)."""
         for number, pose in enumerate(poses, begin - self.begin):
-            self.steps[number] = replace(self.steps[number], pose=pose)
+            self.steps[number] = self.steps[number]._replace(pose=pose)
 
     def forget_before(self, number: int) -> None:
         """Remove the steps before a number.

@@ -5,11 +5,10 @@ from typing import Any
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.places.absence import Placement
-from limslam_agent.places.history import LoggedStep
 from limslam_agent.places.localisation import KnownPlaces, PlaceSearch, match_covariance
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.rays import moved, rays_of
+from limslam_agent.status.rays import Sight, moved, rays_of
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, transform_points
@@ -45,11 +44,11 @@ class Lookup:
         OccupancyGrid.of(saved.grid, config.grid)
         self.saved, self._robot = saved, robot
         self._search = PlaceSearch(KnownPlaces(saved.segments, saved.grid, RangeSensor(config.range_std)))
-        self.steps: list[LoggedStep] = []
+        self.steps: list[Sight] = []
         self.is_open = True
         self.records: list[dict[str, Any]] = []
 
-    def note(self, step: LoggedStep) -> None:
+    def note(self, step: Sight) -> None:
         """Keep a step of the robot."""
         self.steps.append(step)
         self._search.drive(step.motion)

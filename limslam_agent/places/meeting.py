@@ -6,12 +6,11 @@ from typing import Any
 import numpy as np
 
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.places.history import LoggedStep
 from limslam_agent.places.localisation import CONFIRMED, FAR_CONFIRMED, KnownPlaces, PlaceSearch, other_place
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.known_map import DECIDED, PlaceFit, drift_fit
-from limslam_agent.status.rays import STEPS, ends_of, moved, numbered_rays_of
+from limslam_agent.status.rays import STEPS, Sight, ends_of, moved, numbered_rays_of
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import between, inverse, transform_points
 from limslam_env.interface import RobotSpec
@@ -64,14 +63,14 @@ class Meeting:
 
     def __init__(self, robot: RobotSpec) -> None:
         self._robot, self.is_open = robot, True
-        self.steps: tuple[list[LoggedStep], list[LoggedStep]] = ([], [])
+        self.steps: tuple[list[Sight], list[Sight]] = ([], [])
         self.records: list[dict[str, Any]] = []
         nothing = GridView(np.zeros(2), 1.0, np.zeros((0, 0), dtype=np.int16))
         self._search = PlaceSearch(KnownPlaces(np.zeros((0, 4)), nothing, RangeSensor(0.0)))
         self._driven = self._joined_at = 0.0
         self._frame, self._rays = np.zeros(3), np.empty((0, 7))  # the place that was found, and by what
 
-    def note(self, steps: Sequence[LoggedStep]) -> None:
+    def note(self, steps: Sequence[Sight]) -> None:
         """Keep a step of each robot in its own frame."""
         for kept, step in zip(self.steps, steps, strict=True):
             kept.append(step)

@@ -16,7 +16,7 @@ from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.places.absence import LEAST_KNOWN, Absence, KnownFrame, Placed, Placement, known_before
-from limslam_agent.places.history import LoggedStep, StepLog, carried_at
+from limslam_agent.places.history import StepLog, carried_at
 from limslam_agent.places.localisation import (
     CONFIRMED,
     FAR_CONFIRMED,
@@ -34,7 +34,7 @@ from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.known_map import DECIDED, UNLIKELY, KnownMap, drift_fit, slip_fit
 from limslam_agent.status.monitor import Loss, StatusMonitor
-from limslam_agent.status.rays import moved, rays_of
+from limslam_agent.status.rays import Sight, moved, rays_of
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, transform_points
@@ -123,7 +123,7 @@ class Recovery:
             return self._offset
         return self._offset + self.absence.covariance_at(self.log.steps[-1].pose)
 
-    def note(self, step: LoggedStep, slam: LineSlam, grid: OccupancyGrid, *, is_suspicious: bool = False) -> None:
+    def note(self, step: Sight, slam: LineSlam, grid: OccupancyGrid, *, is_suspicious: bool = False) -> None:
         """Keep a step of the robot, and now and then a copy of its estimate after it.
 
         While the robot may have been carried away, half of the copies are kept from before.
@@ -200,7 +200,7 @@ class Recovery:
         self.absence = Absence(Loss(Status("unsure", BEGUN_ANEW), 0), absence.first, absence.first, placed=placed)
         return True
 
-    def arrive(self, steps: Sequence[LoggedStep], poses: FloatArray, rays: FloatArray) -> None:
+    def arrive(self, steps: Sequence[Sight], poses: FloatArray, rays: FloatArray) -> None:
         """The robot's place in the map of an earlier run was found by rays (n, 7), and has to be confirmed.
 
         The poses of its steps until now are ``poses`` (m, 3) in that map.

@@ -14,8 +14,8 @@ from limslam_agent.status.monitor import (
     WINDOW,
     StatusMonitor,
 )
+from limslam_agent.status.rays import Sight
 from limslam_agent.status.status import Status, status_scores, worst
-from limslam_agent.status.sudden_changes import Sight
 
 WALLS = room(0.0, 0.0, 2.0, 2.0)
 SURE = np.diag([1e-6, 1e-6, 1e-6])
