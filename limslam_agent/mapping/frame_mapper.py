@@ -3,6 +3,8 @@
 import time
 from collections.abc import Sequence
 
+import numpy as np
+
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.drawing import ReadingDrawer
 from limslam_agent.grid.occupancy import OccupancyGrid
@@ -12,6 +14,8 @@ from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.known_map import KnownMap
 from limslam_agent.status.monitor import StatusMonitor
 from limslam_agent.status.rays import Sight
+from limslam_agent.status.status import LARGE_CORRECTION
+from limslam_env.geometry.se2 import compose
 from limslam_env.interface import Observation
 
 
@@ -77,9 +81,13 @@ class FrameMapper:
         Whether a renewal in this step has moved the path far: plans and copies made before mean nothing in the moved
         map.
         """
-        begin = time.perf_counter()
+        begin, before = time.perf_counter(), self.slam.poses
         self.slam.step(*observations)
         self.slam_ms = _ms_since(begin)
+        off = self.slam.poses - compose(before, np.array(self.slam.increments))
+        if np.hypot(off[:, 0], off[:, 1]).max() > LARGE_CORRECTION:  # of one robot, and so the map of all has moved
+            for monitor in self.monitors:
+                monitor.forget_map()
         known, sensor = self.monitors[0].sensor, self.slam.range_sensor
         if sensor.turns != known.turns:
             # The beams point elsewhere than was known. A further correction may be due to readings at a wrong place,
@@ -90,9 +98,9 @@ class FrameMapper:
                     monitor.sensor = sensor
             else:
                 self.reset_monitors()
-        before, self._extraction = self._extraction, self.slam.last_extraction
+        last, self._extraction = self._extraction, self.slam.last_extraction
         for number in range(len(self.monitors)):
-            self._watch(number, observations[number], is_busy=before is not self._extraction)
+            self._watch(number, observations[number], is_busy=last is not self._extraction)
         for pose, front, drawer in zip(self.slam.poses, self.slam.robots, self.drawers, strict=True):
             drawer.draw(self.grid, frame, pose, front.ranges, front.measured)
         return self._renew(observations[0], may_renew=may_renew)

@@ -97,10 +97,10 @@ class SuddenChanges:
     """
 
     def __init__(self, robot: RobotSpec) -> None:
-        self._robot, self._weighed, self._noted = robot, -1, -math.inf
-        self.forget()
+        self._robot, self._noted = robot, -math.inf
         # The map at the latest calls. A wrong pose soon changes it.
         self._known: deque[tuple[int, KnownMap]] = deque(maxlen=_MAPS)
+        self.forget_until(-1)
 
     def look(self, sights: Sequence[Sight], first: int, place: float, known: KnownMap, covariance: FloatArray) -> None:
         """Note the likeliest change since the last call, if it is sudden or the last one is some way back.
@@ -123,9 +123,10 @@ class SuddenChanges:
         self._changes.append(found)
         self._weigh(sights, first, place, known, covariance)
 
-    def forget(self) -> None:
-        """Forget all changes: the estimator has closed a loop, and moved the map."""
-        self._changes = list[Change]()
+    def forget_until(self, step: int) -> None:
+        """Forget all changes and maps until a step, after which the estimator has closed a loop, and moved the map."""
+        self._weighed, self._changes = step, list[Change]()
+        self._known.clear()
         self.suspicion: Suspicion | None = None
 
     def _weigh(
