@@ -5,8 +5,7 @@ import numpy as np
 from limslam_agent.mapping.joining import NOT_YET_CONFIRMED
 from limslam_agent.output.export import plain
 from limslam_agent.runs.record import Episode
-from limslam_agent.status.smoothed_status import lost_note, lost_since, smoothed_status
-from limslam_agent.status.status import LEVELS, final_status_scores, worst
+from limslam_agent.status.status import LEVELS, final_status_scores, lost_since, smoothed_status, worst
 from limslam_env.geometry import FloatArray
 from limslam_env.metrics import metrics
 
@@ -28,7 +27,7 @@ def final_status(episode: Episode) -> dict[str, str]:
         status = NOT_YET_CONFIRMED
     if status.level == "ok":
         status = places.doubt
-    return final_status_scores(status, worst(online_statuses), lost_note(episode.time, episode.levels))
+    return final_status_scores(status, worst(online_statuses), episode.time, episode.levels)
 
 
 def smoothed_scores(episode: Episode, limit: float | None) -> dict[str, float | None]:

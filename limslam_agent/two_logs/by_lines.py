@@ -9,8 +9,7 @@ from limslam_agent.replay.record import Replay
 from limslam_agent.slam.graph.smooth import Report
 from limslam_agent.slam.line_graph.smoother import FilteredRun, beside, smooth_with_unknown_start
 from limslam_agent.status.known_map import MATCH_COVARIANCE
-from limslam_agent.status.smoothed_status import smoothed_status
-from limslam_agent.status.status import LEVELS
+from limslam_agent.status.status import LEVELS, smoothed_status
 from limslam_agent.two_logs.joint import JointReplay, Replays, frame_of, grid_of
 from limslam_agent.two_logs.place import place_in, sensor_of
 from limslam_env.geometry import FloatArray, se2
