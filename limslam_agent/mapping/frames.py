@@ -7,8 +7,7 @@ import numpy as np
 from limslam_agent.config.presets import AgentConfig, self_calibrating
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.mapping.frame_mapper import FrameMapper
-from limslam_agent.places.absence import Placement
-from limslam_agent.places.history import StepLog
+from limslam_agent.places.absence import Placement, StepLog
 from limslam_agent.places.recovery import Recovery
 from limslam_agent.places.revisions import Revision, Unplaced
 from limslam_agent.slam.slam import LineSlam, RangeSensor

@@ -12,9 +12,9 @@ from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.mapping.mapper import Mapper
-from limslam_agent.places.history import copied
+from limslam_agent.places.absence import copied
 from limslam_agent.places.localisation import KnownPlaces
-from limslam_agent.places.meeting import Meeting, may_have_met
+from limslam_agent.places.other_map import Meeting, may_have_met
 from limslam_agent.places.revisions import PlaceHistory, Unplaced
 from limslam_agent.slam.core.late_ranges import WaitingTravel
 from limslam_agent.slam.slam import LineSlam

@@ -14,8 +14,8 @@ from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.mapping.frames import Frames
-from limslam_agent.places.history import copied
-from limslam_agent.places.lookup import NOT_YET_FOUND, Lookup
+from limslam_agent.places.absence import copied
+from limslam_agent.places.other_map import NOT_YET_FOUND, Lookup
 from limslam_agent.places.recovery import Recovery
 from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.places.saved_map import SavedMap

@@ -15,8 +15,16 @@ from limslam_agent.belief import Guess
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
-from limslam_agent.places.absence import LEAST_KNOWN, Absence, KnownFrame, Placed, Placement, known_before
-from limslam_agent.places.history import StepLog, carried_at
+from limslam_agent.places.absence import (
+    LEAST_KNOWN,
+    Absence,
+    KnownFrame,
+    Placed,
+    Placement,
+    StepLog,
+    carried_at,
+    known_before,
+)
 from limslam_agent.places.localisation import (
     CONFIRMED,
     FAR_CONFIRMED,
