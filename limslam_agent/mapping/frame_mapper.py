@@ -25,15 +25,6 @@ class FrameMapper:
     Each step runs the SLAM, watches whether its estimates can be trusted, draws the readings into the occupancy grid,
     and renews estimate and grid if that is due.
 
-    Parameters
-    ----------
-    slam, grid
-        The SLAM and the occupancy grid with which the frame begins.
-    config
-        Settings of the monitors and of the renewal.
-    drawers
-        Those of an earlier frame, which know how often the beams of each robot miss walls. New ones by default.
-
     Attributes
     ----------
     slam, grid
@@ -41,7 +32,8 @@ class FrameMapper:
     monitors
         The monitor of each robot's estimate.
     drawers
-        What draws each robot's readings into the grid.
+        What draws each robot's readings into the grid, and knows how often the beams miss walls. Those of an earlier
+        frame may be given.
     renewal
         What smooths the last minutes.
     slam_ms

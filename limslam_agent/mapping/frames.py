@@ -23,13 +23,6 @@ WRONG_PLACE = Loss(Status("lost", "the readings contradict the map at the place 
 class Frames:
     """The present frame of one robot or several, with its SLAM and grid, and what is known in every frame.
 
-    Parameters
-    ----------
-    robot
-        Body and beams of each robot.
-    config
-        Settings of every stage.
-
     Attributes
     ----------
     slam_ms

@@ -63,13 +63,6 @@ class JoiningMapper(Mapper):
     together in one place only, both drives are smoothed as one, and the robots go on as a team, with one SLAM that
     knows the smoothed map. Each of them also goes on in its own frame, until their place is confirmed or refuted there.
 
-    Parameters
-    ----------
-    robot
-        Body and beams of each robot.
-    config
-        Settings of every stage. The preset ``graph`` by default.
-
     Attributes
     ----------
     earlier

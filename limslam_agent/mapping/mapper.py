@@ -1,8 +1,7 @@
 """Mapper: SLAM, the occupancy grid and pure odometry, without a policy.
 
 What a step does within a frame is in :mod:`limslam_agent.mapping.frame_mapper`, and how a lost robot changes frames in
-:mod:`limslam_agent.mapping.frames`. The mapper begins again when errors of odometry
-or sensor are found early, begins in the map of an earlier run, and goes on in other frames when the robot is lost.
+:mod:`limslam_agent.mapping.frames`.
 """
 
 from dataclasses import dataclass
@@ -150,7 +149,9 @@ class Mapper(Frames):
         self._starts, self._is_finished = starts, False
         self._begin(slam)
         self._first_steps, self._known = list[tuple[Observation, ...]](), self._found()
-        self._recovery, self._lookup = self._new_recovery(), self._new_lookup()
+        self._recovery, self._lookup = self._new_recovery(), None
+        if self._prior_map is not None:
+            self._lookup = Lookup(self._prior_map, self.robot, self.config, len(starts))
         self._waiting = WaitingTravel(len(starts))
         self.prior_frame: FloatArray | None = None
         self.odometry = starts.copy()
@@ -321,12 +322,6 @@ class Mapper(Frames):
         """What follows the estimate of a single robot, if it is to find its place again when it is lost."""
         return Recovery(self.robot, self.config) if self.config.can_recover and len(self._starts) == 1 else None
 
-    def _new_lookup(self) -> Lookup | None:
-        """The search for the robot's place in an earlier map, if there is one."""
-        if self._prior_map is None:
-            return None
-        return Lookup(self._prior_map, self.robot, self.config, len(self._starts))
-
     def _look_up(self, lookup: Lookup) -> None:
         """Search the earlier map for the place, and go on in the earlier map if the place is clear."""
         if self._recovery is not None and self._recovery.records:
@@ -344,6 +339,6 @@ class Mapper(Frames):
         self._recovery = self._new_recovery()
         again = self._process_again(step.observation for step in lookup.steps)
         if self._recovery is not None:
-            self._recovery.arrive(lookup.steps, again.poses, found.rays)
+            self._recovery.arrive(lookup.steps, again.poses, lookup.place, found.rays)
         self.odometry = compose(self.prior_frame, self.odometry)
         self.odometry.setflags(write=False)

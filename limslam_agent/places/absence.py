@@ -34,15 +34,7 @@ def copied(observations: Sequence[Observation]) -> tuple[Observation, ...]:
 
 @dataclass(eq=False)
 class StepLog:
-    """Consecutive steps of a robot.
-
-    Attributes
-    ----------
-    begin
-        Number of the first step that is kept.
-    steps
-        The steps.
-    """
+    """Consecutive steps of a robot. ``begin`` is the number of the first one that is kept."""
 
     begin: int = 0
     steps: list[Sight] = field(default_factory=list)
@@ -89,15 +81,7 @@ class StepLog:
 
 @dataclass(frozen=True, eq=False)
 class KnownFrame:
-    """SLAM and occupancy grid of one frame, as they were before a step.
-
-    Attributes
-    ----------
-    step
-        Number of the step.
-    slam, grid
-        The estimate, which nothing changes any more.
-    """
+    """SLAM and occupancy grid of one frame, as they were before a step. Nothing changes them any more."""
 
     step: int
     slam: LineSlam
@@ -180,9 +164,11 @@ class Absence:
         Why the robot is lost, or unsure of its place, and what the readings have said of that.
     first, since
         First step in the local frame, and that of the first one of several local frames.
-    known, search
-        The frame that the robot was lost from, and the search of its map. None if the robot is in the map of an earlier
-        run, or has begun its map anew.
+    search
+        The search of the map that the robot was lost from, or in which its place was found.
+    known
+        The frame that the robot was lost from. None if the robot is in the map of an earlier run, or has begun its map
+        anew.
     steps
         The steps before ``since`` as they were believed when the robot was lost.
     jump, driven
@@ -198,8 +184,8 @@ class Absence:
     loss: Loss
     first: int
     since: int
+    search: PlaceSearch
     known: KnownFrame | None = None
-    search: PlaceSearch | None = None
     steps: Sequence[Sight] = ()
     jump: float = 0.0
     covariance: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))

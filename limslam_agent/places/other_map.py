@@ -41,8 +41,8 @@ class Lookup:
 
     Attributes
     ----------
-    saved
-        The saved map.
+    saved, place
+        The saved map, also as it is searched.
     steps
         All steps of the robot so far.
     is_open
@@ -61,7 +61,8 @@ class Lookup:
             raise ValueError("only one robot with the preset graph or consistent can look for its place in a map")
         OccupancyGrid.of(saved.grid, config.grid)
         self.saved, self._robot = saved, robot
-        self._search = PlaceSearch(KnownPlaces(saved.segments, saved.grid, RangeSensor(config.range_std)))
+        self.place = KnownPlaces(saved.segments, saved.grid, RangeSensor(config.range_std))
+        self._search = PlaceSearch(self.place)
         self.steps: list[Sight] = []
         self.is_open = True
         self.records: list[dict[str, Any]] = []
@@ -81,7 +82,7 @@ class Lookup:
 
         ``start`` is the start pose (3,) in the robot's own frame, and ``sensor`` the sensor that is known now.
         """
-        self._search.place.sensor = sensor
+        self.place.sensor = sensor
         rays = rays_of(self.steps, self._robot, sensor)
         found = self._search.seek(rays, may_be_bent=True)
         if found is None or found.fit is None:
@@ -123,11 +124,6 @@ class _MapOfOther(KnownPlaces):
 
 class Meeting:
     """Searches for the place of the second of two robots in the map of the first one.
-
-    Parameters
-    ----------
-    robot
-        Body and beams of each robot as specified.
 
     Attributes
     ----------

@@ -56,10 +56,7 @@ _CHECKPOINT, _CHECKPOINTS, _MARGIN = 50, 6, 100
 class Recovery:
     """Follows the estimate of one robot, and finds its place again when it is lost.
 
-    Parameters
-    ----------
-    robot, config
-        Body and beams as specified, and settings. The sensor that is passed with each call may turn the beams.
+    The robot is as specified. The sensor that is passed with each call may turn its beams.
 
     Attributes
     ----------
@@ -103,13 +100,10 @@ class Recovery:
     @property
     def guesses(self) -> list[Guess]:
         """Where the robot may be while it is lost, by the latest search."""
-        search = None if self.absence is None or not self.is_lost else self.absence.search
-        if search is None or search.latest is None:
+        if self.absence is None or not self.is_lost or self.absence.search.latest is None:
             return []
-        return [
-            Guess(fit.pose, min(fit.evidence - UNLIKELY, fit.is_on_map), search.place.grid)
-            for fit in search.latest.open
-        ]
+        grid, likely = self.absence.search.place.grid, self.absence.search.latest.open
+        return [Guess(fit.pose, min(fit.evidence - UNLIKELY, fit.is_on_map), grid) for fit in likely]
 
     def status(self, own: Status) -> Status:
         """The status of the robot, whose own status in its frame is given."""
@@ -139,8 +133,7 @@ class Recovery:
         self.log.steps.append(step)
         if self.absence is not None:
             self.absence.driven += math.hypot(*step.motion[:2].tolist())
-            if self.absence.search is not None:
-                self.absence.search.drive(step.motion)
+            self.absence.search.drive(step.motion)
             if self.is_lost:
                 return
         if not self._copies or self.log.end % _CHECKPOINT == 0:
@@ -155,7 +148,7 @@ class Recovery:
         self._copies = []
         kept = poses[max(len(poses) - len(self.log.steps), 0) :]
         self.log.move(self.log.end - len(kept), kept)
-        if self.absence is not None and self.absence.search is not None:
+        if self.absence is not None:
             self.absence.search.latest = None
 
     def lose(self, loss: Loss, jump: float, slam: LineSlam, grid: OccupancyGrid) -> None:
@@ -178,8 +171,7 @@ class Recovery:
         else:
             before.loss = before.loss._replace(is_carried=before.loss.is_carried or loss.is_carried)
         before.first = max(first, self.log.begin + 1)
-        if before.search is not None:
-            before.search.begin_anew()
+        before.search.begin_anew()
         self._copies = []
         self.note_event("lost", step=before.first, reason=loss.status.reason)
 
@@ -192,7 +184,7 @@ class Recovery:
         self.log.forget_before(known.step)
         jump, since = max(jump, known.spread) if loss.is_carried else jump, max(first, self.log.begin + 1)
         search, steps = PlaceSearch(known.places), self.log.before(since)
-        return Absence(loss, since, since, known, search, steps, jump, slam.covariance, slam.pose)
+        return Absence(loss, since, since, search, known, steps, jump, slam.covariance, slam.pose)
 
     def begin_anew(self) -> bool:
         """Whether a lost robot begins a new map where it believes to be, since it cannot be found in its earlier map.
@@ -204,39 +196,39 @@ class Recovery:
             return False
         self._offset = self.added_covariance
         self.note_event("begun anew", step=absence.first)
-        placed = Placed(0.0, np.empty((0, 7)), None)
-        self.absence = Absence(Loss(Status("unsure", BEGUN_ANEW), 0), absence.first, absence.first, placed=placed)
+        self._believe(BEGUN_ANEW, absence.first, absence.search.place, np.empty((0, 7)))
         return True
 
-    def arrive(self, steps: Sequence[Sight], poses: FloatArray, rays: FloatArray) -> None:
+    def arrive(self, steps: Sequence[Sight], poses: FloatArray, place: KnownPlaces, rays: FloatArray) -> None:
         """The robot's place in the map of an earlier run was found by rays (n, 7), and has to be confirmed.
 
         The poses of its steps until now are ``poses`` (m, 3) in that map.
         """
         self.log = StepLog(0, list(steps))
         self.log.move(0, poses)
-        self.absence = Absence(Loss(Status("unsure", NOT_CONFIRMED), 0), 0, 0, placed=Placed(0.0, rays, None))
+        self._believe(NOT_CONFIRMED, 0, place, rays)
+
+    def _believe(self, reason: str, first: int, place: KnownPlaces, rays: FloatArray) -> None:
+        """The robot is unsure of its place since a step, and has no other frame to go back to."""
+        placed = Placed(0.0, rays, None)
+        self.absence = Absence(Loss(Status("unsure", reason), 0), first, first, PlaceSearch(place), placed=placed)
 
     def is_refuted(self, sensor: RangeSensor) -> bool:
         """Whether the readings since the robot was placed contradict the map in which it was."""
         absence = self.absence
         if absence is None or absence.placed is None or absence.placed.place is None:
             return False
-        rays = rays_of(self.log.since(absence.first), self._robot, sensor)
-        rays = np.concatenate((absence.placed.rays, rays))
-        return absence.placed.place.fit_here(rays).is_on_map < -DECIDED
+        return absence.placed.place.fit_here(self._rays(absence, sensor)).is_on_map < -DECIDED
 
     def is_due(self) -> bool:
         """Whether the known map is to be searched now, or a place to be confirmed."""
-        if self.absence is None:
-            return False
-        return self.absence.search is None or self.absence.search.is_due
+        return self.absence is not None and self.absence.search.is_due
 
     def seek(self, sensor: RangeSensor) -> Placement | None:
         """Search the known map for the place. The placement if two searches in succession find the same place."""
         absence = self.absence
-        assert absence is not None and absence.search is not None  # noqa: PT018, S101 (only lost robots seek)
-        place, rays = absence.search.place, rays_of(self.log.since(absence.first), self._robot, sensor)
+        assert absence is not None  # noqa: S101 (only lost robots seek)
+        place, rays = absence.search.place, self._rays(absence, sensor)
         place.sensor = sensor
         if absence.loss.is_carried:
             found = absence.search.seek(rays, may_be_bent=False)
@@ -251,10 +243,10 @@ class Recovery:
         Such a robot need not go on in a local frame. If it has slipped, ``known`` is the map of that moment.
         """
         absence = self.absence
-        assert absence is not None and absence.known is not None and absence.search is not None  # noqa: PT018, S101
+        assert absence is not None and absence.known is not None  # noqa: PT018, S101 (the robot was lost from a frame)
         if known is None and absence.first <= absence.known.step + 1:
             return None  # the doubtful readings may be in that map already, and would fit there in any case
-        rays = rays_of(self.log.since(absence.first), self._robot, sensor)
+        rays = self._rays(absence, sensor)
         # Ground that the map does not have is unlikely beforehand, since nothing says that the robot was carried away.
         near = slip_fit(known, rays) if known else drift_fit(absence.search.place, rays, absence.covariance)
         if near.evidence < LEAD or near.fit.is_on_map < 0.0:  # without rays, the evidence is 0
@@ -279,7 +271,7 @@ class Recovery:
         self.move(poses)
         renewed = KnownPlaces(slam.segments, grid.view, slam.range_sensor)
         self.note_event("renewed", step=self.log.end - 1)
-        self._has_returned(np.empty((0, 7)), renewed, has_drifted=True)
+        self._return(np.empty((0, 7)), renewed, has_drifted=True)
 
     def has_joined(self, placement: Placement, closed: KnownPlaces | None = None) -> None:
         """The robot goes on in the known frame. If this has closed a loop, the map of this frame is ``closed`` now."""
@@ -289,13 +281,13 @@ class Recovery:
         elif closed is None:
             self.breaks.append(placement.step)
         self.note_event("found", step=self.log.end - 1, carried_at=placement.step)
-        self._has_returned(placement.rays, closed, has_drifted=placement.has_drifted, has_slipped=has_slipped)
+        self._return(placement.rays, closed, has_drifted=placement.has_drifted, has_slipped=has_slipped)
 
-    def _has_returned(
+    def _return(
         self, rays: FloatArray, place: KnownPlaces | None, *, has_drifted: bool, has_slipped: bool = False
     ) -> None:
         absence = self.absence
-        assert absence is not None and absence.search is not None  # noqa: PT018, S101 (the robot was lost from a frame)
+        assert absence is not None  # noqa: S101 (the robot was lost)
         absence.search.wait()
         absence.placed = Placed(absence.driven, rays, place or absence.search.place, has_drifted, has_slipped)
         absence.has_returned = True
@@ -319,27 +311,30 @@ class Recovery:
         """End an absence if nothing speaks against the place any more."""
         absence = self.absence
         assert absence is not None and absence.placed is not None  # noqa: PT018, S101 (a place is to be confirmed)
-        if absence.search is not None:
-            absence.search.wait()
+        absence.search.wait()
         driven = absence.driven - absence.placed.at
         if own.level != "ok" or driven < CONFIRMED:
             return
         if not absence.placed.has_drifted:
             if driven < FAR_CONFIRMED and frontier_cells(grid, self._agent.policy.min_frontier).any():
                 return
-            rays = rays_of(self.log.since(absence.first), self._robot, slam.range_sensor)
-            rays = np.concatenate((absence.placed.rays, rays))
+            rays = self._rays(absence, slam.range_sensor)
             if other_place(KnownPlaces(slam.segments, grid, slam.range_sensor), rays):
                 return
         self.note_event("confirmed", step=self.log.end - 1)
         self.absence = None
+
+    def _rays(self, absence: Absence, sensor: RangeSensor) -> FloatArray:
+        """The rays (n, 7) of a robot since it was lost, after those by which it was placed."""
+        rays = rays_of(self.log.since(absence.first), self._robot, sensor)
+        return rays if absence.placed is None else np.concatenate((absence.placed.rays, rays))
 
     def _copy(self, slam: LineSlam, grid: OccupancyGrid) -> KnownFrame:
         return KnownFrame(self.log.end, slam.copied(), grid.copied())
 
     def _placement(self, absence: Absence, rays: FloatArray, found: Localisation, sensor: RangeSensor) -> Placement:
         """Where the robot was before it was carried away."""
-        assert found.fit is not None and absence.search is not None  # noqa: PT018, S101 (a place was found)
+        assert found.fit is not None  # noqa: S101 (a place was found)
         log, frame, known = self.log, found.fit.pose, absence.known
         last = max(absence.first - 1, log.begin)
         # A robot that was lost in its local frame, too, was carried away before it was lost for the first time.
@@ -357,8 +352,7 @@ class Recovery:
 
     def note_event(self, event: str, **details: Any) -> None:
         """Add a record of what happened, with how the latest search stands."""
-        search = None if self.absence is None else self.absence.search
-        record = {} if search is None else search.record
+        record = {} if self.absence is None else self.absence.search.record
         if event == "lost":
             record.pop("match", None)
         self.records.append({"event": event, **details, **record})
