@@ -35,6 +35,8 @@ RESTART_WITHIN = 1800
 MOST_RESTARTS = 6
 """A mapper begins again at most this often. Later estimates of the errors only act from then on."""
 
+_SAME_NOISE = 1.5  # ratio of the noise of ranges below which the mapper goes on: steps were weighed well enough
+
 
 @dataclass(frozen=True, eq=False)
 class MapSnapshot:
@@ -296,9 +298,14 @@ class Mapper(Frames):
         if self.prior_frame is not None or len(self._first_steps) >= RESTART_WITHIN:
             return False
         before, self._known = self._known, self._found()
-        sensor = self._known[0]
+        sensor, reach = self._known[0], self.robot.reach
         if sensor is None:
             return False
+        if before[0] is not None:
+            ratio = sensor.usual_std(reach) / before[0].usual_std(reach)
+            if max(ratio, 1.0 / ratio) < _SAME_NOISE:
+                sensor = sensor._replace(std=before[0].std, growth=before[0].growth)
+                self._known = sensor, self._known[1]
         self._first_steps.append(observations)
         if before[0] is not None and sensor.broken != before[0].broken:
             self._restarts = 0  # what was found before may have been due to the broken beam
