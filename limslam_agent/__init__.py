@@ -13,9 +13,8 @@ if TYPE_CHECKING:
     from limslam_agent.belief import Belief
     from limslam_agent.config.presets import AgentConfig, preset, with_until
     from limslam_agent.logs.log_reader import read_log
-    from limslam_agent.mapping.agent import LimSlamAgent
     from limslam_agent.mapping.mapper import Mapper, MapSnapshot
-    from limslam_agent.mapping.team import LimSlamTeam
+    from limslam_agent.mapping.team import LimSlamAgent, LimSlamTeam
     from limslam_agent.output.live_map import save_map
     from limslam_agent.policies.frontier_policy import FrontierPolicy
     from limslam_agent.policies.learned.learned import LearnedPolicy
@@ -61,7 +60,7 @@ _MODULES = {
     "FrontierPolicy": "policies.frontier_policy",
     "Laps": "policies.simple_policies",
     "LearnedPolicy": "policies.learned.learned",
-    "LimSlamAgent": "mapping.agent",
+    "LimSlamAgent": "mapping.team",
     "LimSlamTeam": "mapping.team",
     "LineSlam": "slam.slam",
     "MapSnapshot": "mapping.mapper",

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig
     from limslam_agent.live.protocol import Hello
     from limslam_agent.live.session import Session, Wired
-    from limslam_agent.mapping.agent import LimSlamAgent
+    from limslam_agent.mapping.team import LimSlamAgent
     from limslam_env.interface import RobotSpec
 
 
@@ -136,7 +136,7 @@ def _robot_of(hello: "Hello", described: "RobotSpec | None") -> "RobotSpec":
 
 
 def _agent(options: LiveOptions, config: "AgentConfig", robot: "RobotSpec", wired: "Wired") -> "LimSlamAgent":
-    from limslam_agent.mapping.agent import LimSlamAgent
+    from limslam_agent.mapping.team import LimSlamAgent
     from limslam_agent.runs.policies import policies_by_belief
 
     policies = policies_by_belief(options.policy, robot, config, robots=1, seed=0)
