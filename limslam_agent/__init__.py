@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from limslam_agent.config.presets import preset as preset
     from limslam_agent.config.presets import with_until as with_until
     from limslam_agent.logs.log_reader import read_log as read_log
-    from limslam_agent.mapping.agent import LimSlamAgent as LimSlamAgent
-    from limslam_agent.mapping.map_snapshot import MapSnapshot as MapSnapshot
     from limslam_agent.mapping.mapper import Mapper as Mapper
+    from limslam_agent.mapping.mapper import MapSnapshot as MapSnapshot
+    from limslam_agent.mapping.team import LimSlamAgent as LimSlamAgent
     from limslam_agent.mapping.team import LimSlamTeam as LimSlamTeam
     from limslam_agent.output.export import save_map as save_map
     from limslam_agent.policies.frontier_policy import FrontierPolicy as FrontierPolicy
@@ -41,10 +41,10 @@ _MODULES = {
     "FrontierPolicy": "policies.frontier_policy",
     "Laps": "policies.simple_policies",
     "LearnedPolicy": "policies.learned.learned",
-    "LimSlamAgent": "mapping.agent",
+    "LimSlamAgent": "mapping.team",
     "LimSlamTeam": "mapping.team",
     "LineSlam": "slam.slam",
-    "MapSnapshot": "mapping.map_snapshot",
+    "MapSnapshot": "mapping.mapper",
     "Mapper": "mapping.mapper",
     "Policy": "policies.policy",
     "RandomPolicy": "policies.simple_policies",

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from limslam_agent.config.presets import AgentConfig
     from limslam_agent.live.protocol import Hello
     from limslam_agent.live.session import Session, Wired
-    from limslam_agent.mapping.agent import LimSlamAgent
+    from limslam_agent.mapping.team import LimSlamAgent
     from limslam_env.interface import RobotSpec
 
 

@@ -12,7 +12,7 @@ from limslam_agent.live.link import POLL, Connection
 from limslam_agent.live.protocol import VERSION, Command, Heartbeat, Hello, Message, Speeds, Stop, Telemetry, difference
 from limslam_agent.live.recording import MM, Recording, Row
 from limslam_agent.live.transports import SILENT_AFTER
-from limslam_agent.mapping.agent import LimSlamAgent
+from limslam_agent.mapping.team import LimSlamAgent
 from limslam_agent.policies.policy import Policy
 from limslam_env.interface import RobotSpec
 

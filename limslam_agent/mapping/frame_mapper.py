@@ -13,7 +13,9 @@ from limslam_agent.slam.core.diagnostics import Extraction
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.known_map import KnownMap
 from limslam_agent.status.monitor import StatusMonitor
-from limslam_agent.status.sudden_changes import Sight
+from limslam_agent.status.rays import Sight
+from limslam_agent.status.status import LARGE_CORRECTION
+from limslam_env.geometry.se2 import compose
 from limslam_env.interface import Observation
 
 
@@ -23,15 +25,6 @@ class FrameMapper:
     Each step runs the SLAM, watches whether its estimates can be trusted, draws the readings into the occupancy grid,
     and renews estimate and grid if that is due.
 
-    Parameters
-    ----------
-    slam, grid
-        The SLAM and the occupancy grid with which the frame begins.
-    config
-        Settings of the monitors and of the renewal.
-    drawers
-        Those of an earlier frame, which know how often the beams of each robot miss walls. New ones by default.
-
     Attributes
     ----------
     slam, grid
@@ -39,7 +32,8 @@ class FrameMapper:
     monitors
         The monitor of each robot's estimate.
     drawers
-        What draws each robot's readings into the grid.
+        What draws each robot's readings into the grid, and knows how often the beams miss walls. Those of an earlier
+        frame may be given.
     renewal
         What smooths the last minutes.
     slam_ms
@@ -79,9 +73,13 @@ class FrameMapper:
         Whether a renewal in this step has moved the path far: plans and copies made before mean nothing in the moved
         map.
         """
-        begin = time.perf_counter()
+        begin, before = time.perf_counter(), self.slam.poses
         self.slam.step(*observations)
         self.slam_ms = _ms_since(begin)
+        off = self.slam.poses - compose(before, np.array(self.slam.increments))
+        if np.hypot(off[:, 0], off[:, 1]).max() > LARGE_CORRECTION:  # of one robot, and so the map of all has moved
+            for monitor in self.monitors:
+                monitor.forget_map()
         known, sensor = self.monitors[0].sensor, self.slam.range_sensor
         if sensor.turns != known.turns:
             # The beams point elsewhere than was known. A further correction may be due to readings at a wrong place,
@@ -92,9 +90,9 @@ class FrameMapper:
                     monitor.sensor = sensor
             else:
                 self.reset_monitors()
-        before, self._extraction = self._extraction, self.slam.last_extraction
+        last, self._extraction = self._extraction, self.slam.last_extraction
         for number in range(len(self.monitors)):
-            self._watch(number, is_busy=before is not self._extraction)
+            self._watch(number, observations[number], is_busy=last is not self._extraction)
         for pose, front, drawer in zip(self.slam.poses, self.slam.robots, self.drawers, strict=True):
             drawer.draw(self.grid, frame, pose, front.ranges, front.measured)
         return self._renew(observations[0], may_renew=may_renew)
@@ -110,11 +108,10 @@ class FrameMapper:
     def _new_drawers(self) -> Sequence[ReadingDrawer]:
         return [ReadingDrawer(self.slam.mounted) for _ in self.slam.robots]
 
-    def _watch(self, number: int, *, is_busy: bool) -> None:
+    def _watch(self, number: int, observation: Observation, *, is_busy: bool) -> None:
         """Tell a robot's monitor the motion and the readings of this step, and let it compare them if that is due."""
         monitor, slam, front = self.monitors[number], self.slam, self.slam.robots[number]
-        ranges = np.where(front.measured, front.ranges, np.nan)
-        sight = Sight(slam.poses[number], ranges, slam.increments[number])
+        sight = Sight.of(front, slam.poses[number], slam.increments[number], observation)
         if monitor.observe(sight, is_busy=is_busy):
             monitor.sensor = slam.range_sensor
             counts = self._config.free_space_counts

@@ -1,19 +1,18 @@
 """Frames: the frames in which robots map one after the other, and how a lost robot goes from one to the next."""
 
 from collections.abc import Iterable
-from typing import NamedTuple
 
 import numpy as np
 
 from limslam_agent.config.presets import AgentConfig, self_calibrating
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.mapping.frame_mapper import FrameMapper
-from limslam_agent.places.absence import Placement
-from limslam_agent.places.history import LoggedStep, StepLog
+from limslam_agent.places.absence import Placement, StepLog
 from limslam_agent.places.recovery import Recovery
 from limslam_agent.places.revisions import Revision, Unplaced
 from limslam_agent.slam.slam import LineSlam, RangeSensor
 from limslam_agent.status.monitor import Loss
+from limslam_agent.status.rays import Sight
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import Observation, RobotSpec
@@ -21,28 +20,8 @@ from limslam_env.interface import Observation, RobotSpec
 WRONG_PLACE = Loss(Status("lost", "the readings contradict the map at the place that was found"), 0)
 
 
-class ProcessedAgain(NamedTuple):
-    """Stored steps of a robot that were processed again.
-
-    Attributes
-    ----------
-    poses, covariances
-        Poses (t, 3), m and rad, and covariances (t, 3, 3) after each step.
-    """
-
-    poses: FloatArray
-    covariances: FloatArray
-
-
 class Frames:
     """The present frame of one robot or several, with its SLAM and grid, and what is known in every frame.
-
-    Parameters
-    ----------
-    robot
-        Body and beams of each robot.
-    config
-        Settings of every stage.
 
     Attributes
     ----------
@@ -95,8 +74,8 @@ class Frames:
         self._maps += 1
         self.map_number, self._own_map = self._maps, self._maps if is_own else self._own_map
 
-    def _process_again(self, observations: Iterable[Observation]) -> ProcessedAgain:
-        """Process stored observations of the only robot in the present frame."""
+    def _process_again(self, observations: Iterable[Observation], begin: int = 0) -> Revision:
+        """Process stored observations of the only robot, from a step on, in the present frame."""
         poses, covariances = list[FloatArray](), list[FloatArray]()
         for observation in observations:
             # The caller has later steps already, which a renewal would not move.
@@ -104,18 +83,18 @@ class Frames:
             self.slam_ms += self._present.slam_ms
             poses.append(self.slam.pose)
             covariances.append(self.slam.covariance)
-        return ProcessedAgain(np.array(poses).reshape(-1, 3), np.array(covariances).reshape(-1, 3, 3))
+        return Revision(begin, np.array(poses).reshape(-1, 3), np.array(covariances).reshape(-1, 3, 3))
 
-    def _replay(self, log: StepLog, begin: int, end: int) -> ProcessedAgain:
+    def _replay(self, log: StepLog, begin: int, end: int) -> Revision:
         """Process the logged steps from ``begin`` to before ``end`` again, and log their new poses."""
-        again = self._process_again(log[number].observation for number in range(begin, end))
+        again = self._process_again((log[number].observation for number in range(begin, end)), begin)
         log.move(begin, again.poses)
         return again
 
     def _follow(self, recovery: Recovery, observation: Observation, motion: FloatArray) -> None:
         """Keep a step, and see to it that a lost robot goes on in a local frame and finds its place again."""
         own, sensor = self._present.monitors[0], self.slam.range_sensor
-        step = LoggedStep.of(observation, self.slam, motion)
+        step = Sight.of(self.slam.robots[0], self.slam.pose, motion, observation)
         recovery.note(step, self.slam, self._present.grid, is_suspicious=own.is_suspicious)
         if own.loss is not None and recovery.still_fits(own, sensor):
             self._present.reset_monitors()
@@ -168,7 +147,7 @@ class Frames:
         self._present.begin_anew()
         again = self._replay(log, second, log.end)
         if is_anew:
-            self._revise(absence.first, begun, again)
+            self._revise(begun, again)
 
     def _go_on_renewed(self, recovery: Recovery) -> bool:
         """Renew the estimate of a robot that has just been lost, if that explains its readings; whether it was done."""
@@ -192,7 +171,7 @@ class Frames:
         # The comparisons until now have seen how the robot was carried away, and no stretch with that motion can be
         # smoothed.
         self._present.begin_anew()
-        self._revise(log.begin, before, self._replay(log, found.step, log.end))
+        self._revise(before, self._replay(log, found.step, log.end))
         # The search has weighed the readings of these steps together. While they are processed again, a bent map may
         # contradict a few of them, and the robot would be lost and found in turns.
         self._present.reset_monitors()
@@ -209,8 +188,8 @@ class Frames:
         self.slam.relocate(pose, covariance)
         recovery.note_event("not found", step=recovery.log.end - 1)
 
-    def _revise(self, begin: int, *parts: ProcessedAgain) -> None:
-        """Note that the poses from a step on are known better now."""
-        poses = np.concatenate([part.poses for part in parts])
-        covariances = np.concatenate([part.covariances for part in parts])
-        self._revisions.append(Revision(begin, poses, covariances))
+    def _revise(self, first: Revision, second: Revision) -> None:
+        """Note that the poses from a step on, in two parts, are known better now."""
+        poses = np.concatenate([first.poses, second.poses])
+        covariances = np.concatenate([first.covariances, second.covariances])
+        self._revisions.append(Revision(first.begin, poses, covariances))

@@ -12,12 +12,13 @@ from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.mapping.mapper import Mapper
-from limslam_agent.places.history import LoggedStep, copied
+from limslam_agent.places.absence import copied
 from limslam_agent.places.localisation import KnownPlaces
-from limslam_agent.places.meeting import Meeting, may_have_met
+from limslam_agent.places.other_map import Meeting, may_have_met
 from limslam_agent.places.revisions import PlaceHistory, Unplaced
 from limslam_agent.slam.core.late_ranges import WaitingTravel
 from limslam_agent.slam.slam import LineSlam
+from limslam_agent.status.rays import Sight
 from limslam_agent.status.status import Status
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose, inverse
@@ -61,13 +62,6 @@ class JoiningMapper(Mapper):
     Each robot maps in a frame of its own, and the frame of the first robot is the world frame. When both maps fit
     together in one place only, both drives are smoothed as one, and the robots go on as a team, with one SLAM that
     knows the smoothed map. Each of them also goes on in its own frame, until their place is confirmed or refuted there.
-
-    Parameters
-    ----------
-    robot
-        Body and beams of each robot.
-    config
-        Settings of every stage. The preset ``graph`` by default.
 
     Attributes
     ----------
@@ -189,8 +183,8 @@ class JoiningMapper(Mapper):
         for mapper, observation in zip(self._alone, observations, strict=True):
             mapper.step(observation)
         if self._meeting.is_open:
-            seen = zip(observations, self._alone, strict=True)
-            self._meeting.note([LoggedStep.of(each, own.slam, own.slam.increments[0]) for each, own in seen])
+            seen = zip(observations, [mapper.slam for mapper in self._alone], strict=True)
+            self._meeting.note([Sight.of(own.robots[0], own.pose, own.increments[0], each) for each, own in seen])
             odometry = np.concatenate([mapper.odometry for mapper in self._alone])
             own_poses = np.array([mapper.poses[0] for mapper in self._alone])
             self._rows.append((own_poses, self._covariances_apart, odometry))

@@ -1,9 +1,10 @@
 """Mapper: SLAM, the occupancy grid and pure odometry, without a policy.
 
 What a step does within a frame is in :mod:`limslam_agent.mapping.frame_mapper`, and how a lost robot changes frames in
-:mod:`limslam_agent.mapping.frames`. The mapper begins again when errors of odometry
-or sensor are found early, begins in the map of an earlier run, and goes on in other frames when the robot is lost.
+:mod:`limslam_agent.mapping.frames`.
 """
+
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -12,20 +13,20 @@ from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.mapping.frames import Frames
-from limslam_agent.mapping.map_snapshot import MapSnapshot
-from limslam_agent.places.history import LoggedStep, copied
-from limslam_agent.places.lookup import NOT_YET_FOUND, Lookup
+from limslam_agent.places.absence import copied
+from limslam_agent.places.other_map import NOT_YET_FOUND, Lookup
 from limslam_agent.places.recovery import Recovery
 from limslam_agent.places.revisions import PlaceHistory
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.late_ranges import WaitingTravel, ahead
+from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.slam.core.motion import check_travel, longest_travel
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.rays import wall_points
+from limslam_agent.status.rays import Sight, wall_points
 from limslam_agent.status.status import Status
 from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.geometry.se2 import compose
+from limslam_env.geometry.se2 import compose, inverse
 from limslam_env.interface import Observation, RobotSpec
 
 RESTART_WITHIN = 1800
@@ -33,6 +34,46 @@ RESTART_WITHIN = 1800
 
 MOST_RESTARTS = 6
 """A mapper begins again at most this often. Later estimates of the errors only act from then on."""
+
+_SAME_NOISE = 1.5  # ratio of the noise of ranges below which the mapper goes on: steps were weighed well enough
+
+
+@dataclass(frozen=True, eq=False)
+class MapSnapshot:
+    """The map and the poses at one moment. Later steps do not change a snapshot.
+
+    Attributes
+    ----------
+    poses
+        Estimated pose of each robot (n, 3) in the world frame: x (m), y (m), heading (rad).
+    covariances
+        Covariance of each estimated pose (n, 3, 3). It grows while a robot is lost.
+    odometry
+        Pose of each robot by odometry alone (n, 3).
+    landmarks
+        The walls of the map as lines with covariances.
+    segments
+        The walls of the map (N, 4) as x1, y1, x2, y2 in the world frame, m.
+    grid
+        Occupancy grid.
+    """
+
+    poses: FloatArray
+    covariances: FloatArray
+    odometry: FloatArray
+    landmarks: list[Landmark]
+    segments: FloatArray
+    grid: GridView
+
+    @property
+    def pose(self) -> FloatArray:
+        """Pose of the first robot (3,)."""
+        return np.asarray(self.poses[0])
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of the first robot's pose (3, 3)."""
+        return np.asarray(self.covariances[0])
 
 
 class Mapper(Frames):
@@ -110,7 +151,9 @@ class Mapper(Frames):
         self._starts, self._is_finished = starts, False
         self._begin(slam)
         self._first_steps, self._known = list[tuple[Observation, ...]](), self._found()
-        self._recovery, self._lookup = self._new_recovery(), self._new_lookup()
+        self._recovery, self._lookup = self._new_recovery(), None
+        if self._prior_map is not None:
+            self._lookup = Lookup(self._prior_map, self.robot, self.config, len(starts))
         self._waiting = WaitingTravel(len(starts))
         self.prior_frame: FloatArray | None = None
         self.odometry = starts.copy()
@@ -143,7 +186,7 @@ class Mapper(Frames):
         self.odometry = np.array([compose(*each) for each in zip(self.odometry, motions, strict=True)])
         self.odometry.setflags(write=False)
         if self._lookup is not None and self._lookup.is_open:
-            self._lookup.note(LoggedStep.of(observations[0], self.slam, motions[0]))
+            self._lookup.note(Sight.of(self.slam.robots[0], self.slam.pose, motions[0], observations[0]))
         if self._is_to_restart(told):
             self._restart()
             return
@@ -255,9 +298,14 @@ class Mapper(Frames):
         if self.prior_frame is not None or len(self._first_steps) >= RESTART_WITHIN:
             return False
         before, self._known = self._known, self._found()
-        sensor = self._known[0]
+        sensor, reach = self._known[0], self.robot.reach
         if sensor is None:
             return False
+        if before[0] is not None:
+            ratio = sensor.usual_std(reach) / before[0].usual_std(reach)
+            if max(ratio, 1.0 / ratio) < _SAME_NOISE:
+                sensor = sensor._replace(std=before[0].std, growth=before[0].growth)
+                self._known = sensor, self._known[1]
         self._first_steps.append(observations)
         if before[0] is not None and sensor.broken != before[0].broken:
             self._restarts = 0  # what was found before may have been due to the broken beam
@@ -281,12 +329,6 @@ class Mapper(Frames):
         """What follows the estimate of a single robot, if it is to find its place again when it is lost."""
         return Recovery(self.robot, self.config) if self.config.can_recover and len(self._starts) == 1 else None
 
-    def _new_lookup(self) -> Lookup | None:
-        """The search for the robot's place in an earlier map, if there is one."""
-        if self._prior_map is None:
-            return None
-        return Lookup(self._prior_map, self.robot, self.config, len(self._starts))
-
     def _look_up(self, lookup: Lookup) -> None:
         """Search the earlier map for the place, and go on in the earlier map if the place is clear."""
         if self._recovery is not None and self._recovery.records:
@@ -295,15 +337,15 @@ class Mapper(Frames):
         found = lookup.seek(self._starts[0], self.slam.range_sensor)
         if found is None:
             return
-        self.prior_frame = found.frame
-        slam = self._slam_at(found.start)
+        self.prior_frame = compose(found.pose, inverse(self._starts[0]))
+        slam = self._slam_at(found.pose)
         slam.know(lookup.saved.landmarks, lookup.saved.segments)
-        slam.relocate(found.start, found.covariance, ends=wall_points(found.rays))
+        slam.relocate(found.pose, found.covariance, ends=wall_points(found.rays))
         self._use(slam, OccupancyGrid.of(lookup.saved.grid, self.config.grid))
         self._number_map(is_own=True)
         self._recovery = self._new_recovery()
         again = self._process_again(step.observation for step in lookup.steps)
         if self._recovery is not None:
-            self._recovery.arrive(lookup.steps, again.poses, found.rays)
+            self._recovery.arrive(lookup.steps, again.poses, lookup.place, found.rays)
         self.odometry = compose(self.prior_frame, self.odometry)
         self.odometry.setflags(write=False)

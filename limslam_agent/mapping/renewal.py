@@ -13,7 +13,7 @@ from limslam_agent.slam.consistent.limits import ONE_WALL_GATE
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.known_map import DECIDED, DRIFT, KnownMap
-from limslam_agent.status.rays import Look, rays_of
+from limslam_agent.status.rays import Sight, rays_of
 from limslam_agent.status.status import LARGE_CORRECTION
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import compose, inverse, wrap_angle
@@ -32,14 +32,7 @@ class Renewal:
 
     The occupancy grid stays where it was drawn when the filter corrects poses and walls. A renewal draws it again.
 
-    Parameters
-    ----------
-    slam
-        The SLAM, after the first observation.
-    config
-        Its settings, with those of the renewal.
-    grid
-        The occupancy grid that the caller draws.
+    It begins after the first observation, with the grid that the caller draws.
 
     Attributes
     ----------
@@ -78,7 +71,7 @@ class Renewal:
         if settings is None or not self._rows or waited < settings.period:
             return False
         is_renewed = self._renew()
-        self._begin_at_last_row()
+        self._begin()
         return is_renewed
 
     def renew_lost(self) -> bool:
@@ -88,7 +81,7 @@ class Renewal:
         """
         if not self.is_possible or not self._rows or not self._renew(is_expected=False):
             return False
-        self._begin_at_last_row()
+        self._begin()
         return True
 
     def _renew(self, *, is_expected: bool = True) -> bool:
@@ -137,17 +130,13 @@ class Renewal:
         """
         sensor = slam.range_sensor
         _, ranges, measured, _, _ = zip(*self._rows[1:], strict=True)
-        steps = [Look(*each) for each in zip(poses, np.where(measured, ranges, np.nan), strict=True)]
+        steps = [Sight(*each) for each in zip(poses, np.where(measured, ranges, np.nan), strict=True)]
         rays = rays_of(steps, slam.robot, sensor)
         return KnownMap(slam.segments, grid.view, sensor).fit_here(rays).is_on_map
 
-    def _begin_at_last_row(self) -> None:
-        """Begin a new stretch at the present estimate, which the last observation led to."""
-        self._begin()
-        self._rows = [self._rows[-1]]
-
     def _begin(self) -> None:
-        """Begin a new stretch at the present estimate."""
+        """Begin a new stretch at the present estimate, which the last observation led to, if there was one."""
+        self._rows = self._rows[-1:]
         self._start, self._first_step = self._slam.map_state, self._slam.robots[0].step
         self._associations, self._closures = len(self._slam.associations), len(self._slam.closures)
         self._first_grid = self.grid.copied()

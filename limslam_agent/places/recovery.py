@@ -15,23 +15,34 @@ from limslam_agent.belief import Guess
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
-from limslam_agent.places.absence import LEAST_KNOWN, Absence, KnownFrame, Placed, Placement, known_before
-from limslam_agent.places.history import LoggedStep, StepLog, carried_at
+from limslam_agent.places.absence import (
+    LEAST_KNOWN,
+    Absence,
+    KnownFrame,
+    Placed,
+    Placement,
+    StepLog,
+    carried_at,
+    known_before,
+)
 from limslam_agent.places.localisation import (
+    CONFIRMED,
+    FAR_CONFIRMED,
     FAR_SHARE,
     LEAD,
     KnownPlaces,
     Localisation,
+    PlaceSearch,
     is_far,
     match_covariance,
+    other_place,
 )
 from limslam_agent.places.revisions import BEGUN_ANEW, NOT_CONFIRMED
-from limslam_agent.places.search import CONFIRMED, FAR_CONFIRMED, PlaceSearch, other_place
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
-from limslam_agent.status.known_map import DECIDED, UNLIKELY, KnownMap, NearFit, drift_fit, slip_fit
+from limslam_agent.status.known_map import DECIDED, UNLIKELY, KnownMap, drift_fit, slip_fit
 from limslam_agent.status.monitor import Loss, StatusMonitor
-from limslam_agent.status.rays import moved, rays_of
+from limslam_agent.status.rays import Sight, moved, rays_of
 from limslam_agent.status.status import Status
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, transform_points
@@ -45,10 +56,7 @@ _CHECKPOINT, _CHECKPOINTS, _MARGIN = 50, 6, 100
 class Recovery:
     """Follows the estimate of one robot, and finds its place again when it is lost.
 
-    Parameters
-    ----------
-    robot, config
-        Body and beams as specified, and settings. The sensor that is passed with each call may turn the beams.
+    The robot is as specified. The sensor that is passed with each call may turn its beams.
 
     Attributes
     ----------
@@ -92,23 +100,20 @@ class Recovery:
     @property
     def guesses(self) -> list[Guess]:
         """Where the robot may be while it is lost, by the latest search."""
-        search = None if self.absence is None or not self.is_lost else self.absence.search
-        if search is None or search.latest is None:
+        if self.absence is None or not self.is_lost or self.absence.search.latest is None:
             return []
-        return [
-            Guess(fit.pose, min(fit.evidence - UNLIKELY, fit.is_on_map), search.place.grid)
-            for fit in search.latest.open
-        ]
+        grid, likely = self.absence.search.place.grid, self.absence.search.latest.open
+        return [Guess(fit.pose, min(fit.evidence - UNLIKELY, fit.is_on_map), grid) for fit in likely]
 
     def status(self, own: Status) -> Status:
         """The status of the robot, whose own status in its frame is given."""
         if self.absence is None:
             return own
         if self.absence.placed is None:
-            return Status("lost", self.absence.reason)
+            return self.absence.loss.status
         if own.level != "ok":
             return own
-        return Status("unsure", NOT_CONFIRMED if self.absence.known is not None else self.absence.reason)
+        return Status("unsure", NOT_CONFIRMED if self.absence.known is not None else self.absence.loss.status.reason)
 
     @property
     def added_covariance(self) -> FloatArray:
@@ -120,7 +125,7 @@ class Recovery:
             return self._offset
         return self._offset + self.absence.covariance_at(self.log.steps[-1].pose)
 
-    def note(self, step: LoggedStep, slam: LineSlam, grid: OccupancyGrid, *, is_suspicious: bool = False) -> None:
+    def note(self, step: Sight, slam: LineSlam, grid: OccupancyGrid, *, is_suspicious: bool = False) -> None:
         """Keep a step of the robot, and now and then a copy of its estimate after it.
 
         While the robot may have been carried away, half of the copies are kept from before.
@@ -128,8 +133,7 @@ class Recovery:
         self.log.steps.append(step)
         if self.absence is not None:
             self.absence.driven += math.hypot(*step.motion[:2].tolist())
-            if self.absence.search is not None:
-                self.absence.search.drive(step.motion)
+            self.absence.search.drive(step.motion)
             if self.is_lost:
                 return
         if not self._copies or self.log.end % _CHECKPOINT == 0:
@@ -144,7 +148,7 @@ class Recovery:
         self._copies = []
         kept = poses[max(len(poses) - len(self.log.steps), 0) :]
         self.log.move(self.log.end - len(kept), kept)
-        if self.absence is not None and self.absence.search is not None:
+        if self.absence is not None:
             self.absence.search.latest = None
 
     def lose(self, loss: Loss, jump: float, slam: LineSlam, grid: OccupancyGrid) -> None:
@@ -165,10 +169,9 @@ class Recovery:
             first, before.placed = before.since, None
             self.log.steps[: len(before.steps)] = before.steps
         else:
-            before.is_carried |= loss.is_carried
+            before.loss = before.loss._replace(is_carried=before.loss.is_carried or loss.is_carried)
         before.first = max(first, self.log.begin + 1)
-        if before.search is not None:
-            before.search.begin_anew()
+        before.search.begin_anew()
         self._copies = []
         self.note_event("lost", step=before.first, reason=loss.status.reason)
 
@@ -179,12 +182,9 @@ class Recovery:
         """
         known = known_before(self._copies, first, 1 if loss.is_dated else _MARGIN) or self._copy(slam, grid)
         self.log.forget_before(known.step)
-        jump = max(jump, known.spread) if loss.is_carried else jump
-        since = max(first, self.log.begin + 1)
-        return Absence(
-            loss.status.reason, since, since, known, PlaceSearch(known.places), self.log.before(since), loss.is_dated,
-            loss.is_carried, jump, slam.covariance, slam.pose,
-        )  # fmt: skip
+        jump, since = max(jump, known.spread) if loss.is_carried else jump, max(first, self.log.begin + 1)
+        search, steps = PlaceSearch(known.places), self.log.before(since)
+        return Absence(loss, since, since, search, known, steps, jump, slam.covariance, slam.pose)
 
     def begin_anew(self) -> bool:
         """Whether a lost robot begins a new map where it believes to be, since it cannot be found in its earlier map.
@@ -196,40 +196,41 @@ class Recovery:
             return False
         self._offset = self.added_covariance
         self.note_event("begun anew", step=absence.first)
-        self.absence = Absence(BEGUN_ANEW, absence.first, absence.first, placed=Placed(0.0, np.empty((0, 7)), None))
+        self._believe(BEGUN_ANEW, absence.first, absence.search.place, np.empty((0, 7)))
         return True
 
-    def arrive(self, steps: Sequence[LoggedStep], poses: FloatArray, rays: FloatArray) -> None:
+    def arrive(self, steps: Sequence[Sight], poses: FloatArray, place: KnownPlaces, rays: FloatArray) -> None:
         """The robot's place in the map of an earlier run was found by rays (n, 7), and has to be confirmed.
 
         The poses of its steps until now are ``poses`` (m, 3) in that map.
         """
         self.log = StepLog(0, list(steps))
         self.log.move(0, poses)
-        self.absence = Absence(NOT_CONFIRMED, 0, 0, placed=Placed(0.0, rays, None))
+        self._believe(NOT_CONFIRMED, 0, place, rays)
+
+    def _believe(self, reason: str, first: int, place: KnownPlaces, rays: FloatArray) -> None:
+        """The robot is unsure of its place since a step, and has no other frame to go back to."""
+        placed = Placed(0.0, rays, None)
+        self.absence = Absence(Loss(Status("unsure", reason), 0), first, first, PlaceSearch(place), placed=placed)
 
     def is_refuted(self, sensor: RangeSensor) -> bool:
         """Whether the readings since the robot was placed contradict the map in which it was."""
         absence = self.absence
         if absence is None or absence.placed is None or absence.placed.place is None:
             return False
-        rays = rays_of(self.log.since(absence.first), self._robot, sensor)
-        rays = np.concatenate((absence.placed.rays, rays))
-        return absence.placed.place.fit_here(rays).is_on_map < -DECIDED
+        return absence.placed.place.fit_here(self._rays(absence, sensor)).is_on_map < -DECIDED
 
     def is_due(self) -> bool:
         """Whether the known map is to be searched now, or a place to be confirmed."""
-        if self.absence is None:
-            return False
-        return self.absence.search is None or self.absence.search.is_due
+        return self.absence is not None and self.absence.search.is_due
 
     def seek(self, sensor: RangeSensor) -> Placement | None:
         """Search the known map for the place. The placement if two searches in succession find the same place."""
         absence = self.absence
-        assert absence is not None and absence.search is not None  # noqa: PT018, S101 (only lost robots seek)
-        place, rays = absence.search.place, rays_of(self.log.since(absence.first), self._robot, sensor)
+        assert absence is not None  # noqa: S101 (only lost robots seek)
+        place, rays = absence.search.place, self._rays(absence, sensor)
         place.sensor = sensor
-        if absence.is_carried:
+        if absence.loss.is_carried:
             found = absence.search.seek(rays, may_be_bent=False)
         else:  # it has drifted, and is near, where a search of the whole map may miss its place
             near = drift_fit(place, rays, absence.covariance).fit
@@ -242,23 +243,19 @@ class Recovery:
         Such a robot need not go on in a local frame. If it has slipped, ``known`` is the map of that moment.
         """
         absence = self.absence
-        assert absence is not None and absence.known is not None and absence.search is not None  # noqa: PT018, S101
+        assert absence is not None and absence.known is not None  # noqa: PT018, S101 (the robot was lost from a frame)
         if known is None and absence.first <= absence.known.step + 1:
             return None  # the doubtful readings may be in that map already, and would fit there in any case
-        rays = rays_of(self.log.since(absence.first), self._robot, sensor)
+        rays = self._rays(absence, sensor)
         # Ground that the map does not have is unlikely beforehand, since nothing says that the robot was carried away.
         near = slip_fit(known, rays) if known else drift_fit(absence.search.place, rays, absence.covariance)
-        if not self._fits_near(near, rays):
+        if near.evidence < LEAD or near.fit.is_on_map < 0.0:  # without rays, the evidence is 0
             return None
-        return self._placement(absence, rays, absence.search.accept(near.fit, rays[:, :2].mean(axis=0)), sensor)
-
-    def _fits_near(self, near: NearFit, rays: FloatArray) -> bool:
-        """Whether rays (n, 7) fit the map at their likeliest place near the believed pose, and do not contradict it.
-
-        Along a long wall, other places near by fit as well. So the covariance of the pose counts, too.
-        """
-        fits = near.evidence >= LEAD and near.fit.is_on_map >= 0.0  # without rays, they do not
-        return fits and not is_far(near.fit.pose, rays[:, :2].mean(axis=0))
+        middle = rays[:, :2].mean(axis=0)
+        if is_far(near.fit.pose, middle):  # along a long wall, other places near by fit as well
+            return None
+        absence.search.latest = found = Localisation(near.fit, 0.0, middle, "")
+        return self._placement(absence, rays, found, sensor)
 
     @property
     def may_have_drifted(self) -> bool:
@@ -274,7 +271,7 @@ class Recovery:
         self.move(poses)
         renewed = KnownPlaces(slam.segments, grid.view, slam.range_sensor)
         self.note_event("renewed", step=self.log.end - 1)
-        self._has_returned(np.empty((0, 7)), renewed, has_drifted=True)
+        self._return(np.empty((0, 7)), renewed, has_drifted=True)
 
     def has_joined(self, placement: Placement, closed: KnownPlaces | None = None) -> None:
         """The robot goes on in the known frame. If this has closed a loop, the map of this frame is ``closed`` now."""
@@ -284,13 +281,13 @@ class Recovery:
         elif closed is None:
             self.breaks.append(placement.step)
         self.note_event("found", step=self.log.end - 1, carried_at=placement.step)
-        self._has_returned(placement.rays, closed, has_drifted=placement.has_drifted, has_slipped=has_slipped)
+        self._return(placement.rays, closed, has_drifted=placement.has_drifted, has_slipped=has_slipped)
 
-    def _has_returned(
+    def _return(
         self, rays: FloatArray, place: KnownPlaces | None, *, has_drifted: bool, has_slipped: bool = False
     ) -> None:
         absence = self.absence
-        assert absence is not None and absence.search is not None  # noqa: PT018, S101 (the robot was lost from a frame)
+        assert absence is not None  # noqa: S101 (the robot was lost)
         absence.search.wait()
         absence.placed = Placed(absence.driven, rays, place or absence.search.place, has_drifted, has_slipped)
         absence.has_returned = True
@@ -314,33 +311,36 @@ class Recovery:
         """End an absence if nothing speaks against the place any more."""
         absence = self.absence
         assert absence is not None and absence.placed is not None  # noqa: PT018, S101 (a place is to be confirmed)
-        if absence.search is not None:
-            absence.search.wait()
+        absence.search.wait()
         driven = absence.driven - absence.placed.at
         if own.level != "ok" or driven < CONFIRMED:
             return
         if not absence.placed.has_drifted:
             if driven < FAR_CONFIRMED and frontier_cells(grid, self._agent.policy.min_frontier).any():
                 return
-            rays = rays_of(self.log.since(absence.first), self._robot, slam.range_sensor)
-            rays = np.concatenate((absence.placed.rays, rays))
+            rays = self._rays(absence, slam.range_sensor)
             if other_place(KnownPlaces(slam.segments, grid, slam.range_sensor), rays):
                 return
         self.note_event("confirmed", step=self.log.end - 1)
         self.absence = None
+
+    def _rays(self, absence: Absence, sensor: RangeSensor) -> FloatArray:
+        """The rays (n, 7) of a robot since it was lost, after those by which it was placed."""
+        rays = rays_of(self.log.since(absence.first), self._robot, sensor)
+        return rays if absence.placed is None else np.concatenate((absence.placed.rays, rays))
 
     def _copy(self, slam: LineSlam, grid: OccupancyGrid) -> KnownFrame:
         return KnownFrame(self.log.end, slam.copied(), grid.copied())
 
     def _placement(self, absence: Absence, rays: FloatArray, found: Localisation, sensor: RangeSensor) -> Placement:
         """Where the robot was before it was carried away."""
-        assert found.fit is not None and absence.search is not None  # noqa: PT018, S101 (a place was found)
+        assert found.fit is not None  # noqa: S101 (a place was found)
         log, frame, known = self.log, found.fit.pose, absence.known
         last = max(absence.first - 1, log.begin)
         # A robot that was lost in its local frame, too, was carried away before it was lost for the first time.
         placed = log.driven_back(compose(frame, log[last].pose), last + 1)[: max(absence.since - log.begin, 1)]
         step = log.begin + len(placed)
-        if not absence.is_dated:
+        if not absence.loss.is_dated:
             step = carried_at(log, placed, self._robot, sensor, absence.search.place)
         pose = placed[step - 1 - log.begin]
         covariance = match_covariance(transform_points(frame, found.middle[None])[0], pose)
@@ -352,8 +352,7 @@ class Recovery:
 
     def note_event(self, event: str, **details: Any) -> None:
         """Add a record of what happened, with how the latest search stands."""
-        search = None if self.absence is None else self.absence.search
-        record = {} if search is None else search.record
+        record = {} if self.absence is None else self.absence.search.record
         if event == "lost":
             record.pop("match", None)
         self.records.append({"event": event, **details, **record})

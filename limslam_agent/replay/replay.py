@@ -22,7 +22,6 @@ from limslam_agent.replay.hand_over import LogEstimate
 from limslam_agent.replay.record import Replay, SelfCalibration
 from limslam_agent.slam.core.diagnostics import AssociationRecord, Closure
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.smoothed_status import lost_note
 from limslam_agent.status.status import Status, final_status_scores, status_scores
 from limslam_env.geometry.se2 import compose
 
@@ -218,7 +217,7 @@ def _status_scores(replay: Replay) -> dict[str, Any]:
     time, levels, smoothed = replay.log.time, replay.levels[:, None], replay.smoothed
     scores = status_scores(time, levels, replay.status)
     if smoothed is not None and smoothed.status is not None:
-        scores |= final_status_scores(smoothed.status, replay.status, lost_note(time, levels))
+        scores |= final_status_scores(smoothed.status, replay.status, time, levels)
     return scores
 
 

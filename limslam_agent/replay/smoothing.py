@@ -29,8 +29,7 @@ from limslam_agent.slam.graph.reversing import reversed_distance, with_reversing
 from limslam_agent.slam.graph.smooth import GraphResult, Report, rounds
 from limslam_agent.slam.graph.wall_lines import lines_in
 from limslam_agent.slam.line_graph.smoother import FilteredRun, SmoothedRun, smooth_run
-from limslam_agent.status.smoothed_status import lost_since, smoothed_status
-from limslam_agent.status.status import LEVELS
+from limslam_agent.status.status import LEVELS, lost_since, smoothed_status
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.line import distance
 from limslam_env.interface import RobotSpec

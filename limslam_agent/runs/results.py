@@ -25,8 +25,7 @@ from limslam_agent.runs.policy_file import short_name
 from limslam_agent.runs.record import Episode, FinalMap
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.slam.core.range_sensor import RangeSensor
-from limslam_agent.status.smoothed_status import lost_note, lost_since, smoothed_status
-from limslam_agent.status.status import LEVELS, final_status_scores, status_scores, worst
+from limslam_agent.status.status import LEVELS, final_status_scores, lost_since, smoothed_status, status_scores, worst
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 from limslam_env.metrics import (
@@ -195,7 +194,7 @@ def final_status(episode: Episode) -> dict[str, str]:
         status = NOT_YET_CONFIRMED
     if status.level == "ok":
         status = places.doubt
-    return final_status_scores(status, worst(online_statuses), lost_note(episode.time, episode.levels))
+    return final_status_scores(status, worst(online_statuses), episode.time, episode.levels)
 
 
 def smoothed_scores(episode: Episode, limit: float | None) -> dict[str, float | None]:

@@ -12,11 +12,10 @@ import numpy as np
 
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.known_map import DECIDED, DOUBTED, KnownMap
-from limslam_agent.status.rays import STEPS, rays_of
-from limslam_agent.status.status import LARGE_CORRECTION, UNSURE_HEADING, Status
-from limslam_agent.status.sudden_changes import LONGEST_SPACING, WINDOW, Sight, SuddenChanges, by_beam
+from limslam_agent.status.rays import STEPS, Sight, rays_of
+from limslam_agent.status.status import UNSURE_HEADING, Status
+from limslam_agent.status.sudden_changes import LONGEST_SPACING, WINDOW, SuddenChanges, by_beam
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import compose
 from limslam_env.interface import RobotSpec
 
 UNIFORM_HEADING = math.pi / math.sqrt(3.0)
@@ -126,13 +125,9 @@ class StatusMonitor:
         due
             Whether :meth:`check` is to be called now.
         """
-        x, y, turn = sight.increment.tolist()
+        x, y, turn = sight.motion.tolist()
         distance = math.hypot(x, y)
         is_jump = distance > _MAX_JUMP
-        if self._sights and not is_jump:
-            expected = compose(self._sights[-1].pose, sight.increment)
-            if math.hypot(*(sight.pose - expected)[:2].tolist()) > LARGE_CORRECTION:
-                self._changes.forget()
         if is_jump:
             self.jump, distance = self.jump + distance, 0.0
         self._step += 1
@@ -167,6 +162,10 @@ class StatusMonitor:
         self._first = self._step + 1 - len(self._sights)
         self.broken = self._broken_beam(present)
         self._judge(float(covariance[2, 2]))
+
+    def forget_map(self) -> None:
+        """Forget what the map was like: a loop is closed in the step that is observed next."""
+        self._changes.forget_until(self._step)
 
     @property
     def is_suspicious(self) -> bool:

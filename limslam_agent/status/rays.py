@@ -2,16 +2,17 @@
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 
 from limslam_agent.dropouts import short_series
 from limslam_agent.kernels.tables import RAY_BEAM, RAY_LENGTH, RAY_REACH, RAY_TO_X, RAY_TO_Y, RAY_X, RAY_Y
+from limslam_agent.slam.core.front_end import FrontEnd
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import transform_points
-from limslam_env.interface import RobotSpec
+from limslam_env.interface import Observation, RobotSpec
 
 _APART = 0.10, 0.25
 """Of two rays that end in the same square, the later one is kept: side of the squares for rays that saw something, and
@@ -27,26 +28,33 @@ LASTING = 4
 """Number of steps in succession in which a beam has to see nothing, so that it is no dropout of the sensor."""
 
 
-class Seen(Protocol):
-    """A step of a robot, as far as its rays depend on it."""
+class Sight(NamedTuple):
+    """What a robot believed and read in one step. Each step makes one, so it has to be cheap.
 
-    @property
-    def pose(self) -> FloatArray:
-        """The pose (3,)."""
-
-    @property
-    def ranges(self) -> FloatArray:
-        """Readings (n_beams,), m. They are NaN where there is no new reading."""
-
-
-class Look(NamedTuple):
-    """A step of which nothing else is known: its pose (3,), and its readings (n_beams,), m, NaN where none is new."""
+    Attributes
+    ----------
+    pose
+        Estimated pose (3,), m and rad.
+    ranges
+        Readings (n_beams,), m. They are NaN where there is no new reading.
+    motion
+        The motion (3,) that the odometry reports for this step, in the frame of the robot before it, m and rad.
+    observation
+        What the robot observed, if the step is to be processed again.
+    """
 
     pose: FloatArray
     ranges: FloatArray
+    motion: FloatArray = np.zeros(3)
+    observation: Observation = Observation()
+
+    @classmethod
+    def of(cls, front: FrontEnd, pose: FloatArray, motion: FloatArray, observation: Observation) -> "Sight":
+        """The step that the front end of a robot has just processed."""
+        return cls(pose, np.where(front.measured, front.ranges, np.nan), motion, observation)
 
 
-def rays_of(steps: Sequence[Seen], robot: RobotSpec, sensor: RangeSensor | None = None) -> FloatArray:
+def rays_of(steps: Sequence[Sight], robot: RobotSpec, sensor: RangeSensor | None = None) -> FloatArray:
     """The latest rays (n, 7) of steps, in the order of time: origin, direction, reading and longest
     reading, m, and number of the beam.
     """
@@ -54,7 +62,7 @@ def rays_of(steps: Sequence[Seen], robot: RobotSpec, sensor: RangeSensor | None 
 
 
 def numbered_rays_of(
-    steps: Sequence[Seen], robot: RobotSpec, sensor: RangeSensor | None = None
+    steps: Sequence[Sight], robot: RobotSpec, sensor: RangeSensor | None = None
 ) -> tuple[FloatArray, IntArray]:
     """The latest rays (n, 7) of steps, and the number of the step (n,) of each of them.
 

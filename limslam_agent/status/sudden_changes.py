@@ -28,7 +28,7 @@ from limslam_agent.status.known_map import (
     drift_fit,
     slip_fit,
 )
-from limslam_agent.status.rays import LASTING, moved, numbered_rays_of, step_rays
+from limslam_agent.status.rays import LASTING, Sight, moved, numbered_rays_of, step_rays
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
 
@@ -38,24 +38,6 @@ WINDOW, LONGEST_SPACING = 3.0, 0.30
 _SUPPORTED = 15.0  # evidence of readings that clearly fit
 _EXPLAINED = 1.0  # evidence of a reading for the map: more than that of seeing nothing on free ground
 _MAPS = 4
-
-
-class Sight(NamedTuple):
-    """What a robot believed and read in one step. Each step makes one, so it has to be cheap.
-
-    Attributes
-    ----------
-    pose
-        Estimated pose (3,), m and rad.
-    ranges
-        Readings (n_beams,), m. They are NaN where there is no new reading.
-    increment
-        The motion (3,) that the odometry reports for this step, in the frame of the robot before it, m and rad.
-    """
-
-    pose: FloatArray
-    ranges: FloatArray
-    increment: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,10 +97,10 @@ class SuddenChanges:
     """
 
     def __init__(self, robot: RobotSpec) -> None:
-        self._robot, self._weighed, self._noted = robot, -1, -math.inf
-        self.forget()
+        self._robot, self._noted = robot, -math.inf
         # The map at the latest calls. A wrong pose soon changes it.
         self._known: deque[tuple[int, KnownMap]] = deque(maxlen=_MAPS)
+        self.forget_until(-1)
 
     def look(self, sights: Sequence[Sight], first: int, place: float, known: KnownMap, covariance: FloatArray) -> None:
         """Note the likeliest change since the last call, if it is sudden or the last one is some way back.
@@ -141,9 +123,10 @@ class SuddenChanges:
         self._changes.append(found)
         self._weigh(sights, first, place, known, covariance)
 
-    def forget(self) -> None:
-        """Forget all changes: the estimator has closed a loop, and moved the map."""
-        self._changes = list[Change]()
+    def forget_until(self, step: int) -> None:
+        """Forget all changes and maps until a step, after which the estimator has closed a loop, and moved the map."""
+        self._weighed, self._changes = step, list[Change]()
+        self._known.clear()
         self.suspicion: Suspicion | None = None
 
     def _weigh(
@@ -212,7 +195,7 @@ class SuddenChanges:
         steps = sights[begin:]
         if len(steps) <= LASTING + 1:
             return None
-        ranges, motions = np.array([each.ranges for each in steps]), np.array([each.increment for each in steps])
+        ranges, motions = np.array([each.ranges for each in steps]), np.array([each.motion for each in steps])
         evidence = change_evidence(ranges, motions, self._robot, known.sensor)[: 1 - LASTING]
         new = max(self._weighed - first - begin - 1, 0)
         self._weighed = first + begin + len(steps) - LASTING

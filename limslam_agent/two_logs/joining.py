@@ -16,8 +16,7 @@ from limslam_agent.replay.smoothing import draw_grid
 from limslam_agent.slam.graph.smooth import Report, saying
 from limslam_agent.slam.line_graph.smoother import FilteredRun, beside, smooth_with_unknown_start
 from limslam_agent.status.known_map import MATCH_COVARIANCE
-from limslam_agent.status.smoothed_status import smoothed_status
-from limslam_agent.status.status import LEVELS, Status
+from limslam_agent.status.status import LEVELS, Status, smoothed_status
 from limslam_agent.two_logs.by_graph import joined_by_graph
 from limslam_agent.two_logs.joint import JointReplay, Replays, frame_of
 from limslam_agent.two_logs.place import place_in, sensor_of

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from limslam_agent import AgentConfig, LimSlamAgent, preset
-from limslam_agent.mapping.agent import Snapshot
+from limslam_agent.mapping.team import Snapshot
 from limslam_env import LimSlamEnv, NominalNoise, Observation, RobotSpec
 from limslam_env.geometry import FloatArray
 
@@ -80,7 +80,7 @@ blocked = ["pymunk", "pygame", "mujoco", "Box2D", "gymnasium.envs.mujoco", "gymn
 for name in blocked:
     sys.modules[name] = None  # importing it now raises ImportError
 import numpy as np
-from limslam_agent.mapping.agent import LimSlamAgent
+from limslam_agent.mapping.team import LimSlamAgent
 from limslam_agent.config.presets import preset
 from limslam_env.interface import NominalNoise, RobotSpec
 

@@ -12,7 +12,7 @@ from limslam_agent.mapping.joining import NOT_YET_CONFIRMED, NOT_YET_JOINED, Joi
 from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.mapping.team import LimSlamTeam
 from limslam_agent.output.summary import record_summary
-from limslam_agent.places.meeting import Meeting
+from limslam_agent.places.other_map import Meeting
 from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import final_status, write_episode

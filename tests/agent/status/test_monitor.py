@@ -9,13 +9,9 @@ from support.drives import ROBOT, ranges_at, room
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.known_map import KnownMap
-from limslam_agent.status.monitor import (
-    CARRIED,
-    WINDOW,
-    StatusMonitor,
-)
+from limslam_agent.status.monitor import CARRIED, WINDOW, StatusMonitor
+from limslam_agent.status.rays import Sight
 from limslam_agent.status.status import Status, status_scores, worst
-from limslam_agent.status.sudden_changes import Sight
 
 WALLS = room(0.0, 0.0, 2.0, 2.0)
 SURE = np.diag([1e-6, 1e-6, 1e-6])
@@ -92,6 +88,20 @@ def test_a_lost_robot_is_ok_again_when_the_earlier_map_fits():
     assert WINDOW <= 0.11 * steps <= WINDOW + 1.0
     assert set(levels[levels.index("ok") :]) == {"ok"}
     assert not watched.added_covariance.any()
+
+
+def test_a_closed_loop_moves_the_map_and_raises_no_doubt():
+    """The map was 0.4 m off, and a change before the loop was closed is not weighed yet."""
+    watched, off = monitor(), np.array([0.4, 0.4, 0.0])
+    before = KnownMap(room(0.4, 0.4, 2.4, 2.4), FREE, SENSOR)
+    for number in range(44):
+        ranges = ranges_at(place(number), WALLS) - 0.1 * (number == 41)
+        watched.observe(Sight(place(number) + off, ranges, np.array([0.11, 0.0, 0.0])), is_busy=True)
+        if number < 40:
+            watched.check(SURE, before)
+    assert watched.status == Status()
+    watched.forget_map()
+    assert set(drive(watched, 60, begin=44)) == {"ok"}
 
 
 def test_a_jump_of_the_odometry_is_noticed_in_the_same_step():

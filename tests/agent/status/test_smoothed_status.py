@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from limslam_agent.status.smoothed_status import lost_since, smoothed_status
-from limslam_agent.status.status import Status, final_status_scores
+from limslam_agent.status.status import Status, final_status_scores, lost_since, smoothed_status
 
 STEPS = 50
 
@@ -57,7 +56,8 @@ def test_a_robot_that_was_lost_to_the_end_is_lost():
 
 
 def test_the_scores_have_the_status_of_the_result_and_of_the_filter():
-    scores = final_status_scores(Status(), Status("lost", "a jump"), "lost while driving, from 2 s to the end")
+    levels = np.array([[0, 0], [0, 0], [0, 2], [2, 0], [0, 2]])
+    scores = final_status_scores(Status(), Status("lost", "a jump"), 3.0 + np.arange(5.0), levels)
     assert scores == {
         "status": "ok", "status_reason": "", "status_note": "lost while driving, from 2 s to the end",
         "status_online": "lost", "status_online_reason": "a jump",

@@ -1,27 +1,104 @@
-"""The search for the place of one robot in another robot's map, while both drive."""
+"""The search for a robot's place in a map of others: of an earlier run, or of another robot, while both drive."""
 
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from limslam_agent.grid.occupancy import GridView
-from limslam_agent.places.history import LoggedStep
-from limslam_agent.places.localisation import KnownPlaces
-from limslam_agent.places.search import CONFIRMED, FAR_CONFIRMED, PlaceSearch, other_place
+from limslam_agent.config.presets import AgentConfig
+from limslam_agent.grid.occupancy import GridView, OccupancyGrid
+from limslam_agent.places.absence import Placement
+from limslam_agent.places.localisation import (
+    CONFIRMED,
+    FAR_CONFIRMED,
+    KnownPlaces,
+    PlaceSearch,
+    match_covariance,
+    other_place,
+)
+from limslam_agent.places.saved_map import SavedMap
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.slam.slam import LineSlam
 from limslam_agent.status.known_map import DECIDED, PlaceFit, drift_fit
-from limslam_agent.status.rays import STEPS, ends_of, moved, numbered_rays_of
+from limslam_agent.status.rays import STEPS, Sight, ends_of, moved, numbered_rays_of, rays_of
+from limslam_agent.status.status import Status
 from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.geometry.se2 import between, inverse, transform_points
+from limslam_env.geometry.se2 import between, compose, inverse, transform_points
 from limslam_env.interface import RobotSpec
+
+NOT_YET_FOUND = Status("unsure", "the robot's place in the saved map is not found yet")
+"""The status of a robot that maps in a frame of its own, and searches for its place in an earlier map."""
 
 FIRST = 15.0
 """Distance that the robots drive before the first search, m, in the mean. Small maps of one room fit into another room.
 """
 
 _BODY = 0.4  # m: what ends so near to the middle of the other robot may be its body
+
+
+class Lookup:
+    """Searches for a robot's place in a saved map, while the robot maps in a frame of its own.
+
+    Attributes
+    ----------
+    saved, place
+        The saved map, also as it is searched.
+    steps
+        All steps of the robot so far.
+    is_open
+        Whether the search goes on.
+    records
+        How the search ended, for ``result.json``.
+
+    Raises
+    ------
+    ValueError
+        If there is more than one robot, lost robots stay lost by the settings, or the settings have other cells.
+    """
+
+    def __init__(self, saved: SavedMap, robot: RobotSpec, config: AgentConfig, robots: int) -> None:
+        if not config.can_recover or robots != 1:
+            raise ValueError("only one robot with the preset graph or consistent can look for its place in a map")
+        OccupancyGrid.of(saved.grid, config.grid)
+        self.saved, self._robot = saved, robot
+        self.place = KnownPlaces(saved.segments, saved.grid, RangeSensor(config.range_std))
+        self._search = PlaceSearch(self.place)
+        self.steps: list[Sight] = []
+        self.is_open = True
+        self.records: list[dict[str, Any]] = []
+
+    def note(self, step: Sight) -> None:
+        """Keep a step of the robot."""
+        self.steps.append(step)
+        self._search.drive(step.motion)
+
+    @property
+    def is_due(self) -> bool:
+        """Whether the saved map is to be searched now."""
+        return self.is_open and self._search.is_due
+
+    def seek(self, start: FloatArray, sensor: RangeSensor) -> Placement | None:
+        """Search the saved map for the start; it is found if two searches in succession find the same place.
+
+        ``start`` is the start pose (3,) in the robot's own frame, and ``sensor`` the sensor that is known now.
+        """
+        self.place.sensor = sensor
+        rays = rays_of(self.steps, self._robot, sensor)
+        found = self._search.seek(rays, may_be_bent=True)
+        if found is None or found.fit is None:
+            return None
+        frame = found.fit.pose
+        placed, middle = compose(frame, start), transform_points(frame, found.middle[None])[0]
+        self._close("found in the saved map")
+        return Placement(0, placed, match_covariance(middle, placed), moved(rays, frame))
+
+    def end(self, reason: str) -> None:
+        """End a search that found nothing."""
+        self._close("not found in the saved map", reason=reason)
+
+    def _close(self, event: str, **details: Any) -> None:
+        self.records.append({"event": event, "step": len(self.steps) - 1, **details, **self._search.record})
+        self.is_open = False
 
 
 class _MapOfOther(KnownPlaces):
@@ -48,11 +125,6 @@ class _MapOfOther(KnownPlaces):
 class Meeting:
     """Searches for the place of the second of two robots in the map of the first one.
 
-    Parameters
-    ----------
-    robot
-        Body and beams of each robot as specified.
-
     Attributes
     ----------
     steps
@@ -65,14 +137,14 @@ class Meeting:
 
     def __init__(self, robot: RobotSpec) -> None:
         self._robot, self.is_open = robot, True
-        self.steps: tuple[list[LoggedStep], list[LoggedStep]] = ([], [])
+        self.steps: tuple[list[Sight], list[Sight]] = ([], [])
         self.records: list[dict[str, Any]] = []
         nothing = GridView(np.zeros(2), 1.0, np.zeros((0, 0), dtype=np.int16))
         self._search = PlaceSearch(KnownPlaces(np.zeros((0, 4)), nothing, RangeSensor(0.0)))
         self._driven = self._joined_at = 0.0
         self._frame, self._rays = np.zeros(3), np.empty((0, 7))  # the place that was found, and by what
 
-    def note(self, steps: Sequence[LoggedStep]) -> None:
+    def note(self, steps: Sequence[Sight]) -> None:
         """Keep a step of each robot in its own frame."""
         for kept, step in zip(self.steps, steps, strict=True):
             kept.append(step)
