@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from limslam_agent.config.presets import GridConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.policies.collision_guard import CollisionGuard
+from limslam_agent.policies.controller import CollisionGuard
 from limslam_agent.policies.learned.learned import HOLD, wheels_towards
 from limslam_agent.policies.learned.polar_view import ViewConfig, observe
 from limslam_env.geometry import BoolArray, FloatArray, ReadingArray

@@ -6,22 +6,26 @@ simulator.
 
 import json
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import torch
 from stable_baselines3 import PPO
 from stable_baselines3.common.callbacks import BaseCallback
+from stable_baselines3.common.policies import ActorCriticPolicy
+from torch import Tensor, nn
+from torch.nn import functional
 
 import limslam_env  # noqa: F401 (registers the environments)
 from benchmarks.training.explore_env import VIEW, ExploreVectorEnv
-from benchmarks.training.network import DirectionPolicy
 from limslam_agent.output.provenance import commit
 from limslam_agent.policies.learned.learned import HOLD, TEMPERATURE
-from limslam_agent.policies.learned.network import DirectionNetwork, save_network
+from limslam_agent.policies.learned.network import COMPASS, LAYERS, SPREAD, DirectionNetwork, save_network
+from limslam_agent.policies.learned.polar_view import ViewConfig
 from limslam_agent.runs.results import versions
 from limslam_env.config import RewardConfig
 from limslam_env.envs.sb3 import Sb3VecEnv
@@ -30,6 +34,8 @@ from limslam_env.geometry import FloatArray
 LOG, CONFIG, WEIGHTS = "trials.jsonl", "train.json", "explorer.npz"
 LEAST_SHARE = 0.05
 GOAL = 0.8
+WIDTH = 48  # channels of a layer
+_SMALL = 0.01  # factor of the initial weights of the last layer
 _TRIAL = 240.0  # s: duration of each episode of a trial
 
 
@@ -194,3 +200,96 @@ class _Keeper(BaseCallback):
             if isinstance(value, float):
                 self.logger.record(f"held_out/{name}", value)
         print(json.dumps(row), flush=True)
+
+
+class DirectionExtractor(nn.Module):
+    """Circular convolutions that give a score for each direction, and features for the value.
+
+    Parameters
+    ----------
+    view
+        Shape of the view.
+    readings
+        Number of entries that follow the view in an observation.
+    """
+
+    def __init__(self, view: ViewConfig, readings: int) -> None:
+        super().__init__()
+        self.view, self.latent_dim_pi, self.latent_dim_vf = view, view.directions, 64
+        inputs = view.rows
+        self._size = inputs * view.directions
+        self.first = nn.Conv1d(inputs + COMPASS, WIDTH, 5)
+        self.state = nn.Linear(readings, WIDTH)
+        self.second = nn.Conv1d(WIDTH, WIDTH, 3, dilation=SPREAD["second"])
+        self.third = nn.Conv1d(WIDTH, WIDTH, 3, dilation=SPREAD["third"])
+        self.score = nn.Conv1d(WIDTH + inputs + COMPASS, 1, 1)
+        self.value = nn.Sequential(nn.Linear(2 * WIDTH + readings, 64), nn.ReLU())
+        angles = 2.0 * np.pi * np.arange(view.directions) / view.directions
+        compass = torch.as_tensor(np.stack((np.cos(angles), np.sin(angles))), dtype=torch.float32)
+        self.register_buffer("compass", compass)
+
+    def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+        """Scores (n, directions), and features for the value (n, 64)."""
+        count, state = len(observation), observation[:, self._size :]
+        view = observation[:, : self._size].reshape(count, -1, self.view.directions)
+        told = torch.cat((view, torch.as_tensor(self.compass).expand(count, -1, -1)), dim=1)
+        values = functional.relu(_around(self.first, told) + self.state(state)[:, :, None])
+        values = functional.relu(_around(self.third, functional.relu(_around(self.second, values))))
+        features = torch.cat((values.mean(dim=2), values.amax(dim=2), state), dim=1)
+        return torch.as_tensor(self.score(torch.cat((values, told), dim=1))[:, 0]), torch.as_tensor(
+            self.value(features)
+        )
+
+    def forward_actor(self, observation: Tensor) -> Tensor:
+        """Scores (n, directions)."""
+        return self.forward(observation)[0]
+
+    def forward_critic(self, observation: Tensor) -> Tensor:
+        """Features for the value (n, 64)."""
+        return self.forward(observation)[1]
+
+    def to_numpy(self) -> DirectionNetwork:
+        """The policy in the form that a robot runs."""
+        weights = {
+            f"{layer}.{part}": getattr(getattr(self, layer), part).detach().cpu().numpy().copy()
+            for layer in LAYERS
+            for part in ("weight", "bias")
+        }
+        return DirectionNetwork(weights, self.view)
+
+
+def _around(layer: nn.Conv1d, values: Tensor) -> Tensor:
+    half = layer.dilation[0] * (layer.kernel_size[0] // 2)
+    if half == 0:
+        return torch.as_tensor(layer(values))
+    return torch.as_tensor(layer(torch.cat((values[:, :, -half:], values, values[:, :, :half]), dim=2)))
+
+
+class DirectionPolicy(ActorCriticPolicy):
+    """Actor and critic with shared layers; the scores are the logits.
+
+    Parameters
+    ----------
+    *args, **kwargs
+        Arguments from Stable-Baselines3.
+    view
+        Shape of the view.
+    """
+
+    def __init__(self, *args: Any, view: ViewConfig, **kwargs: Any) -> None:
+        self._view = view
+        super().__init__(*args, ortho_init=False, **kwargs)
+
+    def _build_mlp_extractor(self) -> None:
+        view = self._view
+        readings = self.features_dim - view.rows * view.directions
+        self.mlp_extractor = DirectionExtractor(view, readings)
+
+    def _build(self, lr_schedule: Callable[[float], float]) -> None:
+        super()._build(lr_schedule)
+        # No parameters are needed between scores and logits. Small initial weights of the last layer give nearly equal
+        # probabilities.
+        self.action_net = nn.Identity()
+        with torch.no_grad():
+            self.mlp_extractor.score.weight.mul_(_SMALL)
+        self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)

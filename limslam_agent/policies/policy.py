@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from limslam_agent.belief import Belief
-from limslam_agent.policies.collision_guard import CollisionGuard
+from limslam_agent.policies.controller import CollisionGuard
 from limslam_env.geometry import FloatArray, no_rows
 from limslam_env.interface import RobotSpec
 from limslam_env.messages import described

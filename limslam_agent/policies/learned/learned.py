@@ -19,7 +19,7 @@ from limslam_agent.policies.controller import wheel_speeds
 from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.policies.learned.network import DirectionNetwork, load_network
 from limslam_agent.policies.learned.polar_view import FAR, observe
-from limslam_agent.policies.separation import cells_near_robots, nearer_to_others
+from limslam_agent.policies.targets import cells_near_robots, nearer_to_others
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec

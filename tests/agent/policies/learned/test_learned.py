@@ -109,7 +109,7 @@ def test_turning_what_is_seen_turns_the_scores_but_for_the_compass():
 def test_torch_trains_what_numpy_runs():
     torch = pytest.importorskip("torch", reason="needs the extra rl")
     pytest.importorskip("stable_baselines3", reason="needs the extra rl")
-    from benchmarks.training.network import DirectionExtractor
+    from benchmarks.training.train import DirectionExtractor
 
     twin = DirectionExtractor(ViewConfig(), 8)
     told = np.random.default_rng(3).random((5, ViewConfig().size(6))).astype(np.float32)
