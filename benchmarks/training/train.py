@@ -29,7 +29,6 @@ from limslam_agent.policies.learned.polar_view import ViewConfig
 from limslam_agent.runs.results import versions
 from limslam_env.config import RewardConfig
 from limslam_env.envs.sb3 import Sb3VecEnv
-from limslam_env.geometry import FloatArray
 
 LOG, CONFIG, WEIGHTS = "trials.jsonl", "train.json", "explorer.npz"
 LEAST_SHARE = 0.05
@@ -133,41 +132,18 @@ def _network(model: PPO) -> DirectionNetwork:
     return network
 
 
-class Trial:
-    """Repeated evaluation on the same plans, by their seeds, with a standard deviation of the ranges, m."""
-
-    def __init__(self, seeds: Sequence[int], noise: float) -> None:
-        batch = gym.make_vec(
-            "LimSlam-World-v0", len(seeds), world=[f"random:{seed}" for seed in seeds], autoreset_mode="SameStep",
-            sensor_noise=noise, coverage_goal=None, max_episode_steps=None, num_threads=1,
-        )  # fmt: skip
-        self._env = ExploreVectorEnv(batch)
-        self.period = HOLD * self._env.robot.control_period
-
-    def explore(self, network: DirectionNetwork, seed: int = 0) -> tuple[FloatArray, FloatArray]:
-        """The coverage (plans, decisions + 1) after each decision, and the number of touches (plans,).
-
-        Directions are drawn as `LearnedPolicy` draws them.
-        """
-        generator = np.random.default_rng(seed)
-        told, info = self._env.reset(seed=seed)
-        rows = [info["coverage"].copy()]
-        for _ in range(round(_TRIAL / self.period)):
-            scores = np.stack([network.scores(row) for row in told]).astype(float)
-            # The argmax of scores with added Gumbel noise is a sample from their softmax.
-            chosen = (scores + TEMPERATURE * generator.gumbel(size=scores.shape)).argmax(axis=1)
-            told, _, _, _, info = self._env.step(chosen)
-            rows.append(info["coverage"].copy())
-        return np.array(rows).T, self._env.touches.astype(float)
-
-
 class _Keeper(BaseCallback):
-    """Evaluates the policy on the held-out plans."""
+    """Evaluates the policy on the held-out plans, the same ones each time."""
 
     def __init__(self, config: TrainConfig, folder: Path) -> None:
         super().__init__()
         self._config, self._folder, self._begin, self._tried = config, folder, time.process_time(), 0
-        self._trial = Trial(config.held_out, config.noise)
+        batch = gym.make_vec(
+            "LimSlam-World-v0", len(config.held_out), world=[f"random:{seed}" for seed in config.held_out],
+            autoreset_mode="SameStep", sensor_noise=config.noise, coverage_goal=None, max_episode_steps=None,
+            num_threads=1,
+        )  # fmt: skip
+        self._env = ExploreVectorEnv(batch)
 
     def _on_step(self) -> bool:
         return True
@@ -182,17 +158,26 @@ class _Keeper(BaseCallback):
         self._try()
 
     def _try(self) -> None:
-        self._tried = self.num_timesteps
-        coverage, touches = self._trial.explore(_network(self.model))
+        self._tried, network = self.num_timesteps, _network(self.model)
+        period, generator = HOLD * self._env.robot.control_period, np.random.default_rng(0)
+        told, info = self._env.reset(seed=0)
+        rows = [info["coverage"].copy()]
+        for _ in range(round(_TRIAL / period)):
+            scores = np.stack([network.scores(row) for row in told]).astype(float)
+            # Directions are drawn as by `LearnedPolicy`.
+            chosen = (scores + TEMPERATURE * generator.gumbel(size=scores.shape)).argmax(axis=1)
+            told, _, _, _, info = self._env.step(chosen)
+            rows.append(info["coverage"].copy())
+        coverage = np.array(rows).T  # (plans, decisions + 1)
         reached = coverage >= GOAL
-        times = np.where(reached.any(axis=1), reached.argmax(axis=1) * self._trial.period, np.inf)
+        times = np.where(reached.any(axis=1), reached.argmax(axis=1) * period, np.inf)
         # There is no median of a time that half of the plans did not reach.
         middle = float(np.median(times))
         row = {
             "decisions": self.num_timesteps, "minutes": (time.process_time() - self._begin) / 60.0,
             "time_to_80_s": middle if np.isfinite(middle) else None, "reached_80": float(np.isfinite(times).mean()),
-            "coverage_at_120_s": float(np.median(coverage[:, round(120.0 / self._trial.period)])),
-            "touches": float(touches.mean()),
+            "coverage_at_120_s": float(np.median(coverage[:, round(120.0 / period)])),
+            "touches": float(self._env.touches.mean()),
         }  # fmt: skip
         with (self._folder / LOG).open("a", encoding="utf-8") as file:
             file.write(json.dumps(row) + "\n")

@@ -2,8 +2,8 @@
 
 import math
 
-import cv2
 import numpy as np
+from scipy import ndimage
 
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
@@ -139,7 +139,10 @@ class FrontierPolicy(MapExplorer):
     def _reason(self, belief: Belief) -> str:
         grid = belief.grid
         frontier = frontier_cells(grid, self._config.min_frontier, cells_around(grid, self._settled))
-        places = group_places(grid, frontier)
+        # Beams that pass a wall by an error leave a few free cells behind it, in which the robot has no room.
+        regions, _ = ndimage.label(grid.free)
+        has_room = ndimage.distance_transform_edt(grid.free) >= 0.5 + self.robot.radius / grid.cell
+        places = group_places(grid, frontier & np.isin(regions, regions[has_room]))
         if not len(places):
             return "explored: no frontier is left"
         named = [f"({x:.1f}, {y:.1f})" for x, y in places[:_MOST_NAMED]]
@@ -153,13 +156,12 @@ class FrontierPolicy(MapExplorer):
 
 def cells_around(grid: GridView, places: list[FloatArray]) -> BoolArray:
     """The cells (rows, columns) of places (2,), m, and those adjacent to them."""
-    mask = np.zeros(grid.values.shape, dtype=np.uint8)
+    mask = np.zeros(grid.values.shape, dtype=bool)
     if places:
         cells = grid.cells(np.array(places))
         inside = ((cells >= 0) & (cells < mask.shape)).all(axis=1)
-        mask[cells[inside, 0], cells[inside, 1]] = 1
-        mask = np.asarray(cv2.dilate(mask, np.ones((3, 3), dtype=np.uint8)), dtype=np.uint8)
-    return mask > 0
+        mask[cells[inside, 0], cells[inside, 1]] = True
+    return np.asarray(ndimage.binary_dilation(mask, np.ones((3, 3))))
 
 
 def least_reach(robot: RobotSpec, cell: float) -> float:

@@ -7,7 +7,6 @@ import numpy as np
 
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
-from limslam_agent.grid.occupancy import GridView
 from limslam_agent.policies.controller import (
     ARRIVED,
     STOP_DISTANCE,
@@ -105,7 +104,11 @@ class ReactivePolicy(MapExplorer):
         self._known = self._since = 0
 
     def _wheels(self, belief: Belief) -> FloatArray:
-        if self._has_seen_nothing_new(belief.grid):
+        known = int(np.count_nonzero(belief.grid.values))
+        self._since += 1
+        if known > self._known + _NEW_CELLS:
+            self._known, self._since = known, 0
+        if self._since > math.ceil(self._patience / self.robot.control_period):
             self.stop_reason = f"stopped: nothing new was seen {self._where} for {self._patience:g} s"
             return np.zeros(2)
         return self._wanted(belief)
@@ -113,13 +116,6 @@ class ReactivePolicy(MapExplorer):
     @abstractmethod
     def _wanted(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) while something new is seen."""
-
-    def _has_seen_nothing_new(self, grid: GridView) -> bool:
-        known = int(np.count_nonzero(grid.values))
-        self._since += 1
-        if known > self._known + _NEW_CELLS:
-            self._known, self._since = known, 0
-        return self._since > math.ceil(self._patience / self.robot.control_period)
 
 
 class WallFollower(ReactivePolicy):

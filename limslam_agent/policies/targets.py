@@ -15,7 +15,7 @@ from scipy import ndimage
 
 from limslam_agent.belief import Belief, Guess
 from limslam_agent.config.presets import PolicyConfig
-from limslam_agent.grid.frontier import frontier_cells, group_of
+from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.grid.planner import Routes, routes
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
@@ -50,15 +50,12 @@ class Target:
         Centre of the frontier's nearest cell (2,), m.
     aim
         Centre of the unknown cells adjacent to that cell (2,), m.
-    size
-        Number of cells of the frontier.
     path
         Path to the frontier (k, 2), m.
     """
 
     goal: FloatArray
     aim: FloatArray
-    size: int
     path: FloatArray
 
 
@@ -101,7 +98,7 @@ def next_target(belief: Belief, ignored: BoolArray, robot: RobotSpec, config: Po
     if not np.isfinite(cost[tuple(cell)]):
         return None
     path = grid.centres(ways.path_to((int(cell[0]), int(cell[1]))))
-    return Target(path[-1], _aim(grid, cell), len(group_of(cells, cell)), path)
+    return Target(path[-1], _aim(grid, cell), path)
 
 
 def _aim(grid: GridView, cell: IntArray) -> FloatArray:

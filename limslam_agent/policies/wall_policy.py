@@ -17,7 +17,7 @@ from limslam_agent.policies.controller import (
     wheel_speeds,
 )
 from limslam_agent.policies.frontier_policy import FrontierPolicy
-from limslam_agent.policies.policy import NOT_EXPLORED, MapExplorer, Policy
+from limslam_agent.policies.policy import NO_PLAN, NOT_EXPLORED, MapExplorer, Policy
 from limslam_agent.policies.wall_views import View, is_unfinished, next_view, open_border, path_to
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
@@ -86,24 +86,23 @@ class WallPolicy(MapExplorer):
         return self._frontiers.goal if self._look is None else self._look.view.stand
 
     def _wheels(self, belief: Belief) -> FloatArray:
-        wheels = self._frontier_wheels(belief) if self._frontiers.stop_reason is None else None
-        if wheels is None:
-            if self._look is None:
-                self._choose(belief)
-            wheels = self._look_wheels(belief)
-        self.plan = self._frontiers.plan if self._look is None else self._look.path
+        if self._frontiers.stop_reason is None:
+            wheels, reason = self._frontiers.wanted(belief), self._frontiers.stop_reason
+            if reason is None or reason.endswith(NOT_EXPLORED):
+                self.plan, self.stop_reason = self._frontiers.plan, reason
+                return wheels
+        if self._look is None:
+            self._choose(belief)
+        self.plan = NO_PLAN
+        self._looking += 1
+        look = self._look
+        if look is None:
+            return np.zeros(2)
+        wheels, self.plan = look.act(belief), look.path
+        if look.is_over:
+            self._looks += [] if look.is_needless else [look]
+            self._look, self.plan = None, NO_PLAN
         return wheels
-
-    def _frontier_wheels(self, belief: Belief) -> FloatArray | None:
-        """Wheel speeds (2,) to the next frontier. None if there is no frontier left."""
-        wheels = self._frontiers.wanted(belief)
-        reason = self._frontiers.stop_reason
-        if reason is None:
-            return wheels
-        if reason.endswith(NOT_EXPLORED):
-            self.stop_reason = reason
-            return wheels
-        return None
 
     @property
     def _is_late(self) -> bool:
@@ -124,17 +123,6 @@ class WallPolicy(MapExplorer):
             late = "the time for looking at walls is over"
             end = late if self._is_late else "some walls cannot be looked at"
         self.stop_reason = f"{self._frontiers.stop_reason}, and {end}"
-
-    def _look_wheels(self, belief: Belief) -> FloatArray:
-        """Wheel speeds (2,) of the present look."""
-        self._looking += 1
-        if self._look is None:
-            return np.zeros(2)
-        look, wheels = self._look, self._look.act(belief)
-        if look.is_over:
-            self._looks += [] if look.is_needless else [look]
-            self._look = None
-        return wheels
 
 
 @dataclass(frozen=True)
