@@ -169,9 +169,9 @@ def test_it_drives_where_the_network_says(turn):
 
     policy, pose = LearnedPolicy(ROBOT, PolicyConfig(), Fixed()), np.array([1.0, 0.55, 0.0])
     frontiers = FrontierPolicy(ROBOT, PolicyConfig(speed=ROBOT.max_wheel_speed, min_frontier=8))
-    hall, turned = grid_of("\n".join(["#" * 40, *["#" + "." * 39] * 10, "#" * 40])), 0.0
+    hall, turned = grid_of("\n".join(["#" * 24, *["#" + "." * 23] * 10, "#" * 24])), 0.0
     for step in range(80):
-        told = belief(pose, grid=replace(hall, values=np.where(np.arange(40) < 15 + step // 4, hall.values, 0)))
+        told = belief(pose, grid=replace(hall, values=np.where(np.arange(24) < 12 + step // 8, hall.values, 0)))
         np.testing.assert_array_equal(policy.act(told), frontiers.act(told), "the frontier explorer begins")
     for _ in range(5):
         left, right = 0.03 * policy.act(belief(pose, grid=hall, ranges=1.5))
