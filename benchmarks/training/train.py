@@ -221,9 +221,8 @@ class DirectionExtractor(nn.Module):
         values = functional.relu(_around(self.first, told) + self.state(state)[:, :, None])
         values = functional.relu(_around(self.third, functional.relu(_around(self.second, values))))
         features = torch.cat((values.mean(dim=2), values.amax(dim=2), state), dim=1)
-        return torch.as_tensor(self.score(torch.cat((values, told), dim=1))[:, 0]), torch.as_tensor(
-            self.value(features)
-        )
+        scores = torch.as_tensor(self.score(torch.cat((values, told), dim=1))[:, 0])
+        return scores, torch.as_tensor(self.value(features))
 
     def forward_actor(self, observation: Tensor) -> Tensor:
         """Scores (n, directions)."""

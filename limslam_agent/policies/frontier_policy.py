@@ -161,7 +161,7 @@ def cells_around(grid: GridView, places: list[FloatArray]) -> BoolArray:
         cells = grid.cells(np.array(places))
         inside = ((cells >= 0) & (cells < mask.shape)).all(axis=1)
         mask[cells[inside, 0], cells[inside, 1]] = True
-    return np.asarray(ndimage.binary_dilation(mask, np.ones((3, 3))))
+    return np.asarray(ndimage.binary_dilation(mask, np.ones((3, 3), dtype=bool)))
 
 
 def least_reach(robot: RobotSpec, cell: float) -> float:

@@ -86,7 +86,8 @@ class WallPolicy(MapExplorer):
         return self._frontiers.goal if self._look is None else self._look.view.stand
 
     def _wheels(self, belief: Belief) -> FloatArray:
-        if self._frontiers.stop_reason is None:
+        is_exploring = self._frontiers.stop_reason is None
+        if is_exploring:
             wheels, reason = self._frontiers.wanted(belief), self._frontiers.stop_reason
             if reason is None or reason.endswith(NOT_EXPLORED):
                 self.plan, self.stop_reason = self._frontiers.plan, reason

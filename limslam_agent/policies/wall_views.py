@@ -164,7 +164,7 @@ def _by_price(stands: FloatArray, cost: FloatArray, faces: Faces, robot: RobotSp
     price = cost[place] + _OFF_DISTANCE * np.abs(away - best_distance(robot)) + _SLANT * (1.0 - steepness)
     is_seen = steepness >= _STEEP
     order = np.lexsort((face[is_seen], place[is_seen], price[is_seen]))
-    return np.column_stack((place, face))[is_seen][order]
+    return np.asarray(np.column_stack((place, face))[is_seen][order])
 
 
 def best_distance(robot: RobotSpec) -> float:
