@@ -141,7 +141,8 @@ class FrontierPolicy(MapExplorer):
         frontier = frontier_cells(grid, self._config.min_frontier, cells_around(grid, self._settled))
         # Beams that pass a wall by an error leave a few free cells behind it, in which the robot has no room.
         regions, _ = ndimage.label(grid.free)
-        has_room = ndimage.distance_transform_edt(np.pad(grid.free, 1))[1:-1, 1:-1] >= 0.5 + self.robot.radius / grid.cell
+        away = ndimage.distance_transform_edt(np.pad(grid.free, 1))[1:-1, 1:-1]
+        has_room = away >= 0.5 + self.robot.radius / grid.cell
         places = group_places(grid, frontier & np.isin(regions, regions[has_room]))
         if not len(places):
             return "explored: no frontier is left"
