@@ -105,24 +105,19 @@ class WallPolicy(MapExplorer):
             self._look, self.plan = None, NO_PLAN
         return wheels
 
-    @property
-    def _is_late(self) -> bool:
-        """Whether the time for looking at walls is over."""
-        return self._looking > _MOST_STEPS
-
     def _choose(self, belief: Belief) -> None:
         """After the last frontier: explore a frontier that has appeared, begin the next look, or stop."""
         if self._frontiers.resume(belief):
             return
         border = open_border(belief, [look.view.faces for look in self._looks])
-        view = None if self._is_late else next_view(belief, border, self.robot)
+        is_late = self._looking > _MOST_STEPS
+        view = None if is_late else next_view(belief, border, self.robot)
         if view is not None:
             self._look = Look(view, self.robot, self._config)
             return
         end = "all walls were looked at"
         if len(border) or any(look.is_stuck for look in self._looks):
-            late = "the time for looking at walls is over"
-            end = late if self._is_late else "some walls cannot be looked at"
+            end = "the time for looking at walls is over" if is_late else "some walls cannot be looked at"
         self.stop_reason = f"{self._frontiers.stop_reason}, and {end}"
 
 
@@ -141,11 +136,6 @@ class Sweep:
     start: float
     end: float
     step: float
-
-    @property
-    def steps(self) -> float:
-        """Number of steps that the turn takes."""
-        return abs(self.end - self.start) / self.step
 
     @property
     def direction(self) -> float:
@@ -250,7 +240,7 @@ class Look:
             return turn_by(error, self._robot)
         if self._is_pointing:
             self._is_pointing, self._progress = False, Progress()
-        elif sweep.left(heading) < _POINTED or idle > 3.0 * sweep.steps + PATIENCE:
+        elif sweep.left(heading) < _POINTED or idle > 3.0 * abs(sweep.end - sweep.start) / sweep.step + PATIENCE:
             self.is_over = True
             return np.zeros(2)
         rate = min(sweep.step / self._robot.control_period, TURN_RATE)
