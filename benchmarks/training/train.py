@@ -123,13 +123,8 @@ def train(config: TrainConfig, folder: Path) -> Path:
         tensorboard_log=str(folder / "tensorboard"), policy_kwargs={"view": VIEW},
     )  # fmt: skip
     model.learn(config.decisions, callback=_Keeper(config, folder), tb_log_name="explore")
-    save_network(folder / WEIGHTS, _network(model))
+    save_network(folder / WEIGHTS, model.policy.mlp_extractor.to_numpy())
     return folder / WEIGHTS
-
-
-def _network(model: PPO) -> DirectionNetwork:
-    network: DirectionNetwork = model.policy.mlp_extractor.to_numpy()
-    return network
 
 
 class _Keeper(BaseCallback):
@@ -158,7 +153,7 @@ class _Keeper(BaseCallback):
         self._try()
 
     def _try(self) -> None:
-        self._tried, network = self.num_timesteps, _network(self.model)
+        self._tried, network = self.num_timesteps, self.model.policy.mlp_extractor.to_numpy()
         period, generator = HOLD * self._env.robot.control_period, np.random.default_rng(0)
         told, info = self._env.reset(seed=0)
         rows = [info["coverage"].copy()]

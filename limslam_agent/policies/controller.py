@@ -130,8 +130,7 @@ def wheel_speeds(speed: float, turn_rate: float, robot: RobotSpec) -> FloatArray
 
 def nearest_beam(pose: FloatArray, place: FloatArray, robot: RobotSpec) -> tuple[int, float]:
     """The beam that needs the smallest turn to point at a place (2,), m, and that turn, rad."""
-    offset = place - pose[:2]
-    errors = wrap_angle(math.atan2(offset[1], offset[0]) - float(pose[2]) - robot.beam_angles)
+    errors = wrap_angle(bearing_of(pose, place) - robot.beam_angles)
     beam = int(np.argmin(np.abs(errors)))
     return beam, float(errors[beam])
 

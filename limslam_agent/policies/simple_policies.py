@@ -97,9 +97,6 @@ class ReactivePolicy(MapExplorer):
         self._patience, self._where = patience, where
         super().__init__(robot or RobotSpec())
 
-    def _forget_map(self) -> None:
-        """Nothing is settled in a map."""
-
     def _plan_anew(self) -> None:
         self._known = self._since = 0
 

@@ -55,9 +55,6 @@ class WayHome(MapExplorer):
         """End the exploration, and drive home."""
         self.is_going_home = True
 
-    def _forget_map(self) -> None:
-        """Nothing is settled in a map."""
-
     def _plan_anew(self) -> None:
         self._way: FloatArray | None = None  # home (k, 2), m
         self._progress, self._until_plan = Progress(), 0
