@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from limslam_agent.config.presets import GridConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
-from limslam_agent.policies.collision_guard import CollisionGuard
+from limslam_agent.policies.controller import CollisionGuard
 from limslam_agent.policies.learned.learned import HOLD, wheels_towards
 from limslam_agent.policies.learned.polar_view import ViewConfig, observe
 from limslam_env.geometry import BoolArray, FloatArray, ReadingArray
@@ -110,7 +110,9 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
             self._in_contact = contact
             for number in range(self.num_envs):
                 if ended[number] or cut[number]:
-                    final[number] = self._last_view(number, info)
+                    last = info["final_info"]["pose"][number], info["final_obs"][number]["ranges"]
+                    self._explorers[number].take_in(*last)
+                    final[number] = self._explorers[number].look()
                     self._explorers[number] = _Explorer(self.robot, info["pose"][number], told["ranges"][number])
                 else:
                     self._explorers[number].take_in(info["pose"][number], told["ranges"][number])
@@ -118,12 +120,6 @@ class ExploreVectorEnv(gym.vector.VectorWrapper):
         over = terminated | truncated
         info = {**info, "final_obs": final, "_final_obs": over} if over.any() else info
         return self._views(), REWARD_SCALE * rewards, terminated, truncated, info
-
-    def _last_view(self, number: int, info: dict[str, Any]) -> NDArray[np.float32]:
-        """The view of a robot at the end of its episode."""
-        explorer = self._explorers[number]
-        explorer.take_in(info["final_info"]["pose"][number], info["final_obs"][number]["ranges"])
-        return explorer.look()
 
     def _views(self) -> NDArray[np.float32]:
         return np.stack([explorer.look() for explorer in self._explorers])

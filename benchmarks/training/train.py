@@ -29,14 +29,13 @@ from limslam_agent.policies.learned.polar_view import ViewConfig
 from limslam_agent.runs.results import versions
 from limslam_env.config import RewardConfig
 from limslam_env.envs.sb3 import Sb3VecEnv
-from limslam_env.geometry import FloatArray
 
 LOG, CONFIG, WEIGHTS = "trials.jsonl", "train.json", "explorer.npz"
 LEAST_SHARE = 0.05
 GOAL = 0.8
+WIDTH = 48  # channels of a layer
+_SMALL = 0.01  # factor of the initial weights of the last layer
 _TRIAL = 240.0  # s: duration of each episode of a trial
-WIDTH = 48
-_SMALL = 0.01
 
 
 class DirectionExtractor(nn.Module):
@@ -197,17 +196,12 @@ def train(config: TrainConfig, folder: Path) -> Path:
         tensorboard_log=str(folder / "tensorboard"), policy_kwargs={"view": VIEW},
     )  # fmt: skip
     model.learn(config.decisions, callback=_Keeper(config, folder), tb_log_name="explore")
-    save_network(folder / WEIGHTS, _network(model))
+    save_network(folder / WEIGHTS, model.policy.mlp_extractor.to_numpy())
     return folder / WEIGHTS
 
 
-def _network(model: PPO) -> DirectionNetwork:
-    network: DirectionNetwork = model.policy.mlp_extractor.to_numpy()
-    return network
-
-
 class _Keeper(BaseCallback):
-    """Evaluates the policy on the held-out plans."""
+    """Evaluates the policy on the held-out plans, the same ones each time."""
 
     def __init__(self, config: TrainConfig, folder: Path) -> None:
         super().__init__()
@@ -218,20 +212,6 @@ class _Keeper(BaseCallback):
             num_threads=1,
         )  # fmt: skip
         self._env = ExploreVectorEnv(batch)
-        self._period = HOLD * self._env.robot.control_period
-
-    def _explored(self, network: DirectionNetwork) -> FloatArray:
-        """The coverage (plans, decisions + 1) after each decision, which is drawn as `LearnedPolicy` draws it."""
-        generator = np.random.default_rng(0)
-        told, info = self._env.reset(seed=0)
-        rows = [info["coverage"].copy()]
-        for _ in range(round(_TRIAL / self._period)):
-            scores = np.stack([network.scores(row) for row in told]).astype(float)
-            # The argmax of scores with added Gumbel noise is a sample from their softmax.
-            chosen = (scores + TEMPERATURE * generator.gumbel(size=scores.shape)).argmax(axis=1)
-            told, _, _, _, info = self._env.step(chosen)
-            rows.append(info["coverage"].copy())
-        return np.array(rows).T
 
     def _on_step(self) -> bool:
         return True
@@ -246,16 +226,25 @@ class _Keeper(BaseCallback):
         self._try()
 
     def _try(self) -> None:
-        self._tried = self.num_timesteps
-        coverage = self._explored(_network(self.model))
+        self._tried, network = self.num_timesteps, self.model.policy.mlp_extractor.to_numpy()
+        period, generator = HOLD * self._env.robot.control_period, np.random.default_rng(0)
+        told, info = self._env.reset(seed=0)
+        rows = [info["coverage"].copy()]
+        for _ in range(round(_TRIAL / period)):
+            scores = np.stack([network.scores(row) for row in told]).astype(float)
+            # Directions are drawn as by `LearnedPolicy`.
+            chosen = (scores + TEMPERATURE * generator.gumbel(size=scores.shape)).argmax(axis=1)
+            told, _, _, _, info = self._env.step(chosen)
+            rows.append(info["coverage"].copy())
+        coverage = np.array(rows).T  # (plans, decisions + 1)
         reached = coverage >= GOAL
-        times = np.where(reached.any(axis=1), reached.argmax(axis=1) * self._period, np.inf)
+        times = np.where(reached.any(axis=1), reached.argmax(axis=1) * period, np.inf)
         # There is no median of a time that half of the plans did not reach.
         middle = float(np.median(times))
         row = {
             "decisions": self.num_timesteps, "minutes": (time.process_time() - self._begin) / 60.0,
             "time_to_80_s": middle if np.isfinite(middle) else None, "reached_80": float(np.isfinite(times).mean()),
-            "coverage_at_120_s": float(np.median(coverage[:, round(120.0 / self._period)])),
+            "coverage_at_120_s": float(np.median(coverage[:, round(120.0 / period)])),
             "touches": float(self._env.touches.mean()),
         }  # fmt: skip
         with (self._folder / LOG).open("a", encoding="utf-8") as file:
@@ -264,3 +253,95 @@ class _Keeper(BaseCallback):
             if isinstance(value, float):
                 self.logger.record(f"held_out/{name}", value)
         print(json.dumps(row), flush=True)
+
+
+class DirectionExtractor(nn.Module):
+    """Circular convolutions that give a score for each direction, and features for the value.
+
+    Parameters
+    ----------
+    view
+        Shape of the view.
+    readings
+        Number of entries that follow the view in an observation.
+    """
+
+    def __init__(self, view: ViewConfig, readings: int) -> None:
+        super().__init__()
+        self.view, self.latent_dim_pi, self.latent_dim_vf = view, view.directions, 64
+        inputs = view.rows
+        self._size = inputs * view.directions
+        self.first = nn.Conv1d(inputs + COMPASS, WIDTH, 5)
+        self.state = nn.Linear(readings, WIDTH)
+        self.second = nn.Conv1d(WIDTH, WIDTH, 3, dilation=SPREAD["second"])
+        self.third = nn.Conv1d(WIDTH, WIDTH, 3, dilation=SPREAD["third"])
+        self.score = nn.Conv1d(WIDTH + inputs + COMPASS, 1, 1)
+        self.value = nn.Sequential(nn.Linear(2 * WIDTH + readings, 64), nn.ReLU())
+        angles = 2.0 * np.pi * np.arange(view.directions) / view.directions
+        compass = torch.as_tensor(np.stack((np.cos(angles), np.sin(angles))), dtype=torch.float32)
+        self.register_buffer("compass", compass)
+
+    def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+        """Scores (n, directions), and features for the value (n, 64)."""
+        count, state = len(observation), observation[:, self._size :]
+        view = observation[:, : self._size].reshape(count, -1, self.view.directions)
+        told = torch.cat((view, torch.as_tensor(self.compass).expand(count, -1, -1)), dim=1)
+        values = functional.relu(_around(self.first, told) + self.state(state)[:, :, None])
+        values = functional.relu(_around(self.third, functional.relu(_around(self.second, values))))
+        features = torch.cat((values.mean(dim=2), values.amax(dim=2), state), dim=1)
+        scores = torch.as_tensor(self.score(torch.cat((values, told), dim=1))[:, 0])
+        return scores, torch.as_tensor(self.value(features))
+
+    def forward_actor(self, observation: Tensor) -> Tensor:
+        """Scores (n, directions)."""
+        return self.forward(observation)[0]
+
+    def forward_critic(self, observation: Tensor) -> Tensor:
+        """Features for the value (n, 64)."""
+        return self.forward(observation)[1]
+
+    def to_numpy(self) -> DirectionNetwork:
+        """The policy in the form that a robot runs."""
+        weights = {
+            f"{layer}.{part}": getattr(getattr(self, layer), part).detach().cpu().numpy().copy()
+            for layer in LAYERS
+            for part in ("weight", "bias")
+        }
+        return DirectionNetwork(weights, self.view)
+
+
+def _around(layer: nn.Conv1d, values: Tensor) -> Tensor:
+    half = layer.dilation[0] * (layer.kernel_size[0] // 2)
+    if half == 0:
+        return torch.as_tensor(layer(values))
+    return torch.as_tensor(layer(torch.cat((values[:, :, -half:], values, values[:, :, :half]), dim=2)))
+
+
+class DirectionPolicy(ActorCriticPolicy):
+    """Actor and critic with shared layers; the scores are the logits.
+
+    Parameters
+    ----------
+    *args, **kwargs
+        Arguments from Stable-Baselines3.
+    view
+        Shape of the view.
+    """
+
+    def __init__(self, *args: Any, view: ViewConfig, **kwargs: Any) -> None:
+        self._view = view
+        super().__init__(*args, ortho_init=False, **kwargs)
+
+    def _build_mlp_extractor(self) -> None:
+        view = self._view
+        readings = self.features_dim - view.rows * view.directions
+        self.mlp_extractor = DirectionExtractor(view, readings)
+
+    def _build(self, lr_schedule: Callable[[float], float]) -> None:
+        super()._build(lr_schedule)
+        # No parameters are needed between scores and logits. Small initial weights of the last layer give nearly equal
+        # probabilities.
+        self.action_net = nn.Identity()
+        with torch.no_grad():
+            self.mlp_extractor.score.weight.mul_(_SMALL)
+        self.optimizer = self.optimizer_class(self.parameters(), lr=lr_schedule(1), **self.optimizer_kwargs)

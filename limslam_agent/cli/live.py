@@ -51,7 +51,7 @@ def carry_out(options: LiveOptions, config: "AgentConfig", wired: "Wired") -> No
     from limslam_agent.live.link import NoRobotError
     from limslam_agent.live.recording import Recording, kept
     from limslam_agent.live.session import Session
-    from limslam_agent.mapping.agent import LimSlamAgent
+    from limslam_agent.mapping.team import LimSlamAgent
     from limslam_agent.output.run_folder import new_folder
     from limslam_agent.runs.policies import policies_by_belief
     from limslam_agent.runs.policy_file import naming_lines_of

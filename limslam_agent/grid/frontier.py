@@ -7,7 +7,7 @@ import numpy as np
 from scipy import ndimage
 
 from limslam_agent.grid.occupancy import GridView
-from limslam_env.geometry import BoolArray, FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray
 
 _ALL_AROUND = np.ones((3, 3), dtype=int)
 
@@ -26,18 +26,8 @@ def frontier_cells(grid: GridView, min_size: int, ignored: BoolArray | None = No
     return np.asarray(found & (np.bincount(labels.ravel()) >= min_size)[labels])
 
 
-def group_of(frontier: BoolArray, cell: IntArray) -> IntArray:
-    """The cells (n, 2) of the group that a cell (2,), row and column, belongs to."""
-    labels, _ = ndimage.label(frontier, structure=_ALL_AROUND)
-    return np.argwhere(labels == labels[tuple(cell)])
-
-
 def group_places(grid: GridView, frontier: BoolArray) -> FloatArray:
-    """For each group of frontier cells (rows, columns) the centre (n, 2), m, of the cell nearest to its middle."""
+    """The middle (n, 2), m, of each group of frontier cells (rows, columns)."""
     labels, count = ndimage.label(frontier, structure=_ALL_AROUND)
-    places = [_middle(np.argwhere(labels == label)) for label in range(1, count + 1)]
-    return grid.centres(np.array(places, dtype=np.int64).reshape(-1, 2))
-
-
-def _middle(cells: IntArray) -> IntArray:
-    return np.asarray(cells[int(np.argmin(np.hypot(*(cells - cells.mean(axis=0)).T)))])
+    middles = ndimage.center_of_mass(frontier, labels, np.arange(1, count + 1))
+    return grid.centres(np.array(middles).reshape(-1, 2))

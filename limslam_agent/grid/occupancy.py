@@ -54,7 +54,7 @@ class GridView:
         """Cells (n, 2) as (row, column) in which points (n, 2), m, lie. They may be outside the grid."""
         return np.floor((points - self.low) / self.cell).astype(np.int64)[:, ::-1]
 
-    def centres(self, cells: IntArray) -> FloatArray:
+    def centres(self, cells: IntArray | FloatArray) -> FloatArray:
         """Centres (n, 2), m, of cells (n, 2) given as (row, column)."""
         return self.low + (cells[:, ::-1] + 0.5) * self.cell
 

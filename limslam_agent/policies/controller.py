@@ -1,11 +1,11 @@
-"""Steering: from a target point to wheel speeds, with a look at the front beams."""
+"""Steering: from a target point to wheel speeds, and a guard that slows down before the body touches anything."""
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from limslam_agent.belief import Belief
-from limslam_agent.grid.occupancy import GridView
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
@@ -19,10 +19,7 @@ TURN_RATE = 2.0
 STOP_DISTANCE = 0.06
 """Free distance ahead of the rim below which the robot only turns, m."""
 PATIENCE = 30
-"""Number of steps for which the robot waits in front of an obstacle before it tries another way.
-
-Three times as many steps without progress end the approach of a goal.
-"""
+"""Number of steps without progress after which the way to a place is given up."""
 _LOOKAHEAD = 0.25  # m
 ARRIVED = 0.08
 """Distance at which a place is reached, m."""
@@ -30,8 +27,39 @@ AHEAD = 0.05
 """Progress on a path means that what is left of it is shorter by this distance, m."""
 REPLAN_PERIOD = 5
 """Number of steps between two plans."""
-BACK_STEPS = 8
-"""Number of steps for which a robot drives backwards that could not go on."""
+
+# Number of steps for which a measured point is remembered, and a point of a beam that reads its minimum range.
+MEMORY, TOUCH = 40, 3
+# A beam at its minimum range is assumed to have hit something at this share of the minimum range.
+TOUCHING = 0.4
+LOOK_AHEAD = 0.3  # s
+MARGIN = 0.025  # m
+# A point that lies deeper (m) inside the body is wrong: it is noise, or the pose has been corrected since.
+GHOST = 0.02
+SHARES = np.array([1.0, 0.5, 0.25])
+
+
+@dataclass
+class Progress:
+    """Whether a robot comes nearer to where it drives.
+
+    ``left`` is the shortest remaining way so far, m, and ``idle`` the number of steps since it became shorter.
+    """
+
+    left: float = math.inf
+    idle: int = 0
+
+    def count(self, left: float, *, is_new: bool = False) -> None:
+        """Count a step with a remaining way, m. ``is_new`` is whether the robot has seen something new."""
+        is_nearer = left < self.left - AHEAD and math.isfinite(self.left)
+        self.idle = 0 if is_nearer or is_new else self.idle + 1
+        if is_nearer or not math.isfinite(self.left):
+            self.left = left
+
+    @property
+    def is_stuck(self) -> bool:
+        """Whether there has been no progress for too long."""
+        return self.idle > PATIENCE
 
 
 def steer(pose: FloatArray, target: FloatArray, ranges: FloatArray, robot: RobotSpec, cruise: float) -> FloatArray:
@@ -48,14 +76,15 @@ def steer(pose: FloatArray, target: FloatArray, ranges: FloatArray, robot: Robot
     return wheel_speeds(speed, _turn_rate(error), robot)
 
 
-def follow(
-    path: FloatArray, away: FloatArray, belief: Belief, robot: RobotSpec, cruise: float
-) -> tuple[FloatArray, float]:
+def follow(path: FloatArray, belief: Belief, robot: RobotSpec, cruise: float) -> tuple[FloatArray, float] | None:
     """Wheel speeds (2,) along a path (k, 2), m, at ``cruise`` m/s or less, and the length of path that is left, m.
+    None at its end.
 
     The robot steers for the first point after the nearest one that is farther away than 25 cm, or for the last one.
-    ``away`` (k,) has the distances of the points from the robot, m.
     """
+    away = np.hypot(*(path - belief.pose[:2]).T)
+    if away[-1] < ARRIVED or len(path) == 1:
+        return None
     nearest = int(away.argmin())
     ahead = np.flatnonzero(away[nearest:] > _LOOKAHEAD)
     aim = path[nearest + ahead[0]] if ahead.size else path[-1]
@@ -101,23 +130,52 @@ def wheel_speeds(speed: float, turn_rate: float, robot: RobotSpec) -> FloatArray
 
 def nearest_beam(pose: FloatArray, place: FloatArray, robot: RobotSpec) -> tuple[int, float]:
     """The beam that needs the smallest turn to point at a place (2,), m, and that turn, rad."""
-    offset = place - pose[:2]
-    errors = wrap_angle(math.atan2(offset[1], offset[0]) - float(pose[2]) - robot.beam_angles)
+    errors = wrap_angle(bearing_of(pose, place) - robot.beam_angles)
     beam = int(np.argmin(np.abs(errors)))
     return beam, float(errors[beam])
 
 
-def back_off(pose: FloatArray, grid: GridView, robot: RobotSpec, cruise: float) -> FloatArray:
-    """Wheel speeds (2,) that drive straight back at half of ``cruise``, m/s.
+class CollisionGuard:
+    """Reduces the forward speed when the body would come too close to a recently measured point.
 
-    They are zero where the map does not show free ground behind.
+    A few beams leave gaps, and a corner fits between two of them, so the guard remembers the readings of the last
+    seconds. It places points by the change of the estimated pose since they were measured, and does not use the map,
+    which may be wrong.
+
+    Parameters
+    ----------
+    robot
+        Body and beams.
     """
-    heading = np.array([math.cos(pose[2]), math.sin(pose[2])])
-    behind = robot.radius + np.arange(1, 4)[:, None] * 0.05
-    places = np.vstack(
-        [pose[:2] - behind * heading + side * robot.radius * heading[[1, 0]] * (-1, 1) for side in (-1, 0, 1)]
-    )
-    cells = grid.cells(places)
-    inside = ((cells >= 0) & (cells < grid.values.shape)).all(axis=1)
-    is_free = bool(inside.all()) and bool((grid.values[cells[:, 0], cells[:, 1]] > 0).all())
-    return wheel_speeds(-0.5 * cruise if is_free else 0.0, 0.0, robot)
+
+    def __init__(self, robot: RobotSpec) -> None:
+        self._robot = robot
+        self._seen = np.full((MEMORY, len(robot.beams), 2), np.nan)
+        self._touched = np.full((TOUCH, len(robot.beams), 2), np.nan)
+        self._steps = 0
+
+    def add_readings(self, pose: FloatArray, ranges: FloatArray) -> None:
+        """Remember the readings (n_beams,), m, that were taken at an estimated pose (3,)."""
+        from limslam_agent.kernels.nearness import place_readings
+
+        # The oldest readings are replaced.
+        seen, touched = self._seen[self._steps % MEMORY], self._touched[self._steps % TOUCH]
+        place_readings(pose, np.asarray(ranges, dtype=float), self._robot.beam_table, TOUCHING, seen, touched)
+        self._steps += 1
+
+    def limit_speed(self, pose: FloatArray, wheels: FloatArray) -> FloatArray:
+        """Reduce wheel speeds (2,), fractions of the maximum, until the next 0.3 s are free of contact.
+
+        The rate of turn stays the same. The forward speed is scaled by 1, 1/2, 1/4 or 0, whichever is the largest that
+        keeps the body away from all remembered points.
+        """
+        from limslam_agent.kernels.nearness import safe_share
+
+        robot = self._robot
+        left, right = (each * robot.max_wheel_speed for each in wheels.tolist())
+        speed, turn = 0.5 * (left + right), (right - left) / robot.axle
+        heading = float(pose[2]) + 0.5 * turn * LOOK_AHEAD
+        way = speed * LOOK_AHEAD * np.array([math.cos(heading), math.sin(heading)])
+        nearest = robot.radius - GHOST, robot.radius + MARGIN
+        share = safe_share(pose, way, self._seen, self._touched, *nearest, SHARES)
+        return np.asarray(wheels - (1.0 - share) * (0.5 * float(wheels[0] + wheels[1])))

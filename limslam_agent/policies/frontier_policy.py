@@ -1,16 +1,15 @@
 """Frontier exploration: drive to the frontier of least cost until no frontier is left or reachable."""
 
 import math
-from dataclasses import dataclass
 
-import cv2
 import numpy as np
+from scipy import ndimage
 
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.frontier import frontier_cells, group_places
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.policies.controller import AHEAD, ARRIVED, PATIENCE, REPLAN_PERIOD, follow, nearest_beam, turn_by
+from limslam_agent.policies.controller import PATIENCE, REPLAN_PERIOD, Progress, follow, nearest_beam, turn_by
 from limslam_agent.policies.policy import NO_PLAN, NOT_EXPLORED, MapExplorer
 from limslam_agent.policies.simple_policies import WallFollower
 from limslam_agent.policies.targets import Target, next_target
@@ -21,27 +20,11 @@ from limslam_env.messages import counted
 # Distance (m) on the path from which the robot looks at a frontier.
 _VIEW = 0.35
 _POINTED = math.radians(4.0)
-# The robot counts as standing when its wheel speeds sum to less than this.
-_CREEP = 0.05
-# Progress means a shorter path, or that the map has this many more cells.
+# The robot has seen something new when the map has this many more cells.
 _NEW_CELLS = 2
 _MOST_NAMED = 3
 # Number of cells that the beams must reach from the middle of the robot, so that they see a free cell beside its own.
 _CELLS_SEEN = 1.75
-
-
-@dataclass
-class _Pursuit:
-    """A target, and the progress towards it.
-
-    ``goes_near`` is whether the robot drives to the end of the path, as it saw nothing from a distance, ``left`` is the
-    shortest remaining distance so far, m, and ``standing`` is the number of steps without motion.
-    """
-
-    target: Target
-    goes_near: bool = False
-    left: float = math.inf
-    standing: int = 0
 
 
 class FrontierPolicy(MapExplorer):
@@ -75,15 +58,16 @@ class FrontierPolicy(MapExplorer):
         self._known = 0
 
     def _drop(self) -> None:
-        self._pursuit: _Pursuit | None = None
+        # The target, and whether the robot drives to the end of its path, as it saw nothing from a distance.
+        self._pursued: Target | None = None
+        self._goes_near = False
         self.plan = NO_PLAN
-        # Number of steps until the next plan, and of steps without progress towards any goal.
-        self._until_plan = self._idle = 0
+        self._progress, self._until_plan = Progress(), 0
 
     @property
     def goal(self) -> FloatArray | None:
         """Present goal (2,), m, or None."""
-        return None if self._pursuit is None else self._pursuit.target.goal
+        return None if self._pursued is None else self._pursued.goal
 
     def resume(self, belief: Belief) -> bool:
         """Explore again, after the policy has stopped, if there is a frontier that can be reached; whether there is."""
@@ -95,10 +79,10 @@ class FrontierPolicy(MapExplorer):
     def _wheels(self, belief: Belief) -> FloatArray:
         if self.robot.reach < least_reach(self.robot, belief.grid.cell):
             return self._follow_walls(belief)
-        if self._until_plan <= 0 or self._pursuit is None:
+        if self._until_plan <= 0 or self._pursued is None:
             self._replan(belief)
         self._until_plan -= 1
-        return np.zeros(2) if self._pursuit is None else self._follow(belief, self._pursuit)
+        return np.zeros(2) if self._pursued is None else self._follow(belief, self._pursued)
 
     def _follow_walls(self, belief: Belief) -> FloatArray:
         wheels, reason = self._wall_follower.act(belief), self._wall_follower.stop_reason
@@ -111,62 +95,55 @@ class FrontierPolicy(MapExplorer):
         return next_target(belief, ignored, self.robot, self._config)
 
     def _replan(self, belief: Belief) -> None:
-        target, old = self._target(belief), self._pursuit
+        target = self._target(belief)
         if target is None:
             self._drop()
             self.stop_reason = self._reason(belief)
             return
-        if old is not None and np.hypot(*(old.target.goal - target.goal)) < _VIEW:
-            old.target = target
-        else:
-            self._pursuit = old = _Pursuit(target)
-        self._until_plan = REPLAN_PERIOD
-        self.plan = target.path if old.goes_near else cut_short(target.path, _VIEW)
+        if self.goal is None or np.hypot(*(self.goal - target.goal)) >= _VIEW:
+            self._goes_near, self._progress.left = False, math.inf
+        self._pursued, self._until_plan = target, REPLAN_PERIOD
+        self.plan = target.path if self._goes_near else cut_short(target.path, _VIEW)
 
-    def _follow(self, belief: Belief, pursuit: _Pursuit) -> FloatArray:
-        off = self.plan - belief.pose[:2]
-        away = np.sqrt(off[:, 0] ** 2 + off[:, 1] ** 2)
-        if away[-1] < ARRIVED or len(self.plan) == 1:
-            return self._look(belief, pursuit)
-        action, left = follow(self.plan, away, belief, self.robot, self._config.speed)
-        if self._is_stuck(belief.grid, pursuit, left, action):
-            self._failed.append(pursuit.target.goal)
+    def _follow(self, belief: Belief, target: Target) -> FloatArray:
+        step = follow(self.plan, belief, self.robot, self._config.speed)
+        if step is None:
+            return self._look(belief, target)
+        action, left = step
+        known = int(np.count_nonzero(belief.grid.values))
+        self._progress.count(left, is_new=known > self._known + _NEW_CELLS)
+        if self._progress.idle == 0:
+            self._known = max(known, self._known)
+        if self._progress.is_stuck:
+            self._failed.append(target.goal)
             self._drop()
         return action
 
-    def _is_stuck(self, grid: GridView, pursuit: _Pursuit, left: float, action: FloatArray) -> bool:
-        """Whether the robot has stood still for too long, or has come no nearer and seen nothing new for too long."""
-        known = int(np.count_nonzero(grid.values))
-        is_nearer = left < pursuit.left - AHEAD and math.isfinite(pursuit.left)
-        self._idle = 0 if is_nearer or known > self._known + _NEW_CELLS else self._idle + 1
-        if self._idle == 0:
-            self._known = max(known, self._known)
-        if is_nearer or not math.isfinite(pursuit.left):
-            pursuit.left = left
-        pursuit.standing = pursuit.standing + 1 if abs(float(action[0] + action[1])) < _CREEP else 0
-        return pursuit.standing > PATIENCE or self._idle > 3 * PATIENCE
-
-    def _look(self, belief: Belief, pursuit: _Pursuit) -> FloatArray:
+    def _look(self, belief: Belief, target: Target) -> FloatArray:
         """Point a beam at the target and decide from the reading what the target is."""
-        aim = pursuit.target.aim
+        aim = target.aim
         beam, error = nearest_beam(belief.pose, aim, self.robot)
-        self._idle += 1
-        if abs(error) > _POINTED and self._idle <= 3 * PATIENCE:
+        self._progress.idle += 1
+        if abs(error) > _POINTED and self._progress.idle <= 3 * PATIENCE:
             return turn_by(error, self.robot)
         distance = float(np.hypot(*(aim - belief.pose[:2]))) - float(np.hypot(*self.robot.beam_origins[beam]))
         reading = float(belief.ranges[beam])
         is_wall = reading < self.robot.too_far[beam] and abs(reading - distance) < 1.5 * belief.grid.cell
-        if is_wall or pursuit.goes_near:
-            self._settled.append(pursuit.target.goal)
+        if is_wall or self._goes_near:
+            self._settled.append(target.goal)
             self._drop()
         else:
-            pursuit.goes_near, pursuit.left, self._idle, self._until_plan = True, math.inf, 0, 0
+            self._goes_near, self._progress, self._until_plan = True, Progress(), 0
         return np.zeros(2)
 
     def _reason(self, belief: Belief) -> str:
         grid = belief.grid
         frontier = frontier_cells(grid, self._config.min_frontier, cells_around(grid, self._settled))
-        places = group_places(grid, frontier)
+        # Beams that pass a wall by an error leave a few free cells behind it, in which the robot has no room.
+        regions, _ = ndimage.label(grid.free)
+        away = ndimage.distance_transform_edt(np.pad(grid.free, 1))[1:-1, 1:-1]
+        has_room = away >= 0.5 + self.robot.radius / grid.cell
+        places = group_places(grid, frontier & np.isin(regions, regions[has_room]))
         if not len(places):
             return "explored: no frontier is left"
         named = [f"({x:.1f}, {y:.1f})" for x, y in places[:_MOST_NAMED]]
@@ -180,13 +157,12 @@ class FrontierPolicy(MapExplorer):
 
 def cells_around(grid: GridView, places: list[FloatArray]) -> BoolArray:
     """The cells (rows, columns) of places (2,), m, and those adjacent to them."""
-    mask = np.zeros(grid.values.shape, dtype=np.uint8)
+    mask = np.zeros(grid.values.shape, dtype=bool)
     if places:
         cells = grid.cells(np.array(places))
         inside = ((cells >= 0) & (cells < mask.shape)).all(axis=1)
-        mask[cells[inside, 0], cells[inside, 1]] = 1
-        mask = np.asarray(cv2.dilate(mask, np.ones((3, 3), dtype=np.uint8)), dtype=np.uint8)
-    return mask > 0
+        mask[cells[inside, 0], cells[inside, 1]] = True
+    return np.asarray(ndimage.binary_dilation(mask, np.ones((3, 3), dtype=bool)))
 
 
 def least_reach(robot: RobotSpec, cell: float) -> float:

@@ -7,7 +7,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from limslam_agent.belief import Belief
-from limslam_agent.policies.collision_guard import CollisionGuard
+from limslam_agent.policies.controller import CollisionGuard
 from limslam_env.geometry import FloatArray, no_rows
 from limslam_env.interface import RobotSpec
 from limslam_env.messages import described
@@ -100,8 +100,7 @@ class MapExplorer(ABC):
     def _wheels(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,), before the collision guard limits them."""
 
-    @abstractmethod
-    def _forget_map(self) -> None:
+    def _forget_map(self) -> None:  # noqa: B027 (most policies settle nothing)
         """Begin without anything that was settled in a map."""
 
     @abstractmethod

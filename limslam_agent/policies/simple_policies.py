@@ -7,11 +7,11 @@ import numpy as np
 
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
-from limslam_agent.grid.occupancy import GridView
 from limslam_agent.policies.controller import (
     ARRIVED,
     STOP_DISTANCE,
     TURN_RATE,
+    Progress,
     free_ahead,
     steer,
     turn_by,
@@ -24,9 +24,6 @@ from limslam_env.interface import RobotSpec
 
 LAP_SPEED = 0.25
 """Cruising speed on laps, m/s."""
-# The robot counts as standing when its wheel speeds sum to less than this. It stops after this many such steps.
-_CREEP = 0.05
-_PATIENCE = 40
 # The map has grown when it has this many more known cells.
 _NEW_CELLS = 5
 # Beams between these angles (rad from ahead to the right) see a wall beside the robot. A wall farther away than _LOST
@@ -58,7 +55,7 @@ class Laps:
         self._robot, self._corners = robot, corners
         self._remaining = laps * len(corners)
         self._next: int | None = None
-        self._standing = 0
+        self._progress = Progress()
         self.stop_reason: str | None = None
         self.plan: FloatArray = corners
 
@@ -69,14 +66,14 @@ class Laps:
             self._next = (nearest + 1) % len(self._corners)
         if np.linalg.norm(self._corners[self._next] - belief.pose[:2]) < ARRIVED:
             self._next = (self._next + 1) % len(self._corners)
-            self._remaining -= 1
+            self._remaining, self._progress = self._remaining - 1, Progress()
         if self._remaining <= 0:
             self.stop_reason = "all laps driven"
         if self.stop_reason is not None:
             return np.zeros(2)
         action = steer(belief.pose, self._corners[self._next], belief.ranges, self._robot, LAP_SPEED)
-        self._standing = self._standing + 1 if abs(float(action.sum())) < _CREEP else 0
-        if self._standing > _PATIENCE:
+        self._progress.count(float(np.linalg.norm(self._corners[self._next] - belief.pose[:2])))
+        if self._progress.is_stuck:
             self.stop_reason = f"stopped: something is in the way to corner {self._next + 1} of the loop"
             return np.zeros(2)
         return action
@@ -100,14 +97,15 @@ class ReactivePolicy(MapExplorer):
         self._patience, self._where = patience, where
         super().__init__(robot or RobotSpec())
 
-    def _forget_map(self) -> None:
-        """Nothing is settled in a map."""
-
     def _plan_anew(self) -> None:
         self._known = self._since = 0
 
     def _wheels(self, belief: Belief) -> FloatArray:
-        if self._has_seen_nothing_new(belief.grid):
+        known = int(np.count_nonzero(belief.grid.values))
+        self._since += 1
+        if known > self._known + _NEW_CELLS:
+            self._known, self._since = known, 0
+        if self._since > math.ceil(self._patience / self.robot.control_period):
             self.stop_reason = f"stopped: nothing new was seen {self._where} for {self._patience:g} s"
             return np.zeros(2)
         return self._wanted(belief)
@@ -115,13 +113,6 @@ class ReactivePolicy(MapExplorer):
     @abstractmethod
     def _wanted(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) while something new is seen."""
-
-    def _has_seen_nothing_new(self, grid: GridView) -> bool:
-        known = int(np.count_nonzero(grid.values))
-        self._since += 1
-        if known > self._known + _NEW_CELLS:
-            self._known, self._since = known, 0
-        return self._since > math.ceil(self._patience / self.robot.control_period)
 
 
 class WallFollower(ReactivePolicy):

@@ -3,8 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import chain
-from typing import cast
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -19,8 +17,7 @@ from limslam_agent.grid.unfinished import (
     reachable_ground,
     unfinished_faces,
 )
-from limslam_agent.policies.separation import cells_near_robots, separation_cost
-from limslam_agent.policies.targets import ways_from
+from limslam_agent.policies.targets import cells_near_robots, separation_cost, ways_from
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
@@ -107,8 +104,26 @@ def open_border(belief: Belief, looked_at: Sequence[Faces]) -> Faces:
 
 
 def next_view(belief: Belief, border: Faces, robot: RobotSpec) -> View | None:
-    """The cheapest view of a part of a border. None if no place shows any part of it."""
-    return _cheapest(belief, _ways(belief, robot), border, robot) if len(border) else None
+    """The cheapest view of a part of a border that is long enough. None if no place shows one."""
+    if not len(border):
+        return None
+    grid, ways = belief.grid, _ways(belief, robot)
+    cells = np.argwhere(np.isfinite(ways.cost) & (wall_distance(grid) >= robot.radius + _ROOM))
+    stands = grid.centres(cells)
+    separation = separation_cost(grid, belief.pose, belief.other_poses, belief.other_goals)
+    pairs = _by_price(stands, (ways.cost + separation)[cells[:, 0], cells[:, 1]], border, robot)
+    views_of = np.zeros(len(border), dtype=np.int64)
+    for first in range(0, len(pairs), _BATCH):
+        places, numbers = pairs[first : first + _BATCH].T
+        chosen = Faces(border.middles[numbers], border.normals[numbers])
+        for index in np.flatnonzero(_in_sight(grid, stands[places], chosen)).tolist():
+            if views_of[numbers[index]] == _MOST_VIEWS:
+                continue
+            views_of[numbers[index]] += 1
+            view = _view(grid, ways, cells[places[index]], border, int(numbers[index]))
+            if view.length >= _SHORTEST:
+                return view
+    return None
 
 
 def path_to(belief: Belief, stand: FloatArray, robot: RobotSpec) -> FloatArray | None:
@@ -128,27 +143,6 @@ def _ways(belief: Belief, robot: RobotSpec, wanted: BoolArray | None = None) -> 
     return ways_from(belief.pose[:2], belief.grid, robot, targets=wanted, closed=taken)
 
 
-def _cheapest(belief: Belief, ways: Routes, faces: Faces, robot: RobotSpec) -> View | None:
-    """The cheapest view of a part of the faces that is long enough."""
-    grid = belief.grid
-    cells = np.argwhere(np.isfinite(ways.cost) & (wall_distance(grid) >= robot.radius + _ROOM))
-    stands = grid.centres(cells)
-    separation = separation_cost(grid, belief.pose, belief.other_poses, belief.other_goals)
-    pairs = _by_price(stands, (ways.cost + separation)[cells[:, 0], cells[:, 1]], faces, robot)
-    views_of = np.zeros(len(faces), dtype=np.int64)
-    for first in range(0, len(pairs), _BATCH):
-        places, numbers = pairs[first : first + _BATCH].T
-        chosen = Faces(faces.middles[numbers], faces.normals[numbers])
-        for index in np.flatnonzero(_in_sight(grid, stands[places], chosen)).tolist():
-            if views_of[numbers[index]] == _MOST_VIEWS:
-                continue
-            views_of[numbers[index]] += 1
-            view = _view(grid, ways, cells[places[index]], faces, int(numbers[index]))
-            if view.length >= _SHORTEST:
-                return view
-    return None
-
-
 def _by_price(stands: FloatArray, cost: FloatArray, faces: Faces, robot: RobotSpec) -> IntArray:
     """Pairs (k, 2) of a place and a face that may be looked at from there, cheapest first.
 
@@ -163,21 +157,14 @@ def _by_price(stands: FloatArray, cost: FloatArray, faces: Faces, robot: RobotSp
     """
     farthest = robot.radius + _FAR_SHARE * robot.reach
     # In a large map there are millions of pairs, and few of them are near.
-    # The stubs of scipy know only the result for a single place.
-    near = cast(
-        "list[list[int]]",
-        cKDTree(faces.middles).query_ball_point(stands, farthest * (1.0 + 1e-9), return_sorted=True),
-    )
-    counts = np.array([len(each) for each in near], dtype=np.int64)
-    place = np.repeat(np.arange(len(stands)), counts)
-    face = np.fromiter(chain.from_iterable(near), dtype=np.int64, count=int(counts.sum()))
+    pairs = cKDTree(stands).sparse_distance_matrix(cKDTree(faces.middles), farthest, output_type="ndarray")
+    place, face, away = pairs["i"], pairs["j"], pairs["v"]
     offset = stands[place] - faces.middles[face]
-    away = np.hypot(offset[:, 0], offset[:, 1])
     steepness = np.sum(offset * faces.normals[face], axis=1) / np.maximum(away, 1e-9)
     price = cost[place] + _OFF_DISTANCE * np.abs(away - best_distance(robot)) + _SLANT * (1.0 - steepness)
-    is_seen = (away <= farthest) & (steepness >= _STEEP)
-    pairs = np.column_stack((place, face))[is_seen]
-    return np.asarray(pairs[np.argsort(price[is_seen], kind="stable")])
+    is_seen = steepness >= _STEEP
+    order = np.lexsort((face[is_seen], place[is_seen], price[is_seen]))
+    return np.asarray(np.column_stack((place, face))[is_seen][order])
 
 
 def best_distance(robot: RobotSpec) -> float:

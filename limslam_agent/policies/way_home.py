@@ -1,18 +1,17 @@
 """Exploration that ends where it began: the way back to the start."""
 
-import math
-
 import numpy as np
 
 from limslam_agent.belief import Belief
 from limslam_agent.config.presets import PolicyConfig
-from limslam_agent.policies.controller import AHEAD, ARRIVED, BACK_STEPS, PATIENCE, REPLAN_PERIOD, back_off, follow
+from limslam_agent.policies.controller import PATIENCE, REPLAN_PERIOD, Progress, follow
 from limslam_agent.policies.policy import NO_PLAN, MapExplorer, Policy
 from limslam_agent.policies.wall_views import path_to
 from limslam_env.geometry import FloatArray
 from limslam_env.interface import RobotSpec
 
-_MOST_TRIES = 3  # number of times that the robot backs off where it cannot go on
+# Steps without progress after which the robot gives up. It has seen its surroundings anew by then.
+_MOST_IDLE = 4 * PATIENCE
 
 
 class WayHome(MapExplorer):
@@ -56,12 +55,9 @@ class WayHome(MapExplorer):
         """End the exploration, and drive home."""
         self.is_going_home = True
 
-    def _forget_map(self) -> None:
-        self._tries = 0
-
     def _plan_anew(self) -> None:
         self._way: FloatArray | None = None  # home (k, 2), m
-        self._left, self._idle, self._until_plan, self._backing = math.inf, 0, 0, 0
+        self._progress, self._until_plan = Progress(), 0
 
     def _wheels(self, belief: Belief) -> FloatArray:
         if self.is_going_home and belief.status.level != "lost":
@@ -78,12 +74,6 @@ class WayHome(MapExplorer):
 
     def _drive(self, belief: Belief) -> FloatArray:
         """Wheel speeds (2,) along the path home."""
-        if self._backing > 0:
-            self._backing -= 1
-            return back_off(belief.pose, belief.grid, self.robot, self._config.speed)
-        if float(np.hypot(*(self._home - belief.pose[:2]))) < ARRIVED:
-            self.stop_reason = f"{self._why}; the robot is back at its start"
-            return np.zeros(2)
         if self._way is None or self._until_plan <= 0:
             path, self._until_plan = path_to(belief, self._home, self.robot), REPLAN_PERIOD
             self._way = self._way if path is None else np.vstack((path, self._home))
@@ -91,17 +81,12 @@ class WayHome(MapExplorer):
             self.stop_reason = f"{self._why}; the map shows no way back to the start"
             return np.zeros(2)
         self.plan, self._until_plan = self._way, self._until_plan - 1
-        away = np.hypot(*(self.plan - belief.pose[:2]).T)
-        wheels, left = follow(self.plan, away, belief, self.robot, self._config.speed)
-        self._count_idle(left)
-        return wheels
-
-    def _count_idle(self, left: float) -> None:
-        """Count the steps in which the remaining path, ``left`` (m), became no shorter; back off, or give up."""
-        self._idle = 0 if left < self._left - AHEAD else self._idle + 1
-        self._left = left if self._idle == 0 else self._left
-        if self._idle > PATIENCE:
-            self._idle, self._left, self._tries = 0, math.inf, self._tries + 1
-            self._backing, self._until_plan = BACK_STEPS, 0
-        if self._tries > _MOST_TRIES:
+        step = follow(self.plan, belief, self.robot, self._config.speed)
+        if step is None:
+            self.stop_reason = f"{self._why}; the robot is back at its start"
+            return np.zeros(2)
+        wheels, left = step
+        self._progress.count(left)
+        if self._progress.idle > _MOST_IDLE:
             self.stop_reason = f"{self._why}; something is in the way back to the start"
+        return wheels

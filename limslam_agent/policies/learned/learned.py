@@ -3,6 +3,9 @@
 The network sees what is near. The frontier explorer plans paths to what is far away, looks into the last corners, and
 knows when there is nothing left. So the network drives where there is much to see, and the frontier explorer drives
 elsewhere and ends the exploration.
+
+It also begins: it turns to what is near before it drives off. A robot that drives off at once, at top speed, loses its
+heading before it knows any wall, and the whole map stays turned by that error.
 """
 
 import math
@@ -19,7 +22,7 @@ from limslam_agent.policies.controller import wheel_speeds
 from limslam_agent.policies.frontier_policy import FrontierPolicy
 from limslam_agent.policies.learned.network import DirectionNetwork, load_network
 from limslam_agent.policies.learned.polar_view import FAR, observe
-from limslam_agent.policies.separation import cells_near_robots, nearer_to_others
+from limslam_agent.policies.targets import cells_near_robots, nearer_to_others
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import wrap_angle
 from limslam_env.interface import RobotSpec
@@ -42,7 +45,8 @@ HOLD = 5
 
 # Rate of turn per heading error, 1/s, and largest rate of turn, rad/s.
 _GAIN, _TURN_RATE = 5.0, 2.5
-# The network drives while the map has grown by so many m^2 for each robot within the last so many seconds.
+# The network drives while the map has grown by so many m^2 for each robot within the last so many seconds, and so not
+# in the first ones.
 _GROWTH, _WINDOW = 0.6, 8.0
 # Distance to the nearest frontier, m, up to which the network drives. It is the distance of the network's input, in
 # which small remnants count as farther away.
@@ -113,17 +117,14 @@ class LearnedPolicy(FrontierPolicy):
         # The last two numbers of the observation are the distance to a frontier and whether there is a way to it.
         is_near = bool(observation[-1]) and FAR * float(observation[-2]) <= _FARTHEST
         self._heading = None
-        if is_near and self._is_growing(belief.grid, (1 + len(belief.other_poses)) * _GROWTH):
+        growth = (self._counts[-1] - self._counts[0]) * belief.grid.cell**2
+        is_growing = len(self._counts) == self._counts.maxlen and growth >= (1 + len(belief.other_poses)) * _GROWTH
+        if is_near and is_growing:
             self._drop()
             scores = self._network.scores(observation).astype(float)
             # The index of the largest score plus Gumbel noise has the distribution of the softmax.
             drawn = int(np.argmax(scores + TEMPERATURE * self._generator.gumbel(size=len(scores))))
             self._heading = float(belief.pose[2]) + view.angle(drawn)
-
-    def _is_growing(self, grid: GridView, area: float) -> bool:
-        """Whether the map has grown by an area, m^2, in the last seconds. At the beginning it has."""
-        is_full = len(self._counts) == self._counts.maxlen
-        return not is_full or (self._counts[-1] - self._counts[0]) * grid.cell**2 >= area
 
 
 def wheels_towards(heading: float, pose: FloatArray, robot: RobotSpec) -> FloatArray:

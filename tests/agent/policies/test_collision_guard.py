@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.beliefs import CLEAR, ROBOT, drive
 
-from limslam_agent.policies.collision_guard import CollisionGuard
+from limslam_agent.policies.controller import CollisionGuard
 from limslam_env.geometry import FloatArray
 
 # A post seen by the beam at 45 degrees before the robot came nearer: 0.21 m from the centre, ahead and to the left.

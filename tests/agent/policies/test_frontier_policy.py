@@ -72,6 +72,13 @@ def test_a_frontier_that_no_way_leads_to_is_named() -> None:
     assert policy.stop_reason == "explored: 1 frontier is left that cannot be reached, near (1.8, 0.5)"
 
 
+def test_free_cells_behind_a_wall_without_room_for_the_robot_are_no_frontier_that_is_left() -> None:
+    behind = grid_of("#" * 14, *["#" + "." * 10 + "#??"] * 3, *["#" + "." * 10 + "#.."] * 3, "#" * 14)
+    policy = FrontierPolicy(ROBOT, CONFIG)
+    actions_until_stopped(policy, belief_of(place(4, 4), behind))
+    assert policy.stop_reason == "explored: no frontier is left"
+
+
 def test_a_frontier_in_whose_way_something_stands_is_left() -> None:
     policy = FrontierPolicy(ROBOT, CONFIG)
     actions = actions_until_stopped(policy, belief_of(place(3, 3), CORRIDOR, BLOCKED))

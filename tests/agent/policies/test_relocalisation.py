@@ -8,8 +8,7 @@ from support.beliefs import CONFIG, HALL, ROBOT, belief_of, grid_of, place
 
 from limslam_agent.belief import Guess
 from limslam_agent.grid.frontier import frontier_cells
-from limslam_agent.policies.relocalisation import search_cost
-from limslam_agent.policies.targets import next_target
+from limslam_agent.policies.targets import next_target, search_cost
 from limslam_agent.status.status import Status
 
 LOST = Status("lost", "for a test")

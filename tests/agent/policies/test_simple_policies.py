@@ -7,6 +7,7 @@ import pytest
 from support.beliefs import BLOCKED, CLEAR, CLOSED, CONFIG, ROBOT, actions_until_stopped, belief_of, explored, place
 
 from limslam_agent import Belief, Laps, RandomPolicy, WallFollower
+from limslam_agent.policies.controller import PATIENCE
 from limslam_env.geometry import FloatArray
 
 SQUARE = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]])
@@ -19,7 +20,7 @@ def test_laps_that_are_blocked_stop_and_name_the_corner(corner: int) -> None:
     policy = Laps(ROBOT, SQUARE, 3)
     actions = actions_until_stopped(policy, belief_of(np.array([*before, heading]), CLOSED, BLOCKED))
     assert policy.stop_reason == f"stopped: something is in the way to corner {corner + 1} of the loop"
-    assert 40 <= len(actions) <= 41
+    assert PATIENCE < len(actions) < PATIENCE + 3
     np.testing.assert_allclose(actions, 0.0, atol=1e-9)
 
 

@@ -13,8 +13,7 @@ from limslam_agent import Belief
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.grid.unfinished import Faces
 from limslam_agent.policies.controller import PATIENCE
-from limslam_agent.policies.wall_look import sweep_along
-from limslam_agent.policies.wall_policy import WallPolicy
+from limslam_agent.policies.wall_policy import WallPolicy, sweep_along
 from limslam_agent.policies.wall_views import View, next_view, open_border
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.run_config import RunConfig
