@@ -10,7 +10,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from limslam_env.bounds.tours import loop_tour
 
 from limslam_agent.mapping.joining import JoiningMapper
 from limslam_agent.mapping.mapper import Mapper
@@ -24,6 +23,7 @@ from limslam_agent.runs.policy_file import naming_lines_of
 from limslam_agent.runs.record import Episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.status.status import LEVELS
+from limslam_env.bounds import loop_tour
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.geometry import FloatArray
 from limslam_env.geometry.se2 import compose, turned
