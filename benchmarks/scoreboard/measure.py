@@ -23,11 +23,11 @@ from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import score
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.status.status import LEVELS
+from limslam_env import metrics
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.se2 import transform_points
 from limslam_env.geometry.segment import distances
 from limslam_env.interface import NominalNoise, RobotSpec
-from limslam_env.metrics import metrics
 from limslam_env.worlds.world import World
 
 WRONG = 0.5

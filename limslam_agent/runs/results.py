@@ -26,15 +26,10 @@ from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.runs.smoothing import final_status, mean_scores, smoothed_scores
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.status import status_scores, worst
+from limslam_env import metrics
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.interface import RobotSpec
-from limslam_env.metrics import (
-    AssociationEvent,
-    association_metrics,
-    closure_metrics,
-    dropped_beam_metrics,
-    metrics,
-)
+from limslam_env.metrics import AssociationEvent, association_metrics, closure_metrics, dropped_beam_metrics
 from limslam_env.simulation.coverage import CELL, CoverageGrid
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.formats.tables import world_toml

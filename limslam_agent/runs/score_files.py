@@ -12,10 +12,10 @@ from limslam_agent.output.export import plain
 from limslam_agent.output.finished_run import read_walls
 from limslam_agent.output.tum import TrajectoryError, read_rows, read_tum
 from limslam_agent.safe_files import load_arrays
+from limslam_env import metrics
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.se2 import compose, inverse, transform_points, turned
 from limslam_env.interface import RobotSpec
-from limslam_env.metrics import metrics
 from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.world import World
 

@@ -7,8 +7,8 @@ from limslam_agent.output.export import plain
 from limslam_agent.runs.record import Episode
 from limslam_agent.status.smoothed_status import lost_note, lost_since, smoothed_status
 from limslam_agent.status.status import LEVELS, final_status_scores, worst
+from limslam_env import metrics
 from limslam_env.geometry import FloatArray
-from limslam_env.metrics import metrics
 
 
 def final_status(episode: Episode) -> dict[str, str]:

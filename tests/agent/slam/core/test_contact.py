@@ -9,9 +9,8 @@ import pytest
 from limslam_agent import LineSlam, preset
 from limslam_agent.slam.core.contact import LONGEST, Contacts, slip_covariance, slip_covariances
 from limslam_agent.slam.line_graph.smoother import FilteredRun, smooth_run
-from limslam_env import NoiseConfig, NominalNoise, RobotSpec, World
+from limslam_env import NoiseConfig, NominalNoise, RobotSpec, World, metrics
 from limslam_env.geometry import FloatArray
-from limslam_env.metrics import metrics
 from limslam_env.simulation.simulation import Simulation
 
 ROBOT, STD, NOISE = RobotSpec(), 0.02, NominalNoise(0.02)
