@@ -20,8 +20,7 @@ from limslam_env.interface import NominalNoise, Observation, RobotSpec, SensorSp
 if TYPE_CHECKING:
     from limslam_env.envs.env import LimSlamEnv
     from limslam_env.envs.parallel_env import LimSlamParallelEnv, aec_env, parallel_env
-    from limslam_env.envs.vector_env import LimSlamVectorEnv
-    from limslam_env.envs.vector_parallel_env import LimSlamParallelVectorEnv, parallel_vector_env
+    from limslam_env.envs.vector_env import LimSlamParallelVectorEnv, LimSlamVectorEnv, parallel_vector_env
     from limslam_env.rendering.painter import Overlay
     from limslam_env.worlds.formats.loading import load_world
     from limslam_env.worlds.generation.floor_plans import FloorPlanConfig
@@ -57,14 +56,14 @@ _LAZY_MODULES = {
     "FloorPlanConfig": "worlds.generation.floor_plans",
     "LimSlamEnv": "envs.env",
     "LimSlamParallelEnv": "envs.parallel_env",
-    "LimSlamParallelVectorEnv": "envs.vector_parallel_env",
+    "LimSlamParallelVectorEnv": "envs.vector_env",
     "LimSlamVectorEnv": "envs.vector_env",
     "Overlay": "rendering.painter",
     "World": "worlds.world",
     "aec_env": "envs.parallel_env",
     "load_world": "worlds.formats.loading",
     "parallel_env": "envs.parallel_env",
-    "parallel_vector_env": "envs.vector_parallel_env",
+    "parallel_vector_env": "envs.vector_env",
 }
 
 _WORLD_ARGUMENTS = {

@@ -17,6 +17,7 @@ from scipy.special import gammaincinv
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.geometry.se2 import between, transform_points, wrap_angle
 from limslam_env.geometry.segment import distances, lengths, sample
+from limslam_env.worlds.regions import starting_cells
 from limslam_env.worlds.world import World
 
 SAMPLE_SPACING = 0.05  # m of wall that one sample stands for
@@ -324,8 +325,7 @@ def _directions(segments: FloatArray) -> FloatArray:
 def _stands(world: World, radius: float) -> FloatArray:
     """Places (n, 2) about 0.1 m apart that the centre of the robot's disc can get to, m."""
     space = world.free_space(radius)
-    regions = [space.region_of(start[:2]) for start in world.starts] or [space.largest_closed_region()]
-    centres = space.centres(np.logical_or.reduce(regions))
+    centres = space.centres(starting_cells(world, space))
     # One place of each block is enough, as long as no block holds both sides of a wall.
     blocks = np.floor((centres - space.origin) / min(_STAND_SPACING, radius)).astype(int)
     _, first = np.unique(blocks, axis=0, return_index=True)

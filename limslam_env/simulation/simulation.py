@@ -128,6 +128,8 @@ class Simulation:
 
     def step(self, actions: Sequence[tuple[float, float]]) -> tuple[Readings, Truth]:
         """Drive for one control period with each robot's left and right wheel speed, fractions of the maximum."""
+        if len(actions) != self.num_robots:
+            raise ValueError(f"there must be an action for each of {self.num_robots} robots, not {len(actions)}")
         self._steps += 1
         draws, travel = self._draws.next(), self._travel
         for robot, (left, right) in enumerate(actions):
