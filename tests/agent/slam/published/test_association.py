@@ -92,9 +92,7 @@ def test_one_exclusion_alone_keeps_the_pair_apart(
     # Without any of the other three the pair is still ruled out, and without this one it goes through.
     for other in EXCLUSIONS:
         with monkeypatch.context() as patch:
-            patch.setattr(
-                association, "passed_tests", lambda *of, off=other: TESTS(*of) | {off: np.array([True])}
-            )
+            patch.setattr(association, "passed_tests", lambda *of, off=other: TESTS(*of) | {off: np.array([True])})
             assert len(matched(observation, pose, lines, segments)) == (other == exclusion)
 
 
