@@ -1,6 +1,8 @@
 """LineSlam: estimates the poses of robots, and the walls around them, from a few beams and odometry."""
 
 import functools
+from collections.abc import Callable
+from typing import Any
 
 from limslam_agent.config.presets import AgentConfig
 from limslam_agent.config.published import PublishedConfig
@@ -52,14 +54,17 @@ class LineSlam(Estimator):
 
     def __new__(  # noqa: PYI034 (an estimator of another class)
         cls,
-        robot: RobotSpec | None = None,
-        config: AgentConfig | None = None,
+        robot: RobotSpec,
+        config: AgentConfig,
         start_pose: FloatArray | None = None,
         sensor: RangeSensor | None = None,
     ) -> "LineSlam":
-        """An object of the estimator that the settings choose. A copy is made without settings."""
+        """An object of the estimator that the settings choose."""
         del robot, start_pose, sensor
-        return super().__new__(cls if config is None else _estimator_of(config))
+        return _empty(config)
+
+    def __reduce__(self) -> tuple[Callable[[AgentConfig], "LineSlam"], tuple[AgentConfig], dict[str, Any]]:
+        return _empty, (self.config,), vars(self)
 
     @property
     def map_state(self) -> MapState:
@@ -100,6 +105,7 @@ def _published_slam() -> type[LineSlam]:
     return PublishedSlam
 
 
-def _estimator_of(config: AgentConfig) -> type[LineSlam]:
-    """The estimator that the settings choose by their type."""
-    return _published_slam() if isinstance(config.estimator, PublishedConfig) else _ConsistentSlam
+def _empty(config: AgentConfig) -> LineSlam:
+    """An object, still without state, of the estimator that the settings choose by their type."""
+    kind = _published_slam() if isinstance(config.estimator, PublishedConfig) else _ConsistentSlam
+    return object.__new__(kind)

@@ -17,7 +17,7 @@ from limslam_agent.readings import as_readings
 from limslam_agent.slam.batch import compiled_steps as steps
 from limslam_agent.slam.batch.grid import CropArray, crop, update
 from limslam_agent.slam.batch.state import REFUSED, STEP, Capacity, Spec, States, spec_of, states_for
-from limslam_agent.slam.consistent.limits import MAX_GAP, THROUGH_TOLERANCE, WALL_END
+from limslam_agent.slam.consistent.limits import MAX_GAP, THROUGH_TOLERANCE
 from limslam_agent.slam.consistent.pending_readings import DRIVEN, DRIVEN_AT, FRESH, SIDES, TURNED, TURNED_AT
 from limslam_agent.slam.consistent.wall_map import WallExtent
 from limslam_env.compilation import algebra, next_of
@@ -320,7 +320,7 @@ def step_some(
         ekf, travel = state.filter, state.travel
         jitter = accept(state, ranges[number], wheels[number], spec, measured)
         for side in range(_NUM_SIDES):
-            is_over = steps.has_ended(travel, state.fill, side, WALL_END)
+            is_over = steps.has_ended(travel, state.fill, side)
             if state.fill[side, FRESH] >= settings.batch or is_over:
                 steps.process(
                     ekf, state.walls, state.pending, state.fill, side, travel[DRIVEN], settings, spec.beams, is_over,

@@ -212,7 +212,7 @@ class ConsistentEstimator(Estimator):
             clone = self.filter.clone(number)
             collect(travel, pending, fill, front.step, front.ranges, front.hits, self._sides, clone)
         for side in range(len(SIDES)):
-            is_over = has_ended(travel, fill, side, limits.WALL_END)
+            is_over = has_ended(travel, fill, side)
             if fill[side, FRESH] >= settings.batch or is_over:
                 self._process(number, side, front.step, is_over=is_over)
         if (self.filter.calibration_evidence or 0.0) > _CALIBRATION_GATE:
@@ -309,7 +309,7 @@ class ConsistentEstimator(Estimator):
             for number, known in zip(new, known_as, strict=True)
             if self.settings.closes_loops and known in places
         ]
-        agreeing = [pairs[chosen] for chosen in self._map.agreeing(pairs, limits.ONE_WALL_GATE)]
+        agreeing = [pairs[chosen] for chosen in self._map.agreeing(pairs)]
         # The younger landmark is removed: the last ones first, so that the others keep their places.
         for older, younger in sorted(agreeing, key=lambda pair: -pair[1]):
             merge_landmarks(self.filter.arrays, self.walls, older, younger, reports)

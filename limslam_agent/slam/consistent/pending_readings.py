@@ -11,6 +11,7 @@ them. For each robot, ``travel`` (7,) has the places that are named below, and f
 import numpy as np
 
 from limslam_agent.kernels.tables import ANGLE, CLONES, FROM_X, FROM_Y, Filter
+from limslam_agent.slam.consistent.limits import WALL_END
 from limslam_agent.slam.consistent.step_settings import StepSettings
 from limslam_env.geometry import BoolArray, FloatArray, IntArray
 from limslam_env.interface import RobotSpec, Side
@@ -79,9 +80,9 @@ def collect(
             fill[side, FRESH] += 1
 
 
-def has_ended(travel: FloatArray, fill: IntArray, side: int, gap: float) -> bool:
-    """Whether a side has pending readings but no hit within the last ``gap`` (m): the wall there has ended."""
-    return bool(fill[side, WAITING] > 0 and travel[DRIVEN] - travel[LAST_HIT + side] > gap)
+def has_ended(travel: FloatArray, fill: IntArray, side: int) -> bool:
+    """Whether a side has pending readings, but has had no hit for so long that the wall there has ended."""
+    return bool(fill[side, WAITING] > 0 and travel[DRIVEN] - travel[LAST_HIT + side] > WALL_END)
 
 
 def places_of(ekf: Filter, clones: FloatArray) -> IntArray:

@@ -20,7 +20,7 @@ from limslam_agent.kernels.tables import (
     READINGS,
     empty_walls,
 )
-from limslam_agent.slam.consistent.limits import MAX_GAP, STRAIGHTNESS, THROUGH_TOLERANCE
+from limslam_agent.slam.consistent.limits import MAX_GAP, ONE_WALL_GATE, STRAIGHTNESS, THROUGH_TOLERANCE
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_env.geometry import FloatArray, IntArray
 from limslam_env.geometry.line import at, direction
@@ -197,11 +197,11 @@ class WallMap:
         """Positions (...) of points (..., 2) along a landmark, m from its anchor."""
         return np.asarray((points - self._belief.anchors[index]) @ direction(self._belief.line(index)))
 
-    def agreeing(self, pairs: list[tuple[int, int]], gate: float) -> list[int]:
+    def agreeing(self, pairs: list[tuple[int, int]]) -> list[int]:
         """Which pairs of landmarks may all be one wall each, of pairs that are likely to be.
 
         Each of them must agree with all others: the pair that they contradict most is left out, until the squared
-        Mahalanobis distance of each pair, given that the others are equal, is at most the gate.
+        Mahalanobis distance of each pair, given that the others are equal, is at most ``ONE_WALL_GATE``.
         """
         off, covariance = self._belief.differences(pairs)
         covariance += np.diag(np.tile(STRAIGHTNESS, len(pairs)))
@@ -212,7 +212,7 @@ class WallMap:
             residuals = (information @ off[rows]).reshape(-1, 2, 1)
             own = information.reshape(len(each), 2, len(each), 2)[each, :, each]
             squared = np.sum(residuals * np.linalg.solve(own, residuals), axis=(1, 2))
-            if squared.max() <= gate:
+            if squared.max() <= ONE_WALL_GATE:
                 break
             chosen = np.delete(chosen, squared.argmax())
         return [int(number) for number in chosen]

@@ -64,19 +64,9 @@ def associate(
     """
     if len(lines) == 0:
         return []
-    ends, line, reach = transform_points(pose, observed.ends), from_frame(observed.line, pose), max_range
-    reach += config.range_slack
-    # Beams must meet the landmark even where the test of the ends is disabled.
-    seen_past_ends = min(config.max_end_gap, _MOST_UNSEEN) + config.range_slack
-    # Two walls on one line with a door between them remain two landmarks by the test of the ends.
+    ends, line, tests = transform_points(pose, observed.ends), from_frame(observed.line, pose), []
     (angles, offsets), gaps = difference(line, ends, lines), end_gaps(ends, lines, segments)
-    passed = {
-        "ends": gaps <= config.max_end_gap,
-        "range": segment_distances(pose[None, :2], segments)[0] <= reach,
-        "direction": (angles <= config.max_angle) & (offsets <= config.max_distance),
-        "hidden": visible(observed, pose, segments, reach, seen_past_ends),
-    }
-    tests = []
+    passed = passed_tests(observed, pose, segments, (angles, offsets, gaps), max_range + config.range_slack, config)
     for index in range(len(lines)):
         excluded, squared = next((name for name, passes in passed.items() if not passes[index]), ""), np.nan
         if not excluded:
@@ -86,6 +76,28 @@ def associate(
         angle, offset, gap = float(angles[index]), float(offsets[index]), float(gaps[index])
         tests.append(CandidateTest(index, excluded, angle, offset, gap, squared))
     return tests
+
+
+def passed_tests(
+    observed: ObservedLine,
+    pose: FloatArray,
+    segments: FloatArray,
+    off: tuple[FloatArray, FloatArray, FloatArray],
+    reach: float,
+    config: AssociationConfig,
+) -> dict[str, BoolArray]:
+    """Which landmarks (N,) pass each of the four exclusion tests, by angles, offsets and gaps (N,) and their reach, m.
+
+    By the test of the ends, two walls on one line with a door between them remain two landmarks.
+    """
+    # Beams must meet the landmark even where the test of the ends is disabled.
+    seen_past_ends = min(config.max_end_gap, _MOST_UNSEEN) + config.range_slack
+    return {
+        "ends": off[2] <= config.max_end_gap,
+        "range": segment_distances(pose[None, :2], segments)[0] <= reach,
+        "direction": (off[0] <= config.max_angle) & (off[1] <= config.max_distance),
+        "hidden": visible(observed, pose, segments, reach, seen_past_ends),
+    }
 
 
 def end_gaps(ends: FloatArray, lines: FloatArray, segments: FloatArray) -> FloatArray:

@@ -48,7 +48,11 @@ class LineMap:
         self.every = np.asarray(foot[:, None] + position[..., None] * tangents[:, None]).reshape(-1, 4)
         is_shown = np.array(self._observations, dtype=int) >= self._config.min_observations
         self._shown = np.flatnonzero(is_shown & (lengths(self.every) >= self._config.min_length))
-        self.segments = self.every[self._shown]
+
+    @property
+    def segments(self) -> FloatArray:
+        """The walls of the map (N, 4), m. A copy."""
+        return np.asarray(self.every[self._shown])
 
     @property
     def landmarks(self) -> list[Landmark]:
