@@ -114,6 +114,8 @@ class LogEstimate:
             spent += 1e3 * (time.perf_counter() - begin) - job
             if self.handed_over is None and is_handed_over(self._log, mapper.config, self.status):
                 self.handed_over = number
-        is_filter = graph is None or self.handed_over is None
-        pose, covariance = (mapper.slam.pose, mapper.covariances[0]) if is_filter else (graph.pose, graph.covariance)
+        if graph is None or self.handed_over is None:
+            pose, covariance = mapper.slam.pose, mapper.covariances[0]
+        else:
+            pose, covariance = graph.pose, graph.covariance
         return Estimate(pose, covariance, self._odometry, LEVELS.index(self.status.level), spent, job)

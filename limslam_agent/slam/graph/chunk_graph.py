@@ -38,10 +38,8 @@ TURN_STEP = math.radians(3.0)
 # How far from its believed pose a chunk is searched for: standard deviations that are added to the gate and to the
 # window; the largest distance between two chunks, m; and the largest window, m and rad.
 _SIGMAS, _MOST_DISTANCE, _MOST_SHIFT, _MOST_TURN = 2.5, 12.0, 4.0, math.radians(35.0)
-SCORES, SCORES_WHILE_DRIVING = (0.50, 0.40), (0.60, 0.50)
-"""Least scores of a match, and of the match in the opposite direction. While the robot drives, no later visit has
-contradicted a loop yet, so a match must be better.
-"""
+SCORES = 0.50, 0.40
+"""Least scores of a match, and of the match in the opposite direction."""
 _BEST = 3  # loops from one chunk
 _BACKWARD_WINDOW = Window(0.3, math.radians(4.0), TURN_STEP)
 
@@ -164,8 +162,6 @@ class ChunkGraph:
     ----------
     chunk, pose
         The first chunk and its pose (3,), which is fixed.
-    scores
-        Least scores of a match, and of the match in the opposite direction.
 
     Attributes
     ----------
@@ -181,8 +177,7 @@ class ChunkGraph:
         All loops that the search has accepted, both right and wrong.
     """
 
-    def __init__(self, chunk: LocalMap, pose: FloatArray, scores: tuple[float, float] = SCORES) -> None:
-        self._scores = scores
+    def __init__(self, chunk: LocalMap, pose: FloatArray) -> None:
         self.maps, self.poses, self.covariance = [chunk], pose[None], np.zeros((3, 3))
         self.hops, self.loops = Hops(np.zeros((0, 3)), np.zeros((0, 3, 3))), list[Loop]()
         self._grids = dict[int, SearchGrid]()
@@ -223,7 +218,7 @@ class ChunkGraph:
             return []
         guesses, position_std, turn_std = self._seen_from(old)
         distance = np.hypot(guesses[:, 0], guesses[:, 1])
-        least, _ = self._scores
+        least, _ = SCORES
         for row in np.nonzero(distance <= np.minimum(_MOST_DISTANCE, _GATE + _SIGMAS * position_std))[0]:
             shift = min(_MOST_SHIFT, _LEAST_WINDOW + _SIGMAS * position_std[row])
             turn = min(_MOST_TURN, _LEAST_TURN + _SIGMAS * turn_std[row])
@@ -238,7 +233,7 @@ class ChunkGraph:
     def _loop(self, first: int, second: int, found: Match) -> Loop | None:
         """A loop with the covariance of its match; None if the chunks do not match in the opposite direction."""
         back, others = self._grid(second), self.maps[first].points
-        _, least = self._scores
+        _, least = SCORES
         again = match(back, others, se2.inverse(found.pose), _BACKWARD_WINDOW, least)
         if again.score < least:
             return None

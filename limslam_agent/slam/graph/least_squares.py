@@ -78,7 +78,8 @@ def add_odometry(
 def add_links(equations: NormalEquations, poses: FloatArray, cloud: PointCloud, links: IntArray, std: float) -> None:
     """Add links (l, 2) from points to the lines through other points; ``std`` (m) is the standard deviation of each."""
     key, other = cloud.key[links].T
-    errors, jacobian = link_factor(poses[key], poses[other], *cloud.places[links.T], cloud.normals[links[:, 1]])
+    points, others = cloud.places[links.T]
+    errors, jacobian = link_factor(poses[key], poses[other], points, others, cloud.normals[links[:, 1]])
     add_robust(equations, np.hstack((pose_columns(key), pose_columns(other))), jacobian, errors, std, _LINK_KERNEL)
 
 

@@ -124,6 +124,8 @@ class SmoothedRun:
         The poses (t, n, 3) at which the ranges were read: others than ``poses`` if these are late.
     landmarks, segments
         The walls of the map: their lines as landmarks with covariances, and their segments (k, 4), m.
+    associations
+        The readings of each robot that lie on each landmark, by its place in ``landmarks``.
     calibration
         Calibration (n, 4): relative excess of left wheel, right wheel and axle over their specified values, and the
         bias of all ranges, m. None where the robots are taken to be as specified, and no bias is known.
@@ -138,6 +140,7 @@ class SmoothedRun:
     read_at: FloatArray
     landmarks: list[Landmark]
     segments: FloatArray
+    associations: list[AssociationRecord]
     calibration: FloatArray | None
     contradictions: float
     robot: RobotSpec
@@ -313,7 +316,20 @@ def _smoothed(found: Association, run: FilteredRun) -> SmoothedRun:
         covariances=np.concatenate((covariances, run.covariances[len(poses) :])),
         landmarks=landmarks,
         segments=segments,
+        associations=_associations(found, landmarks, run.first_step),
         calibration=found.state.calibration if problem.prior is not None or problem.sensor.bias else None,
         contradictions=contradictions(found),
         robot=problem.robot,
     )
+
+
+def _associations(found: Association, landmarks: list[Landmark], first_step: int) -> list[AssociationRecord]:
+    problem, readings = found.problem, found.problem.readings
+    records = []
+    for number, mark in enumerate(landmarks):
+        for robot in range(len(problem.starts)):
+            own = (found.labels == mark.number) & (readings.places // problem.steps == robot)
+            rows = np.column_stack((readings.places[own] % problem.steps + first_step, readings.beams[own]))
+            if len(rows):
+                records.append(AssociationRecord(number, is_new=False, readings=rows, robot=robot))
+    return records

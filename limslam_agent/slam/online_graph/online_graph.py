@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from limslam_agent.config.graph import GraphConfig, LocalMapConfig
-from limslam_agent.slam.graph.chunk_graph import SCORES_WHILE_DRIVING, ChunkGraph, inflated
+from limslam_agent.slam.graph.chunk_graph import ChunkGraph, inflated
 from limslam_agent.slam.graph.key_poses import (
     ERRORS,
     KEY_DISTANCE,
@@ -201,7 +201,7 @@ class OnlineGraph:
         motion = between(frame.poses[before], pose)
         if self.places is None:
             self._first_covariance = moved_covariance(self._start, np.zeros((3, 3)), motion, own)
-            self.places = ChunkGraph(chunk, compose(self._start, motion), SCORES_WHILE_DRIVING)
+            self.places = ChunkGraph(chunk, compose(self._start, motion))
         else:
             self.places.add(chunk, motion, own)
             self._chunk_std = self.places.position_std
