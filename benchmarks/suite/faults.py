@@ -25,20 +25,10 @@ RIGHT_PLACE, RIGHT_HEADING = 0.5, np.radians(15.0)
 
 @dataclass(eq=False)
 class Fault:
-    """One fault of a robot, which alters what it reports.
+    """One fault of a robot, of a kind in :data:`DRIVE_FAULTS`, which alters what it reports from a time (s) on.
 
-    Attributes
-    ----------
-    kind
-        One of :data:`DRIVE_FAULTS`.
-    begin
-        Time at which the fault begins, s.
-    seed
-        Chooses the beam.
-    robot
-        The robot without the fault.
-    slips
-        For ``slips``: the turn (rad) that the wheels do not notice, by the number of the step.
+    The seed chooses the beam, and ``robot`` is without the fault. ``slips`` has the turns (rad) that the wheels do not
+    notice, by the number of the step.
     """
 
     kind: str

@@ -76,10 +76,10 @@ class CommandActor:
         seen = ranges_in_mm(np.asarray(observation["ranges"]), self._robot)
         now = self._step * self._firmware.hello.period_ms
         if not self._firmware.has_host:
-            self._greet(now)
+            self._greet(self._link, now)
         lines = self._firmware.say(now, ticks(self._travel), seen)
         self._link.send(lines)
-        self._hear_answer(now, lines)
+        self._hear_answer(self._link, now, lines)
         self._step += 1
         if self.done:
             self.close()
@@ -92,19 +92,17 @@ class CommandActor:
             self._link.end()
             self._link = None
 
-    def _greet(self, now: int) -> None:
-        assert self._link is not None  # noqa: S101 (act checks it)
-        self._link.send(self._firmware.say(now, ticks(self._travel), ()))
+    def _greet(self, link: "_Process", now: int) -> None:
+        link.send(self._firmware.say(now, ticks(self._travel), ()))
         give_up = time.monotonic() + GREETING_WITHIN
         while not self._firmware.has_host:
-            self._firmware.hear(self._link.line(give_up, "greet the robot", GREETING_WITHIN), now)
+            self._firmware.hear(link.line(give_up, "greet the robot", GREETING_WITHIN), now)
 
-    def _hear_answer(self, now: int, lines: Sequence[bytes]) -> None:
-        assert self._link is not None  # noqa: S101 (act checks it)
+    def _hear_answer(self, link: "_Process", now: int, lines: Sequence[bytes]) -> None:
         numbers = [message.seq for message in map(decode, lines) if isinstance(message, Telemetry)]
         give_up = time.monotonic() + ANSWER_WITHIN
         while True:
-            line = self._link.line(give_up, "answer", ANSWER_WITHIN)
+            line = link.line(give_up, "answer", ANSWER_WITHIN)
             self._firmware.hear(line, now)
             try:
                 message = decode(line)
@@ -131,14 +129,15 @@ class _Process:
         except OSError as error:
             self._errors.close()
             raise ValueError(f"{words[0]}: cannot be started: {error.strerror or error}") from error
+        assert self._process.stdin is not None  # noqa: S101 (it is a pipe)
         assert self._process.stdout is not None  # noqa: S101 (it is a pipe)
+        self._input = self._process.stdin
         # A process that writes without end has to wait, and does not answer in time.
         self._lines: queue.Queue[bytes] = queue.Queue(MOST_WAITING)
         threading.Thread(target=_read_lines, args=(self._process.stdout, self._lines), daemon=True).start()
 
     def send(self, lines: Sequence[bytes]) -> None:
         """Write lines. A process that does not read them is killed, because writing waits for it without a limit."""
-        assert self._process.stdin is not None  # noqa: S101 (it is a pipe)
         is_late = threading.Event()
 
         def kill() -> None:
@@ -148,8 +147,8 @@ class _Process:
         timer = threading.Timer(ANSWER_WITHIN, kill)
         timer.start()
         try:
-            self._process.stdin.write(b"".join(lines))
-            self._process.stdin.flush()
+            self._input.write(b"".join(lines))
+            self._input.flush()
         except OSError as error:
             if is_late.is_set():
                 raise ValueError(f"the command did not read its input within {ANSWER_WITHIN:g} s") from None
@@ -184,9 +183,8 @@ class _Process:
 
     def end(self) -> None:
         """Close the input of the process, which ends it. A process that goes on is killed."""
-        assert self._process.stdin is not None  # noqa: S101 (it is a pipe)
         with suppress(OSError):  # what was written cannot be read any more
-            self._process.stdin.close()
+            self._input.close()
         try:
             self._process.wait(_ENDING)
         except subprocess.TimeoutExpired:

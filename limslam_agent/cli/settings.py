@@ -42,13 +42,7 @@ class Given:
 
     @classmethod
     def read(cls, path: Path | None, arguments: Table) -> "Given":
-        """Read the file; arguments that are None were not given.
-
-        Raises
-        ------
-        SettingsError
-            If the file cannot be read.
-        """
+        """Read the file; arguments that are None were not given."""
         options = {name: value for name, value in arguments.items() if value is not None}
         return cls(path, read_toml(path) if path else {}, options)
 

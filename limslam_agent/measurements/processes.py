@@ -32,13 +32,8 @@ class Processes:
     A ``ProcessPoolExecutor`` would not do: it fails as a whole when one of its processes dies, it does not say which
     job that process had, and it has no time-out. Here each worker has its own pipe and at most one job.
 
-    Attributes
-    ----------
-    workers
-        Number of processes.
-    timeout
-        Wall-clock time, s, after which a job has failed and its worker is killed. The clock of a job starts when a
-        worker starts the job: the time that a new process takes to import its modules does not count.
+    A job that takes longer than ``timeout``, s, has failed, and its worker is killed. The clock of a job starts when a
+    worker starts the job: the time that a new process takes to import its modules does not count.
     """
 
     workers: int

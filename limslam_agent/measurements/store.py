@@ -50,17 +50,10 @@ S = TypeVar("S", bound=BaseStamp)
 
 @dataclass(frozen=True)
 class Format(Generic[S, R]):
-    """A kind of results.
+    """A kind of results: what a folder holds, for messages, its stamp with the name of its file, and its rows.
 
-    Attributes
-    ----------
-    name
-        What a folder holds, for messages.
-    stamp_file, stamp
-        Name of the file of the stamp, and its dataclass.
-    row, key
-        The dataclass of a row, whose fields with ``compare=False`` may differ when a job is repeated; and what tells
-        its job from others.
+    Fields of a row with ``compare=False`` may differ when a job is repeated. ``key`` tells the job of a row from
+    others.
     """
 
     name: str
@@ -89,12 +82,7 @@ def open_store(
 ) -> Iterator[Store[R]]:
     """Open a folder of results: create it if needed, repair it after a kill, and lock it.
 
-    Parameters
-    ----------
-    form, folder, stamp
-        The kind of results, their folder, and the stamp of the new ones.
-    keep
-        Whether an earlier row stays. The jobs of others are missing again.
+    ``keep`` says whether an earlier row stays. The jobs of others are missing again.
 
     Raises
     ------

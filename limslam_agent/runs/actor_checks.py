@@ -12,14 +12,9 @@ from limslam_env.messages import one_line
 
 
 def check_actor(actor: Any, robot: RobotSpec, env: Any) -> None:
-    """Refuse an actor that was made for another robot, or a model that was trained on other observations.
+    """Refuse an actor that was made for another robot, or a model that was trained on observations of another form.
 
     ``env`` is the environment as the actor sees it, with all wrappers.
-
-    Raises
-    ------
-    ValueError
-        If the actor has another ``robot``, or an ``observation_space`` of another form.
     """
     own = getattr(actor, "robot", None)
     if isinstance(own, RobotSpec) and own != robot:

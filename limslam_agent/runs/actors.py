@@ -26,12 +26,8 @@ ALONE = "robot_0"
 class Driver:
     """Drives the robots of an episode: from the observations of all robots to the actions of all robots.
 
-    Parameters
-    ----------
-    make
-        Gives the actor of an episode, for a number of robots and a seed.
-    answers_all
-        Whether the actor takes the observations of all robots by their names. Otherwise it takes those of one robot.
+    ``make`` gives the actor of an episode, for a number of robots and a seed. If it ``answers_all``, it takes the
+    observations of all robots by their names, and otherwise those of one robot.
     """
 
     def __init__(self, make: Callable[[int, int], Any], *, answers_all: bool) -> None:

@@ -34,16 +34,8 @@ _ARRIVED = 0.003  # m, smaller than the distance between a tour and the walls
 class Tour:
     """Drives past waypoints by the true pose. What is measured or believed plays no role.
 
-    The robot turns on the spot towards each waypoint and then drives straight.
-
-    Parameters
-    ----------
-    robot
-        Body of the robot.
-    planner
-        Plans waypoints (k, 2), m, from the true pose (3,): at the start, and whenever all have been passed.
-    tours
-        Largest number of calls of the planner.
+    The robot turns on the spot towards each waypoint and then drives straight. ``planner`` plans waypoints (k, 2), m,
+    from the true pose (3,): at the start, and whenever all have been passed, ``tours`` times at most.
     """
 
     def __init__(self, robot: RobotSpec, planner: Callable[[FloatArray], FloatArray], tours: int = 1) -> None:
