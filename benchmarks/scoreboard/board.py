@@ -17,11 +17,9 @@ import limslam_agent
 from benchmarks.scoreboard.compare import Cell
 from benchmarks.scoreboard.measure import measure
 from benchmarks.scoreboard.rows import Row, Rows
-from benchmarks.suite.jobs import digest
-from benchmarks.suite.runner import Summary, run_suite
+from benchmarks.suite.jobs import Suite, digest
+from benchmarks.suite.runner import Summary, data_folder, run_suite
 from benchmarks.suite.store import read_rows
-from benchmarks.suite.suite import Suite
-from benchmarks.suite.work import data_folder
 from limslam_agent.measurements.processes import Processes
 from limslam_agent.measurements.statistics import MISSING, number
 from limslam_agent.output.atomic_write import replace_content

@@ -8,7 +8,7 @@ import numpy as np
 
 from benchmarks.scoreboard.rows import Row
 from benchmarks.suite.faults import DRIVE_FAULTS, Fault, drawn_slips, with_fault
-from benchmarks.suite.work import world_source
+from benchmarks.suite.runner import world_source
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.policies.controller import TURN_RATE, wheel_speeds
 from limslam_agent.policies.simple_policies import LAP_SPEED

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.scoreboard.drives import LEAST_WAY, next_place
-from benchmarks.suite.work import data_file
+from benchmarks.suite.runner import data_file
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.logs.pose_log import MIN_RANGE, nearest_beams
 from limslam_agent.logs.relations import Relations, relation_errors, summary

@@ -13,7 +13,7 @@ from benchmarks.scoreboard.drives import recorded_drive, shaken, world_of
 from benchmarks.scoreboard.rows import Row
 from benchmarks.suite.faults import fault_scores
 from benchmarks.suite.jobs import Job, Outcome
-from benchmarks.suite.work import data_file
+from benchmarks.suite.runner import data_file
 from limslam_agent.config.presets import preset
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.output.export import plain

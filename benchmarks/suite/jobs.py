@@ -1,4 +1,4 @@
-"""A job of a suite, and its result."""
+"""A suite, its jobs, and the result of one."""
 
 import hashlib
 import json
@@ -90,6 +90,16 @@ class Job:
         if self.laps:
             parts.append(counted(self.laps, "lap"))
         return ", ".join(parts)
+
+
+@dataclass(frozen=True)
+class Suite:
+    """A suite of jobs, of which no two are equal. The digest is that of the jobs and of the content of their worlds."""
+
+    name: str
+    description: str
+    jobs: tuple[Job, ...]
+    digest: str
 
 
 @dataclass(frozen=True, eq=False)

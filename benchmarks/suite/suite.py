@@ -8,24 +8,14 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from benchmarks.suite.jobs import RANDOM, Job, digest
-from benchmarks.suite.work import contents, run_config
+from benchmarks.suite.jobs import RANDOM, Job, Suite, digest
+from benchmarks.suite.runner import contents, run_config
 from limslam_agent.config.tables import built, read_toml
 from limslam_env.messages import described, one_line
 
 FOLDER = Path(__file__).parent / "suites"
 NO_ABLATION = "none"
 MAX_SEEDS = 100_000
-
-
-@dataclass(frozen=True)
-class Suite:
-    """A suite of jobs, of which no two are equal. The digest is that of the jobs and of the content of their worlds."""
-
-    name: str
-    description: str
-    jobs: tuple[Job, ...]
-    digest: str
 
 
 @dataclass(frozen=True)

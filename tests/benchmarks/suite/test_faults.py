@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.suite.faults import Fault, fault_begins, fault_scores
 from benchmarks.suite.jobs import Job
-from benchmarks.suite.work import run_job
+from benchmarks.suite.runner import run_job
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.run_config import RunConfig
 

@@ -17,10 +17,10 @@ from support.command_line import call
 
 from benchmarks.__main__ import main
 from benchmarks.analysis import tables
-from benchmarks.suite.jobs import Job
+from benchmarks.suite.jobs import Job, Suite
 from benchmarks.suite.runner import ONE_THREAD, run_suite
 from benchmarks.suite.store import STAMP, read_rows
-from benchmarks.suite.suite import Suite, load_suite
+from benchmarks.suite.suite import load_suite
 from limslam_agent.measurements.processes import Failure, Processes
 from limslam_agent.measurements.store import RESULTS
 from limslam_agent.output.provenance import commit

@@ -5,10 +5,9 @@ import json
 import pytest
 from support import benchmark_work
 
-from benchmarks.suite.jobs import Job
+from benchmarks.suite.jobs import Job, Suite
 from benchmarks.suite.runner import run_suite
 from benchmarks.suite.store import STAMP, read_rows
-from benchmarks.suite.suite import Suite
 from limslam_agent.measurements.store import RESULTS
 
 JOBS = tuple(Job("env1", 0.02, seed=seed) for seed in range(2))

@@ -7,8 +7,8 @@ import pytest
 from support.command_line import call
 
 from benchmarks.__main__ import main
+from benchmarks.suite.runner import run_config
 from benchmarks.suite.suite import load_suite, shipped_suites
-from benchmarks.suite.work import run_config
 
 HEAD = 'name = "tiny"\ndescription = "A few."\n'
 GRID = HEAD + '[[grid]]\nworlds = ["env1"]\nnoises = [0.02]\nseeds = [0]\n'
