@@ -51,7 +51,9 @@ def carry_out(options: LiveOptions, config: "AgentConfig", wired: "Wired") -> No
     from limslam_agent.live.link import NoRobotError
     from limslam_agent.live.recording import Recording, kept
     from limslam_agent.live.session import Session
+    from limslam_agent.mapping.agent import LimSlamAgent
     from limslam_agent.output.run_folder import new_folder
+    from limslam_agent.runs.policies import policies_by_belief
     from limslam_agent.runs.policy_file import naming_lines_of
     from limslam_agent.runs.results import versions
 
@@ -64,7 +66,9 @@ def carry_out(options: LiveOptions, config: "AgentConfig", wired: "Wired") -> No
         copy = folder.target.with_name(f"{folder.target.name}-log.npz")
         left = [f"what the robot has sent is in {copy}: limslam replay draws the map"]
         with kept(recording, copy, lambda: warn(left)) as save_if_due:
-            agent = _agent(options, config, recording.robot, wired)
+            policies = policies_by_belief(options.policy, recording.robot, config, robots=1, seed=0)
+            policy = wired.policy(policies[0] if policies else None, config, recording.robot)
+            agent = LimSlamAgent(recording.robot, config, policy)
             with _display(options, agent, wired, save_if_due) as watch:
                 session = Session(wired.link, hello, agent, recording, watch, wired.obey)
                 with naming_lines_of(options.policy):
@@ -106,14 +110,6 @@ def _robot_of(hello: "Hello", described: "RobotSpec | None") -> "RobotSpec":
     if len(robot.beams) != hello.beams:
         raise ValueError(f"the robot {hello.name} has {hello.beams} beams, but its description has {len(robot.beams)}")
     return robot
-
-
-def _agent(options: LiveOptions, config: "AgentConfig", robot: "RobotSpec", wired: "Wired") -> "LimSlamAgent":
-    from limslam_agent.mapping.agent import LimSlamAgent
-    from limslam_agent.runs.policies import policies_by_belief
-
-    policies = policies_by_belief(options.policy, robot, config, robots=1, seed=0)
-    return LimSlamAgent(robot, config, wired.policy(policies[0] if policies else None, config, robot))
 
 
 @contextmanager

@@ -97,7 +97,12 @@ def open_store(
     folder.mkdir(parents=True, exist_ok=True)
     with locked(folder / _LOCK, f"{folder}: another run is writing there"):
         if (folder / form.stamp_file).is_file():
-            _check_same(folder, read_stamp(form, folder), stamp)
+            before = read_stamp(form, folder)
+            for what, value in stamp.identity.items():
+                if before.identity[what] != value:
+                    raise ValueError(f"{folder}: holds results of {what}: choose another folder")
+            if changed := before.changes(stamp):
+                raise ValueError(f"{folder}: holds results of other versions ({changed}): choose another folder")
         else:
             replace_content(folder / form.stamp_file, json.dumps(asdict(stamp), indent=2).encode() + b"\n")
         mend_lines(folder / RESULTS)
@@ -107,14 +112,6 @@ def open_store(
         if len(kept) < len(rows):
             replace_content(folder / RESULTS, b"".join(map(_line, kept)))
         yield Store(form, folder, kept)
-
-
-def _check_same(folder: Path, before: BaseStamp, stamp: BaseStamp) -> None:
-    for what, value in stamp.identity.items():
-        if before.identity[what] != value:
-            raise ValueError(f"{folder}: holds results of {what}: choose another folder")
-    if changed := before.changes(stamp):
-        raise ValueError(f"{folder}: holds results of other versions ({changed}): choose another folder")
 
 
 def read_stamp(form: Format[S, R], folder: Path) -> S:

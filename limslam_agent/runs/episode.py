@@ -191,7 +191,12 @@ def _drive(
 def _decide(team: LimSlamTeam, observations: list[Observation], infos: list[dict[str, Any]]) -> _Row:
     """Let the robots observe and choose their actions; the record of the step."""
     truth, mapper = infos[0], team.mapper
-    _inform(team.policies, observations, truth)
+    for policy, observation in zip(team.policies, observations, strict=True):
+        # What no belief holds: the true pose for a tour, and the readings for actors.
+        if isinstance(policy, Tour):
+            policy.observe_truth(truth["pose"])
+        if isinstance(policy, ActorPolicy):
+            policy.observe(observation)
     begin = time.perf_counter()
     team.observe(observations)
     actions = team.decide()
@@ -213,15 +218,6 @@ def _decide(team: LimSlamTeam, observations: list[Observation], infos: list[dict
         "slam_ms": mapper.slam_ms,
         "decide_ms": elapsed_ms - mapper.slam_ms,
     }
-
-
-def _inform(policies: Sequence[Policy], observations: Sequence[Observation], truth: dict[str, Any]) -> None:
-    """Tell what no belief holds: the true pose to a tour, and the readings to actors."""
-    for policy, observation in zip(policies, observations, strict=True):
-        if isinstance(policy, Tour):
-            policy.observe_truth(truth["pose"])
-        if isinstance(policy, ActorPolicy):
-            policy.observe(observation)
 
 
 def another_place(world: World, robot: RobotSpec, pose: FloatArray, rng: np.random.Generator) -> FloatArray:
