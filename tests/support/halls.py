@@ -11,7 +11,7 @@ from limslam_agent.places.history import LoggedStep
 from limslam_agent.places.localisation import KnownPlaces
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env import RobotSpec
-from limslam_env.geometry.se2 import compose, inverse
+from limslam_env.geometry import se2
 
 ROBOT, STD = RobotSpec(), 0.01
 SENSOR = RangeSensor(STD)
@@ -47,7 +47,7 @@ def readings(poses, segments, sensor=SENSOR):
 def drive(corners, segments, frame=(0.0, 0.0, 0.0), sensor=SENSOR):
     """The steps of a drive, in the frame of a pose (3,)."""
     poses = poses_along(corners)
-    local = compose(inverse(np.array(frame)), poses)
+    local = se2.compose(se2.inverse(np.array(frame)), poses)
     return [
         LoggedStep({}, *each)
         for each in zip(local, np.zeros_like(local), readings(poses, segments, sensor), strict=True)

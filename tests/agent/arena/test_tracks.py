@@ -5,7 +5,7 @@ from collections import Counter
 import pytest
 
 from limslam_agent.arena.tracks import COUNT, plans_of
-from limslam_env.worlds.formats.loading import load_world
+from limslam_env import load_world
 
 
 def test_a_seed_gives_its_own_plans_every_time():

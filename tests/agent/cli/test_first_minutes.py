@@ -8,13 +8,12 @@ import pytest
 
 import limslam_env  # noqa: F401 (registers the environments)
 from limslam_agent.cli import warmup as warmup_module
-from limslam_env.worlds.formats.loading import load_world
-from limslam_env.worlds.world import WorldError
+from limslam_env import load_world
 
 
 @pytest.mark.parametrize("name", ["random:x", "random:-1", "random:" + "9" * 5000])
 def test_what_names_no_floor_plan_is_refused_in_a_short_line(name):
-    with pytest.raises(WorldError, match="a seed is needed, as in random:17") as refusal:
+    with pytest.raises(ValueError, match="a seed is needed, as in random:17") as refusal:
         load_world(name)
     assert len(str(refusal.value)) < 200
 

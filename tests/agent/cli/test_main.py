@@ -11,10 +11,10 @@ import pytest
 from support.bags import odometry, scan, write_bag
 from support.command_line import call
 
+from limslam_agent import AgentConfig, preset
 from limslam_agent.cli.main import main
 from limslam_agent.cli.settings import ReplayOptions, RunOptions
 from limslam_agent.config import DEFAULT_PRESET
-from limslam_agent.config.presets import AgentConfig, preset
 from limslam_agent.runs.run_config import RunConfig
 
 RUN_FILES = {

@@ -23,10 +23,9 @@ from limslam_agent.cli.settings import (
     run_options,
 )
 from limslam_agent.config.tables import SettingsError
-from limslam_env.config import NoiseConfig
+from limslam_env import NoiseConfig, load_world
 from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.robots import ROBOTS
-from limslam_env.worlds.formats.loading import load_world
 from limslam_env.worlds.formats.toml import world_toml
 
 SAME = {"log.npz", "map.json", "map.pgm", "map.yaml", "trajectory_est.tum", "run.toml"}

@@ -4,7 +4,8 @@ import sys
 
 import pytest
 
-from limslam_env.worlds.formats.loading import load_world, shipped_worlds
+from limslam_env import load_world
+from limslam_env.worlds.formats.loading import shipped_worlds
 
 GOOD = """
 name = "closet"

@@ -6,19 +6,12 @@ from typing import get_type_hints
 
 import pytest
 
+from limslam_agent import AgentConfig, preset
 from limslam_agent.cli.settings import Given, run_config, run_options
 from limslam_agent.config.ablations import ABLATIONS, NO_GATE, ablated
 from limslam_agent.config.bounds import Bounded, Bounds
 from limslam_agent.config.consistent import ConsistentConfig
-from limslam_agent.config.presets import (
-    PRESETS,
-    AgentConfig,
-    GridConfig,
-    HoughConfig,
-    PolicyConfig,
-    PublishedConfig,
-    preset,
-)
+from limslam_agent.config.presets import PRESETS, GridConfig, HoughConfig, PolicyConfig, PublishedConfig
 from limslam_agent.config.tables import SettingsError, read_toml, table_of, updated, write_toml
 from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.robots import ROBOTS

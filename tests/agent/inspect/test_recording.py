@@ -10,7 +10,7 @@ from support.inspection import data_in, inspected, short_run, unpacked
 from limslam_agent.cli import main as cli
 from limslam_agent.inspect import recorder
 from limslam_agent.output.finished_run import read_run
-from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.geometry import se2
 
 DECISIONS = {"new", "again", "waits"}
 
@@ -36,7 +36,7 @@ def test_nees_is_that_of_the_run(run_folder, recording):
     run, (arrays, _) = read_run(run_folder), recording
     row = 150
     error = run.estimated[0][row] - run.true[0][row]
-    error[2] = wrap_angle(error[2])
+    error[2] = se2.wrap_angle(error[2])
     expected = error @ np.linalg.solve(run.covariances[0][row], error) / 3.0
     assert arrays["nees"][row, 0] == pytest.approx(expected, rel=0.02)
     assert np.isnan(arrays["nees"][0, 0])  # the start is known

@@ -7,8 +7,7 @@ from limslam_agent.config.presets import GridConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.kernels.cells import BODY, CROSSED, ENDED, SKIPPED, change_cells
 from limslam_env import RobotSpec
-from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.geometry.se2 import transform_points
+from limslam_env.geometry import BoolArray, FloatArray, se2
 from limslam_env.interface import beams_on_rim
 
 CONFIG = GridConfig()
@@ -31,10 +30,10 @@ class PlainGrid:
             for beam in beams
             for step in range(int(ranges[beam] / (0.5 * CONFIG.cell)))
         ]
-        passed = transform_points(pose, np.array(samples).reshape(-1, 2))
+        passed = se2.transform_points(pose, np.array(samples).reshape(-1, 2))
         crossed = cells_of(np.vstack((passed, pose[:2] + robot.radius * BODY)))
-        everywhere = cells_of(transform_points(pose, ends))
-        ended = cells_of(transform_points(pose, ends[ranges[beams] < robot.too_far[beams]]))
+        everywhere = cells_of(se2.transform_points(pose, ends))
+        ended = cells_of(se2.transform_points(pose, ends[ranges[beams] < robot.too_far[beams]]))
         self.touched |= crossed | everywhere
         for cell in crossed - ended:
             self._add(cell, CONFIG.seen_through)

@@ -12,8 +12,7 @@ from limslam_agent.kernels.nearness import (
     safe_share,
 )
 from limslam_env import RobotSpec
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import transform_points
+from limslam_env.geometry import FloatArray, se2
 
 ROBOT, SEEDS = RobotSpec(), range(40)
 BEAMS = len(ROBOT.beams)
@@ -28,7 +27,7 @@ def drawn(seed: int) -> tuple[np.random.Generator, FloatArray, FloatArray]:
 
 
 def ends_of(pose: FloatArray, reaches: FloatArray) -> FloatArray:
-    return transform_points(pose, ROBOT.beam_origins + reaches[:, None] * ROBOT.beam_directions)
+    return se2.transform_points(pose, ROBOT.beam_origins + reaches[:, None] * ROBOT.beam_directions)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -11,10 +11,10 @@ import pytest
 from support.command_line import call
 from support.live import start_emulator
 
+from limslam_agent import read_log
 from limslam_agent.cli.main import main
 from limslam_agent.live.protocol import checksum
 from limslam_agent.live.transports import UdpTransport
-from limslam_agent.logs.log_reader import read_log
 from limslam_agent.output.finished_run import read_run
 
 FILES = {

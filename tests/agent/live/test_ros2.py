@@ -21,7 +21,7 @@ from limslam_agent.live.ros2.node import ODOMETRY, PACKAGES, Event
 from limslam_agent.live.ros2.odometer import Odometer, wheel_travel
 from limslam_agent.live.ros2.parameters import Parameters
 from limslam_agent.live.ros2.sensors import RangeSensors, Reading, ScanSensors, in_mm
-from limslam_env.geometry.se2 import arc, compose, wheels_to_arc
+from limslam_env.geometry import se2
 from limslam_env.interface import RobotSpec, beams_on_rim
 
 ROBOT = RobotSpec()
@@ -75,7 +75,7 @@ class FakePorts:
 
 @pytest.mark.parametrize("wheels", [(0.1, 0.1), (0.1, 0.3), (-0.2, -0.1), (0.2, -0.2), (0.0, 0.5), (0.0, 0.0)])
 def test_the_travel_of_wheels_comes_back_from_the_pose_that_it_leads_to(wheels):
-    motion = arc(*wheels_to_arc(np.array(wheels), 0.16))
+    motion = se2.arc(*se2.wheels_to_arc(np.array(wheels), 0.16))
     np.testing.assert_allclose(wheel_travel(motion, 0.16), wheels, atol=1e-12)
 
 
@@ -83,7 +83,7 @@ def test_between_two_messages_travel_and_pose_are_interpolated_and_lost_messages
     odometer, pose, wheels = Odometer(ROBOT, 0.1), np.array([3.0, -1.0, 3.0]), np.array([0.02, 0.03])
     odometer.add_pose(10.0, pose)
     for number in range(1, 11):
-        pose = compose(pose, arc(*wheels_to_arc(wheels, ROBOT.axle)))
+        pose = se2.compose(pose, se2.arc(*se2.wheels_to_arc(wheels, ROBOT.axle)))
         if number not in {3, 4}:  # lost
             odometer.add_pose(10.0 + 0.1 * number, pose)
     end = odometer.at(11.0)

@@ -11,11 +11,11 @@ from support import ros2
 from support.command_line import call
 from support.ros2 import Listener, start, wait_for
 
+from limslam_agent import read_log
 from limslam_agent.cli.main import main
 from limslam_agent.live.ros2.node import PACKAGES
-from limslam_agent.logs.log_reader import read_log
 from limslam_agent.output.finished_run import read_run
-from limslam_env.geometry.se2 import between
+from limslam_env.geometry import se2
 
 for package in PACKAGES:
     pytest.importorskip(package, reason=f"needs ROS 2 ({package}): pip install 'limslam[ros2]'")
@@ -172,5 +172,5 @@ def test_a_bag_that_is_played_gives_the_map_of_its_run(processes, listener, tmp_
         np.cumsum(heard.wheels, axis=0), (sums := np.cumsum(original.wheels, axis=0))[rows] - sums[first], atol=1e-4
     )
     true, estimated = original.true_pose[rows], read_run(folder).estimated[0]
-    errors = estimated - between(np.broadcast_to(true[0], true.shape), true)
+    errors = estimated - se2.between(np.broadcast_to(true[0], true.shape), true)
     assert np.sqrt(np.mean(np.sum(errors[:, :2] ** 2, axis=1))) < 0.1

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from support.live import Faults, Wire, emulated, session_with
 
+from limslam_agent import replay_log
 from limslam_agent.live.link import NoRobotError
 from limslam_agent.live.protocol import Greeting, Heartbeat, Speeds, Stop, decode
 from limslam_agent.live.session import BY_HAND, OUT_OF_TIME
-from limslam_agent.replay.replay import replay_log
-from limslam_env.geometry.se2 import between
+from limslam_env.geometry import se2
 
 FIGURES = ("packets_lost", "packets_late", "packets_doubled", "packets_implausible", "lines_bad", "watchdog_stops")
 
@@ -39,7 +39,7 @@ def errors_of(session, wire):
     times = replay.log.time - replay.log.time[-1] + 1e-3 * session.recording._origin[0].time_ms  # of the robot's clock
     rows = np.searchsorted(true[:, 0], times - 1e-6)
     start = np.broadcast_to(true[rows[0], 1:], (len(rows), 3))
-    return np.hypot(*(replay.estimated - between(start, true[rows, 1:]))[:, :2].T)
+    return np.hypot(*(replay.estimated - se2.between(start, true[rows, 1:]))[:, :2].T)
 
 
 def test_a_perfect_connection_loses_nothing_and_gives_the_estimate_of_a_run():

@@ -11,8 +11,9 @@ from support.data import data_folder
 from support.data import refusal as refused
 from support.work import count_calls
 
+from limslam_agent import read_log
 from limslam_agent.logs.carmen import beam_angles_deg, read_carmen
-from limslam_agent.logs.log_reader import DEFAULT_BEAMS_DEG, DEFAULT_MAX_RANGE, read_log
+from limslam_agent.logs.log_reader import DEFAULT_BEAMS_DEG, DEFAULT_MAX_RANGE
 from limslam_agent.logs.recorded_log import LogError, read_npz
 from limslam_agent.replay.plausibility import log_warnings
 from limslam_env.geometry import se2

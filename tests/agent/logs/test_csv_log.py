@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from support.data import data_folder, refusal
 
+from limslam_agent import read_log
 from limslam_agent.logs.csv_log import is_csv
-from limslam_agent.logs.log_reader import read_log
 
 HEAD = "t,x,y,theta,r_-90,r_0,r_90\n"
 

@@ -10,8 +10,8 @@ from support.bags import odometry, scan, write_bag
 from support.command_line import call
 from support.data import refusal
 
+from limslam_agent import read_log
 from limslam_agent.cli.main import main
-from limslam_agent.logs.log_reader import read_log
 from limslam_agent.policies.learned.network import load_network
 from limslam_env.interface import RobotSpec
 from limslam_env.messages import LONGEST_MESSAGE, described, one_line, printable

@@ -9,8 +9,8 @@ from support import bags
 from support.bags import KINDS, Message, distance, fixed, odometry, scan, storage_of, write_bag
 from support.data import data_folder, refusal
 
+from limslam_agent import read_log
 from limslam_agent.logs.directions import direction_of
-from limslam_agent.logs.log_reader import read_log
 from limslam_agent.replay.options import chosen_topics
 
 FIVE = [1.0, 2.0, 2.5, 1.5, 0.5]

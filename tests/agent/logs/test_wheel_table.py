@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from support.data import refusal
 
-from limslam_agent.logs.log_reader import read_log
+from limslam_agent import read_log
 from limslam_agent.logs.table_options import TableOptions
 from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim
 

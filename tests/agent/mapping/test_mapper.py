@@ -7,7 +7,7 @@ import pytest
 
 from limslam_agent import LimSlamTeam, LineSlam, Mapper, preset
 from limslam_env import LimSlamParallelEnv, NominalNoise, RobotSpec
-from limslam_env.geometry.se2 import arc, compose, wheels_to_arc
+from limslam_env.geometry import se2
 
 ROBOT = RobotSpec()
 NOISE = NominalNoise(0.02)
@@ -66,8 +66,10 @@ def test_odometry_is_the_composition_of_the_increments_whatever_the_slam_correct
     starts, observations, _ = drive
     mapper = mapped(starts, observations)
     for number, start in enumerate(starts):
-        increments = [arc(*wheels_to_arc(each[number]["wheels"].astype(float), ROBOT.axle)) for each in observations]
-        np.testing.assert_allclose(mapper.odometry[number], reduce(compose, increments, start), atol=1e-12)
+        increments = [
+            se2.arc(*se2.wheels_to_arc(each[number]["wheels"].astype(float), ROBOT.axle)) for each in observations
+        ]
+        np.testing.assert_allclose(mapper.odometry[number], reduce(se2.compose, increments, start), atol=1e-12)
     assert np.abs(mapper.odometry - mapper.slam.poses).max() > 1e-3
 
 

@@ -15,7 +15,7 @@ from limslam_agent.mapping.renewal import Renewal
 from limslam_agent.slam.consistent.map_state import MapState
 from limslam_agent.slam.consistent.wall_map import NEW
 from limslam_env import NominalNoise, RobotSpec
-from limslam_env.geometry.se2 import compose, wrap_angle
+from limslam_env.geometry import se2
 
 ROBOT = RobotSpec()
 NOISE = NominalNoise(0.02)
@@ -65,7 +65,7 @@ def test_a_renewed_estimate_stays_accurate_and_honest(long_drive):
     _, true, (slam, poses, covariances, renewed) = long_drive
     assert len(renewed) >= 5
     error = poses - true
-    error[:, 2] = wrap_angle(error[:, 2])
+    error[:, 2] = se2.wrap_angle(error[:, 2])
     last = slice(-200, None)
     assert np.hypot(*error[last, :2].T).max() < 0.1
     nees = np.einsum("ni,nij,nj->n", error[last], np.linalg.inv(covariances[last]), error[last]) / 3.0
@@ -125,7 +125,7 @@ def misled(told, at, off):
     for step, observation in enumerate(told):
         mapper.step(observation)
         if step == at:
-            mapper.slam.relocate(compose(mapper.slam.pose, np.array(off)), 1e-4 * np.eye(3))
+            mapper.slam.relocate(se2.compose(mapper.slam.pose, np.array(off)), 1e-4 * np.eye(3))
     return mapper, [record["event"] for record in mapper.places.records]
 
 

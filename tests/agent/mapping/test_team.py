@@ -6,8 +6,8 @@ import pytest
 from limslam_agent import AgentConfig, FrontierPolicy, LimSlamTeam, LineSlam, preset
 from limslam_agent.slam.core.ekf import LineEKF
 from limslam_env import LimSlamParallelEnv, NominalNoise, RobotSpec
-from limslam_env.geometry.line import to_frame
-from limslam_env.geometry.se2 import compose
+from limslam_env.geometry import line as line_geometry
+from limslam_env.geometry import se2
 
 ROBOT = RobotSpec()
 NOISE = np.diag([1e-5, 1e-6, 1e-5])
@@ -29,7 +29,7 @@ def test_each_robot_moves_alone():
     ekf, poses = LineEKF(STARTS), STARTS.copy()
     for increment in (np.array([0.1, 0.0, 0.2]), np.array([0.05, 0.01, -0.1])):
         ekf.predict(increment, NOISE, 1)
-        poses[1] = compose(poses[1], increment)
+        poses[1] = se2.compose(poses[1], increment)
     np.testing.assert_allclose(ekf.poses, poses)
     joint = ekf.joint_pose_covariance
     assert not joint[:3].any(), "the first has not moved and knows where it is"
@@ -57,7 +57,7 @@ def test_the_filter_of_two_is_two_filters_until_they_see_one_wall():
 
 def test_a_wall_that_both_see_ties_their_poses_together():
     ekf = moved_pair()
-    seen = to_frame(ekf.lines[0], ekf.poses[1])
+    seen = line_geometry.to_frame(ekf.lines[0], ekf.poses[1])
     before = ekf.joint_pose_covariance
     ekf.observe_line(seen, LINE_NOISE, 0, 1)
     after = ekf.joint_pose_covariance

@@ -9,9 +9,9 @@ from support.command_line import call
 
 from limslam_agent.cli.main import main
 from limslam_agent.output.finished_run import read_run
+from limslam_env import load_world
 from limslam_env.interface import RobotSpec
 from limslam_env.metrics import metrics
-from limslam_env.worlds.formats.loading import load_world
 
 limslam = partial(call, main)
 

@@ -7,9 +7,9 @@ from support.walls import wall_along
 from limslam_agent.config.exploration import GridConfig
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with, poses_moved_with
-from limslam_env.geometry.line import direction, normal
-from limslam_env.geometry.se2 import transform_points
-from limslam_env.geometry.segment import sample
+from limslam_env.geometry import line as line_geometry
+from limslam_env.geometry import se2
+from limslam_env.geometry import segment as segment_geometry
 
 MATCH = np.diag([0.05, 0.05, 0.03]) ** 2
 POSE, DRIFT = np.array([2.5, 1.0, 0.4]), np.array([1.2, -0.8, 0.06])
@@ -23,7 +23,11 @@ def walls_of(segments):
     lines = np.column_stack((np.zeros(len(segments)), np.arctan2(*(segments[:, 2:] - segments[:, :2]).T[::-1])))
     lines[:, 1] -= 0.5 * np.pi
     for number, (segment, line, middle) in enumerate(zip(segments, lines, middles, strict=True)):
-        walls.append(wall_along(number, (sample(segment[None], 0.05)[0] - middle) @ direction(line)))
+        walls.append(
+            wall_along(
+                number, (segment_geometry.sample(segment[None], 0.05)[0] - middle) @ line_geometry.direction(line)
+            )
+        )
     return lines, middles, walls
 
 
@@ -37,7 +41,7 @@ def drifted(stds, world=0.0):
     by_drift = np.vstack((np.eye(3), lines_moved_with(tuple(place[:2]), lines, middles)))
     by_drift[3 : 3 + 2 * len(NEAR)] = 0.0
     wrong = middles.copy()
-    wrong[len(NEAR) :] = transform_points(DRIFT * [0, 0, 1], middles[len(NEAR) :] - POSE[:2]) + place[:2]
+    wrong[len(NEAR) :] = se2.transform_points(DRIFT * [0, 0, 1], middles[len(NEAR) :] - POSE[:2]) + place[:2]
     lines[len(NEAR) :, 1] += DRIFT[2]
     by_world = np.vstack((poses_moved_with((0.0, 0.0), place[None]), lines_moved_with((0.0, 0.0), lines, wrong)))[:, 2]
     covariance = by_drift @ np.diag(np.square(stds)) @ by_drift.T + world**2 * np.outer(by_world, by_world)
@@ -46,12 +50,12 @@ def drifted(stds, world=0.0):
 
 def test_a_loop_moves_what_was_seen_since_the_robot_left():
     state, right = drifted([1.0, 1.0, 0.1]), walls_of(AWAY)
-    after, motions = state.closed(POSE, MATCH, sample(NEAR, 0.1)[0])
+    after, motions = state.closed(POSE, MATCH, segment_geometry.sample(NEAR, 0.1)[0])
     np.testing.assert_allclose(after.pose, POSE, atol=0.02)
     np.testing.assert_allclose(after.lines[: len(NEAR)], state.lines[: len(NEAR)], atol=1e-3)
     away = slice(len(NEAR), None)
     np.testing.assert_allclose(after.lines[away, 1], right[0][:, 1], atol=0.01)
-    feet = after.anchors[away] + after.lines[away, :1] * normal(after.lines[away])
+    feet = after.anchors[away] + after.lines[away, :1] * line_geometry.normal(after.lines[away])
     np.testing.assert_allclose(feet, right[1], atol=0.1)  # along the walls, too
     np.testing.assert_allclose(motions[away, 2], -DRIFT[2], atol=0.01)
     np.testing.assert_allclose(motions[: len(NEAR)], 0.0, atol=0.05)
@@ -61,14 +65,14 @@ def test_a_loop_moves_what_was_seen_since_the_robot_left():
 
 def test_a_loop_says_nothing_of_the_direction_of_the_world():
     state = drifted([1.0, 1.0, 0.1], world=0.2)
-    after, _ = state.closed(POSE, MATCH, sample(NEAR, 0.1)[0])
+    after, _ = state.closed(POSE, MATCH, segment_geometry.sample(NEAR, 0.1)[0])
     assert np.sqrt(after.covariance[4, 4]) == pytest.approx(0.2, rel=0.01)
     assert np.sqrt(after.covariance[2, 2]) == pytest.approx(np.hypot(0.2, 0.03), rel=0.02)
 
 
 def test_a_pose_that_the_covariance_does_not_explain_closes_no_loop():
-    assert drifted([0.2, 0.2, 0.02]).closed(POSE, MATCH, sample(NEAR, 0.1)[0]) is None
-    assert drifted([1.0, 1.0, 0.1]).closed(POSE, MATCH, sample(NEAR[:1], 0.1)[0][5:-5]) is None, (
+    assert drifted([0.2, 0.2, 0.02]).closed(POSE, MATCH, segment_geometry.sample(NEAR, 0.1)[0]) is None
+    assert drifted([1.0, 1.0, 0.1]).closed(POSE, MATCH, segment_geometry.sample(NEAR[:1], 0.1)[0][5:-5]) is None, (
         "one wall determines no pose"
     )
 

@@ -6,11 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from limslam_agent import preset
+from limslam_agent import LimSlamTeam, Mapper, preset
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.mapping.joining import NOT_YET_CONFIRMED, NOT_YET_JOINED, JoiningMapper
-from limslam_agent.mapping.mapper import Mapper
-from limslam_agent.mapping.team import LimSlamTeam
 from limslam_agent.output.summary import record_summary
 from limslam_agent.places.meeting import Meeting
 from limslam_agent.places.saved_map import SavedMap
@@ -19,7 +17,7 @@ from limslam_agent.runs.results import write_episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.runs.smoothing import final_status
 from limslam_agent.status.status import LEVELS
-from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.geometry import se2
 from limslam_env.interface import NominalNoise, RobotSpec
 
 NOISE = 0.02
@@ -54,7 +52,7 @@ def test_two_robots_become_a_team(episode):
     assert (episode.levels[before, 0] == 0).mean() > 0.9
     # The start of the second robot is uncertain in the shared frame, and its error is as large as it says.
     start, covariance = np.array(event["start"]) - episode.true[0, 1], episode.covariances[0, 1]
-    start[2] = wrap_angle(start[2])
+    start[2] = se2.wrap_angle(start[2])
     assert start @ np.linalg.solve(covariance, start) < 16.3, "the 99.9 % limit of three degrees of freedom"
     np.testing.assert_allclose(episode.odometry[0, 1], event["start"], atol=1e-9)
 

@@ -11,7 +11,7 @@ from limslam_agent.places.localisation import FAR_SHARE, LEAD, KnownPlaces, agre
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.known_map import DECIDED, PlaceFit
 from limslam_agent.status.rays import have_ended, moved, rays_of
-from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
+from limslam_env.geometry import se2
 
 
 @pytest.fixture(scope="module")
@@ -23,9 +23,9 @@ def whole():
 def test_a_drive_is_placed_however_its_frame_is_turned(whole, frame):
     found = localise(whole, rays_of(drive(PART, HALL, frame), ROBOT))
     assert found.is_accepted, found.refusal
-    off = compose(inverse(np.array(frame)), found.fit.pose)
+    off = se2.compose(se2.inverse(np.array(frame)), found.fit.pose)
     assert np.hypot(*off[:2]) < 0.05
-    assert abs(wrap_angle(float(off[2]))) < 0.02
+    assert abs(se2.wrap_angle(float(off[2]))) < 0.02
     assert found.fit.contradictions == 0
     assert found.record["accepted"]
     assert found.record["evidence"] > found.record["runner_up"] + LEAD
@@ -65,7 +65,7 @@ def test_a_pose_does_not_slide_along_walls_that_are_not_quite_parallel():
     drawn = np.array([[0.0, 0.075, 20.0, -0.125], [0.0, 0.925, 20.0, 1.125]])
     place = KnownPlaces(drawn, GridView(np.zeros(2), 0.1, np.ones((4, 4), dtype=np.int16)), RangeSensor(STD))
     (found,) = place.refined(np.array([[0.0, 0.06, 0.02]]), rays)
-    middle = transform_points(found, rays[:, :2].mean(axis=0)[None])[0] - rays[:, :2].mean(axis=0)
+    middle = se2.transform_points(found, rays[:, :2].mean(axis=0)[None])[0] - rays[:, :2].mean(axis=0)
     assert abs(middle[0]) < 0.3
     assert abs(middle[1]) < 0.01
     assert abs(found[2]) < 0.01

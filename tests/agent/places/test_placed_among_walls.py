@@ -5,8 +5,8 @@ from support.walls import wall_along
 
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with
-from limslam_env.geometry.line import direction
-from limslam_env.geometry.segment import sample
+from limslam_env.geometry import line as line_geometry
+from limslam_env.geometry import segment as segment_geometry
 
 ROOM = np.array([[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0]], dtype=float)
 LINES = np.array([[0.0, 0.5 * np.pi], [4.0, 0.0], [3.0, 0.5 * np.pi], [0.0, 0.0]])
@@ -18,17 +18,17 @@ def room_in_an_uncertain_world(count):
     """A filter, and its map of the first walls of a room."""
     ekf, walls = CloneEKF(np.array([9.0, 9.0, 0.0]), np.diag([0.01] * 3)), []
     for number, (segment, line) in enumerate(zip(ROOM[:count], LINES, strict=False)):
-        points, _ = sample(segment[None], 0.05)
+        points, _ = segment_geometry.sample(segment[None], 0.05)
         middle = points.mean(axis=0)
         ekf.add_known_line(line, 1e-8 * np.eye(2), middle)
-        walls.append(wall_along(number, (points - middle) @ direction(line)))
+        walls.append(wall_along(number, (points - middle) @ line_geometry.direction(line)))
     by_world = lines_moved_with((0.0, 0.0), ekf.anchored, ekf.anchors)
     ekf.P[3:, 3:] += by_world @ WORLD @ by_world.T
     return ekf, MapState(ekf.pose, ekf.anchored, ekf.anchors, ekf.marginal(), walls)
 
 
 def ends(count):
-    return sample(ROOM[:count], 0.1)[0] + 0.02
+    return segment_geometry.sample(ROOM[:count], 0.1)[0] + 0.02
 
 
 def test_a_placed_robot_moves_with_the_walls_that_it_was_matched_with():

@@ -8,8 +8,7 @@ import pytest
 from support.drives import ROBOT, along, drive, room
 from support.smoother_runs import state_from_motions
 
-from limslam_agent import Mapper, preset
-from limslam_agent.config.presets import with_until
+from limslam_agent import Mapper, preset, with_until
 from limslam_agent.output.summary import record_summary
 from limslam_agent.places.revisions import BEGUN_ANEW, NOT_CONFIRMED, PlaceHistory, Revision, revised
 from limslam_agent.runs.episode import run_episode
@@ -19,9 +18,8 @@ from limslam_agent.runs.smoothing import final_status
 from limslam_agent.slam.line_graph.problem import make_problem
 from limslam_agent.slam.line_graph.smoother import FilteredRun, with_breaks, with_slips
 from limslam_agent.status.status import Status
-from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.geometry import se2
 from limslam_env.interface import NominalNoise, RobotSpec
-from limslam_env.worlds.world import WorldError
 
 NOISE, KIDNAPPED = 0.02, 90.0
 LOST, UNSURE = 2, 1
@@ -48,7 +46,7 @@ def test_a_kidnapped_robot_finds_its_place(episode):
     # The pose was up to 0.13 m and 6 degrees off before that. The map is bent there, and the place is one in this map.
     assert off[found] < 0.2
     assert off[found:].max() < off[:carried].max() < 0.4
-    turned = np.abs(wrap_angle((episode.estimated - episode.true)[:, 0, 2]))
+    turned = np.abs(se2.wrap_angle((episode.estimated - episode.true)[:, 0, 2]))
     assert turned[found] < np.radians(2.0)
     assert turned[found:].max() < min(turned[:carried].max(), np.radians(6.0))
 
@@ -120,7 +118,7 @@ def test_impossible_kidnappings_are_refused(wrong, words):
 def test_a_world_without_another_place_is_refused(tmp_path):
     path = tmp_path / "cell.toml"
     path.write_text('name = "cell"\nsize = [1, 1]\nwalls = [[0,0,1,0],[1,0,1,1],[1,1,0,1],[0,1,0,0]]\n')
-    with pytest.raises(WorldError, match="no free place"):
+    with pytest.raises(ValueError, match="no free place"):
         run_episode(RunConfig(path, NOISE, kidnap_at=0.1, max_time=1.0))
 
 
@@ -158,7 +156,7 @@ def test_a_robot_that_has_slipped_goes_on_near_by(step, turn):
         noise = np.where(seen["ranges"] < ROBOT.max_ranges, NOISE * generator.standard_normal(len(ROBOT.beams)), 0.0)
         mapper.step({"ranges": seen["ranges"] + noise, "wheels": seen["wheels"] + slip})
         off.append(mapper.poses[0] - true[number])
-    assert abs(wrap_angle(off[step][2])) > np.radians(10.0)
+    assert abs(se2.wrap_angle(off[step][2])) > np.radians(10.0)
     assert max(np.hypot(*each[:2]) for each in off[-50:]) < 0.15
     assert mapper.places.breaks == []
     ((_, last),) = mapper.places.slips

@@ -7,7 +7,7 @@ from support.halls import HALL, PART, ROBOT, drive
 from limslam_agent.kernels.rays import scan_poses
 from limslam_agent.kernels.tables import RAY_LENGTH, RAY_REACH, RAY_TO_X
 from limslam_agent.status.rays import rays_of
-from limslam_env.geometry.se2 import transform_points
+from limslam_env.geometry import se2
 
 
 def test_the_rough_search_adds_up_the_cells_of_ends_and_ways():
@@ -24,7 +24,7 @@ def test_the_rough_search_adds_up_the_cells_of_ends_and_ways():
             total = 0.0
             for kind, along in ((0, lengths), (1, inner), (1, 0.5 * inner)):
                 ends = rays[:, :RAY_TO_X] - middle + along[:, None] * rays[:, RAY_TO_X:RAY_LENGTH]
-                points = transform_points(np.array([0.0, 0.0, turn]), ends)
+                points = se2.transform_points(np.array([0.0, 0.0, turn]), ends)
                 column, row = (2 * np.array(place)[::-1] + np.floor(points / 0.05 + 0.5)).astype(int).T
                 inside = (row >= 0) & (row < cells.shape[1]) & (column >= 0) & (column < cells.shape[2])
                 inside &= ended | (kind == 1)

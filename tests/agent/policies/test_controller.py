@@ -16,22 +16,21 @@ from limslam_agent.policies.controller import (
     turn_by,
     wheel_speeds,
 )
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import transform_points
+from limslam_env.geometry import FloatArray, se2
 
 angles = st.floats(-math.pi, math.pi)
 
 
 def ahead_of(pose: FloatArray, bearing: float, distance: float = 1.0) -> FloatArray:
     """A point at a bearing (rad) as the robot sees it."""
-    return transform_points(pose, distance * np.array([[math.cos(bearing), math.sin(bearing)]]))[0]
+    return se2.transform_points(pose, distance * np.array([[math.cos(bearing), math.sin(bearing)]]))[0]
 
 
 def wall_ranges(pose: FloatArray, line: FloatArray) -> FloatArray:
     """Exact readings of all beams before one endless wall (r, theta)."""
     readings = []
     for beam in ROBOT.beams:
-        x, y = transform_points(pose, np.array([[beam.x, beam.y]]))[0]
+        x, y = se2.transform_points(pose, np.array([[beam.x, beam.y]]))[0]
         approach = math.cos(pose[2] + beam.angle - line[1])
         left = line[0] - x * math.cos(line[1]) - y * math.sin(line[1])
         hits = approach > 1e-9

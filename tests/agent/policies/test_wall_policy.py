@@ -19,8 +19,7 @@ from limslam_agent.policies.wall_views import View, next_view, open_border
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_env import World
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.geometry import FloatArray, se2
 
 CELL = 0.1
 # A room of 3 m by 2.4 m: its grid, and its walls.
@@ -98,7 +97,7 @@ def test_a_sweep_lets_a_beam_pass_over_the_whole_stretch(heading, count, away) -
     assert width == pytest.approx(2.0 * math.atan2(0.5 * CELL * count, away), rel=0.3)
     headings = np.linspace(sweep.start, sweep.end, 400)
     pointing = headings[:, None] + ROBOT.beam_angles
-    inside = (wrap_angle(pointing - first) >= 0.0) & (wrap_angle(pointing - first) <= width)
+    inside = (se2.wrap_angle(pointing - first) >= 0.0) & (se2.wrap_angle(pointing - first) <= width)
     swept = [beam for beam in range(6) if inside[0, beam] == inside[-1, beam] == False and inside[:, beam].any()]  # noqa: E712
     assert swept
     assert math.radians(1.0) < sweep.step <= math.radians(5.0)

@@ -9,8 +9,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.data import data_folder
 
+from limslam_agent import read_log
 from limslam_agent.config.shared import OdometryConfig
-from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations, read_relations
 from limslam_agent.replay.calibration import calibrated, estimate_bias

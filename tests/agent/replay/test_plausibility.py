@@ -8,13 +8,11 @@ from support.command_line import call
 from support.corridors import SIX_BEAMS, corridor_log
 from support.drives import ROBOT, along, drive, room
 
+from limslam_agent import preset, read_log, replay_log
 from limslam_agent.cli.main import main
-from limslam_agent.config.presets import preset
-from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.table_options import TableOptions
 from limslam_agent.replay.plausibility import log_warnings, map_warnings
-from limslam_agent.replay.replay import replay_log
 
 
 def written(tmp_path, right="0.8", left="2.9", period=0.1, step=0.025, count=60, beams=(-90, 90)):

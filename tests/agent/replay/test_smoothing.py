@@ -7,16 +7,15 @@ import numpy as np
 import pytest
 from support.corridors import SIX_BEAMS, corridor_log, loop_errors, walls
 
+from limslam_agent import preset, replay_log
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.config.presets import preset
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.output.finished_run import FolderError, read_run
-from limslam_agent.replay.replay import replay_log, write_replay
+from limslam_agent.replay.replay import write_replay
 from limslam_agent.replay.smoothing import draw_walls
 from limslam_agent.runs.inspection import inspect_log
 from limslam_agent.slam.graph.point_links import PointCloud
-from limslam_env.geometry import se2
-from limslam_env.geometry.segment import distances
+from limslam_env.geometry import se2, segment
 from limslam_env.interface import NominalNoise
 
 LAP = 345
@@ -59,7 +58,7 @@ def test_the_map_is_drawn_from_the_smoothed_path(smoothed):
     seen = np.vstack([mark.ends for mark in replay.landmarks])
     start = se2.between(replay.smoothed.poses, truth)
     drift = np.hypot(start[:, 0], start[:, 1]).max()
-    off = distances(seen, walls()).min(axis=1)
+    off = segment.distances(seen, walls()).min(axis=1)
     assert len(replay.landmarks) >= 8
     assert np.median(off) < 0.1 + drift
     assert replay.segments.shape == (len(replay.landmarks), 4)

@@ -6,7 +6,7 @@ import pytest
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import score
 from limslam_agent.runs.run_config import RunConfig
-from limslam_env.worlds.world import World
+from limslam_env import World
 
 # A room of 1.4 m x 1.4 m in the corner of a hall, with a gap in the hall's outer wall or without one.
 ROOM = [[0, 1.4, 1.4, 1.4], [1.4, 1.4, 1.4, 0]]

@@ -6,17 +6,22 @@ import numpy as np
 import pytest
 from gymnasium import spaces
 
-from limslam_agent import LimSlamAgent, LimSlamTeam, evaluate, medians, preset
-from limslam_agent.policies.frontier_policy import FrontierPolicy
-from limslam_agent.policies.learned.learned import LearnedPolicy
-from limslam_agent.policies.simple_policies import RandomPolicy, WallFollower
+from limslam_agent import (
+    FrontierPolicy,
+    LearnedPolicy,
+    LimSlamAgent,
+    LimSlamTeam,
+    RandomPolicy,
+    SlamObservation,
+    WallFollower,
+    evaluate,
+    medians,
+    preset,
+)
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import score
 from limslam_agent.runs.run_config import RunConfig
-from limslam_agent.wrappers.single import SlamObservation
-from limslam_env import NominalNoise, RobotSpec
-from limslam_env.envs.env import LimSlamEnv
-from limslam_env.worlds.world import World
+from limslam_env import LimSlamEnv, NominalNoise, RobotSpec, World
 
 ROBOT = RobotSpec()
 TOLD = preset("paper", NominalNoise(0.02))

@@ -10,12 +10,10 @@ from support.command_line import call
 
 from limslam_agent.cli.main import main
 from limslam_agent.runs.optimum import offline_optimum
-from limslam_env.config import NoiseConfig
-from limslam_env.geometry.line import through
-from limslam_env.geometry.se2 import arc, compose, wheels_to_arc
+from limslam_env import NoiseConfig, load_world
+from limslam_env.geometry import line, se2
 from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.simulation.simulation import Simulation
-from limslam_env.worlds.formats.loading import load_world
 
 ROBOT, NOISE = RobotSpec(), NominalNoise(0.02)
 
@@ -40,7 +38,7 @@ def test_another_solver_finds_the_same_optimum():
     # Without the readings that nearly graze, both leave out the same ones.
     for row, beam in np.argwhere(wall_seen[:, 0] >= 0):
         edge = world.edges[wall_seen[row, 0, beam]]
-        normal = through(edge[:2], edge[2:])[1]
+        normal = line.through(edge[:2], edge[2:])[1]
         if abs(math.cos(true[row, 0, 2] + ROBOT.beam_angles[beam] - normal)) < 0.3:
             wall_seen[row, 0, beam] = -1
     is_read = (wall_seen[:, 0] >= 0) & (ranges[:, 0] > ROBOT.too_near) & (ranges[:, 0] < ROBOT.too_far)
@@ -50,7 +48,7 @@ def test_another_solver_finds_the_same_optimum():
     def path(values):
         poses = [true[0, 0]]
         for pair in values:
-            poses.append(compose(poses[-1], arc(*wheels_to_arc(pair, ROBOT.axle))))
+            poses.append(se2.compose(poses[-1], se2.arc(*se2.wheels_to_arc(pair, ROBOT.axle))))
         return np.array(poses)
 
     def residuals(values, used):
@@ -67,7 +65,7 @@ def test_another_solver_finds_the_same_optimum():
             found.append((ranges[row, 0, beam] - should) / 0.02)
         return np.array(found)
 
-    lines = np.array([through(world.edges[wall, :2], world.edges[wall, 2:]) for wall in walls])
+    lines = np.array([line.through(world.edges[wall, :2], world.edges[wall, 2:]) for wall in walls])
     used = [(row, beam) for row, beam in np.argwhere(is_read) if wall_seen[row, 0, beam] in walls]
     begin = np.concatenate((wheels[1:].ravel(), lines.ravel()))
     other = least_squares(residuals, begin, xtol=1e-12, ftol=1e-12, x_scale="jac", args=(used,))

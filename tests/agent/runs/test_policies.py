@@ -6,7 +6,7 @@ import pytest
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import score
 from limslam_agent.runs.run_config import RunConfig
-from limslam_env.worlds.world import World
+from limslam_env import World
 
 WALLS = [[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0], [2, 0, 2, 1.6]]
 LOOP = [[1.0, 1.0], [1.0, 2.3], [3.0, 2.3], [3.0, 1.0], [3.0, 2.3], [1.0, 2.3]]

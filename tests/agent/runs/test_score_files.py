@@ -13,7 +13,7 @@ from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import write_episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.runs.score_files import matched, read_pairs, trajectory_scores
-from limslam_env.geometry.se2 import compose
+from limslam_env.geometry import se2
 
 MOVE = np.array([3.0, -2.0, 1.1])
 
@@ -29,7 +29,7 @@ def drive(seed=0, count=200):
     true = np.zeros((count, 3))
     motions = np.column_stack((np.full(count, 0.05), np.zeros(count), generator.normal(0.0, 0.1, count)))
     for step in range(1, count):
-        true[step] = compose(true[step - 1], motions[step])
+        true[step] = se2.compose(true[step - 1], motions[step])
     return true, true + generator.normal(0.0, 0.03, true.shape)
 
 
@@ -53,7 +53,7 @@ class TestScores:
     def test_a_moved_estimate_has_the_same_scores_when_it_is_aligned(self, finished, tmp_path):
         folder, _ = finished
         time, poses = read_tum(folder / "trajectory_est.tum")
-        write_tum(tmp_path / "moved.tum", time, compose(MOVE, poses))
+        write_tum(tmp_path / "moved.tum", time, se2.compose(MOVE, poses))
         true = folder / "trajectory_true.tum"
         plain, moved = (
             read_pairs(true, path, None) for path in (folder / "trajectory_est.tum", tmp_path / "moved.tum")
@@ -71,7 +71,10 @@ class TestScores:
         covariances = roots @ roots.swapaxes(1, 2) + 1e-4 * np.eye(3)
         cosine, sine = np.cos(MOVE[2]), np.sin(MOVE[2])
         turn = np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
-        frames = {"first": (estimated, covariances), "second": (compose(MOVE, estimated), turn @ covariances @ turn.T)}
+        frames = {
+            "first": (estimated, covariances),
+            "second": (se2.compose(MOVE, estimated), turn @ covariances @ turn.T),
+        }
         write_tum(tmp_path / "true.tum", time, true)
         scores = {}
         for name, (poses, stated) in frames.items():

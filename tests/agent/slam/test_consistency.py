@@ -10,8 +10,7 @@ from support.drives import FOUR_BEAMS, laps_of_square
 
 from limslam_agent import LineSlam, preset
 from limslam_env import NominalNoise
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.geometry import FloatArray, se2
 
 
 def counted(wheels: FloatArray, tick: float, seed: int) -> FloatArray:
@@ -33,7 +32,7 @@ def mean_nees(noise: float, runs: int, tick: float = 0.0) -> float:
             slam.step({**observation, "wheels": wheels[step]})
             if step % moments == moments - 1:
                 error = slam.pose - log.poses[step]
-                error[2] = wrap_angle(float(error[2]))
+                error[2] = se2.wrap_angle(float(error[2]))
                 found.append(error @ np.linalg.solve(slam.covariance, error) / 3.0)
     return float(np.mean(found))
 

@@ -11,9 +11,8 @@ from limslam_agent import AgentConfig, LineSlam, preset
 from limslam_agent.config.published import AssociationConfig, BufferConfig, MapConfig, PublishedConfig
 from limslam_agent.slam.core.motion import motion_from_wheels
 from limslam_env import Observation, RobotSpec
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.line import distance, nearest_form, through
-from limslam_env.geometry.se2 import compose, transform_points, wrap_angle
+from limslam_env.geometry import FloatArray, se2
+from limslam_env.geometry import line as line_geometry
 
 ROBOT = RobotSpec()
 # Every observed line counts here; when a landmark becomes a wall of the map is tested in test_loop_closing.
@@ -60,8 +59,8 @@ def test_a_straight_corridor_becomes_its_two_walls(place: tuple[float, float, fl
     assert len(slam.landmarks) == len(slam.segments) == 2
     left, right = sorted(slam.landmarks, key=lambda each: -float(_in_robot_frame(each.ends, start)[:, 1].mean()))
     for landmark, wall in ((left, walls[0]), (right, walls[1])):
-        line = through(wall[:2], wall[2:])
-        found = nearest_form(np.array([landmark.r, landmark.theta]), line)
+        line = line_geometry.through(wall[:2], wall[2:])
+        found = line_geometry.nearest_form(np.array([landmark.r, landmark.theta]), line)
         np.testing.assert_allclose(found, line, atol=2e-3)
         # Ends: the first beam sideways began at x = 0, the slanted one saw as far ahead as the wall is beside.
         reach = _in_robot_frame(landmark.ends, start)[:, 0]
@@ -70,7 +69,7 @@ def test_a_straight_corridor_becomes_its_two_walls(place: tuple[float, float, fl
         assert landmark.observations >= 5
         assert np.linalg.eigvalsh(landmark.covariance).min() > 0.0
     np.testing.assert_allclose(slam.pose[:2], poses[-1, :2], atol=2e-3)
-    assert abs(wrap_angle(float(slam.pose[2] - poses[-1, 2]))) < 2e-3
+    assert abs(se2.wrap_angle(float(slam.pose[2] - poses[-1, 2]))) < 2e-3
 
 
 def _in_robot_frame(points: FloatArray, start: FloatArray) -> FloatArray:
@@ -102,7 +101,7 @@ def test_without_correction_the_pose_is_pure_odometry() -> None:
     pose = start
     for each in lying:
         increment = motion_from_wheels(np.asarray(each["wheels"], dtype=float), ROBOT, CONFIG.noise).increment
-        pose = compose(pose, increment)
+        pose = se2.compose(pose, increment)
     slam = run(lying, preset("odometry"), start)
     np.testing.assert_allclose(slam.pose, pose, atol=1e-12)
     # It draws walls all the same, and with the filter on the pose would have been another.
@@ -170,7 +169,7 @@ def test_associations_name_the_steps_and_beams_that_made_them() -> None:
             spec, pose = ROBOT.beams[beam], poses[step]
             reading = float(observations[step]["ranges"][beam])
             local = np.array([[spec.x + reading * math.cos(spec.angle), spec.y + reading * math.sin(spec.angle)]])
-            assert abs(distance(line, transform_points(pose, local))[0]) < 0.01
+            assert abs(line_geometry.distance(line, se2.transform_points(pose, local))[0]) < 0.01
     # No reading is used twice.
     readings = np.vstack([record.readings for record in records])
     assert len(np.unique(readings, axis=0)) == len(readings)

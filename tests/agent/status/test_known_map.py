@@ -12,7 +12,7 @@ from limslam_agent.kernels.tables import RAY_LENGTH
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.known_map import KnownMap, contradiction_test, drift_fit, slip_fit
 from limslam_agent.status.rays import moved, rays_of, step_rays
-from limslam_env.geometry.se2 import compose, inverse
+from limslam_env.geometry import se2
 
 WALLS = room(0.0, 0.0, 2.0, 2.0)
 POSE = np.array([1.0, 0.8, 0.3])
@@ -101,7 +101,7 @@ def test_contradictions_are_tested_by_their_rate():
 def test_the_likeliest_pose_near_by_is_that_of_the_drive(off):
     whole, rays = known(WAY, HALL), rays_of(drive(PART, HALL), ROBOT)
     found = drift_fit(whole, moved(rays, np.array(off)), np.diag([0.1**2, 0.1**2, 0.05**2]))
-    np.testing.assert_allclose(found.fit.pose, inverse(np.array(off)), atol=0.06)
+    np.testing.assert_allclose(found.fit.pose, se2.inverse(np.array(off)), atol=0.06)
     assert found.evidence > 50.0
 
 
@@ -109,7 +109,7 @@ def test_the_likeliest_pose_near_by_is_that_of_the_drive(off):
 def test_a_slip_is_found_by_what_was_read_since_then(turn):
     whole, rays = known(WAY, HALL), rays_of(drive(PART, HALL), ROBOT)
     start = np.array([*rays[0, :2], 0.0])
-    slip = compose(compose(start, np.array([0.0, 0.0, math.radians(turn)])), inverse(start))
+    slip = se2.compose(se2.compose(start, np.array([0.0, 0.0, math.radians(turn)])), se2.inverse(start))
     found = slip_fit(whole, moved(rays, slip))
-    np.testing.assert_allclose(found.fit.pose, inverse(slip), atol=0.06)
+    np.testing.assert_allclose(found.fit.pose, se2.inverse(slip), atol=0.06)
     assert found.evidence > whole.fit_here(moved(rays, slip)).evidence + 50.0

@@ -10,12 +10,11 @@ from support.command_line import call
 from support.corridors import FOUR_BEAMS, SIX_BEAMS, corridor_log, later_part, plain_walls, uneven_walls
 from support.drives import ROBOT, along, drive, room
 
-from limslam_agent import preset
+from limslam_agent import preset, replay_log
 from limslam_agent.cli.main import main
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations
 from limslam_agent.output.finished_run import FolderError, read_run
-from limslam_agent.replay.replay import replay_log
 from limslam_agent.two_logs.joining import check_logs, joined
 from limslam_agent.two_logs.output import LOG_FOLDERS, relation_scores
 from limslam_env.geometry import se2

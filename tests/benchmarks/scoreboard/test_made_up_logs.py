@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from benchmarks.scoreboard.made_up_logs import made_up_log, sparse_sensor, thinned, walls_of, write_log
-from limslam_agent.logs.log_reader import read_log
+from limslam_agent import read_log
 from limslam_agent.logs.relations import read_relations, relation_errors
 from limslam_env.geometry import se2
 

@@ -13,7 +13,7 @@ from benchmarks.scoreboard.drives import recorded_drive, world_of
 from benchmarks.scoreboard.measure import at_the_end, measure, while_driving
 from benchmarks.scoreboard.rows import Row, read_rows
 from benchmarks.scoreboard.sources import size_of
-from limslam_env.config import NoiseConfig
+from limslam_env import NoiseConfig
 
 TINY = """
 tuning_seed = 3

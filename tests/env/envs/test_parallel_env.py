@@ -17,18 +17,9 @@ import pytest
 from support.episodes import EVERYTHING, bits, held_actions
 
 import limslam_env
-from limslam_env import (
-    FloorPlanConfig,
-    LimSlamEnv,
-    LimSlamParallelEnv,
-    RewardConfig,
-    RobotSpec,
-    World,
-    load_world,
-)
+from limslam_env import FloorPlanConfig, LimSlamEnv, LimSlamParallelEnv, RewardConfig, RobotSpec, World, load_world
 from limslam_env.envs.arguments import MAX_ROBOTS
 from limslam_env.interface import beams_on_rim
-from limslam_env.worlds.world import WorldError
 
 with warnings.catch_warnings():
     # The import brings PettingZoo's own example environments, which use what pygame calls outdated.
@@ -391,8 +382,8 @@ def test_reset_takes_starts_for_one_or_several():
         ([(5.0, 1.9, 0.0)] * 3, ValueError, "up to 2 rows"),
         ([], ValueError, "up to 2 rows"),
         ("corner", ValueError, "up to 2 rows"),
-        ([(5.0, 1.9, 0.0), (5.1, 1.9, 0.0)], WorldError, "two robots are to start in one place"),
-        ([(5.0, 1.9, 0.0), (3.5, 3.5, 0.0)], WorldError, "inside an obstacle"),
+        ([(5.0, 1.9, 0.0), (5.1, 1.9, 0.0)], ValueError, "two robots are to start in one place"),
+        ([(5.0, 1.9, 0.0), (3.5, 3.5, 0.0)], ValueError, "inside an obstacle"),
     ],
 )
 def test_starts_that_cannot_be_are_refused_and_leave_the_episode_as_it_was(start, error, reason):
@@ -424,7 +415,7 @@ def test_more_robots_than_have_room_are_refused():
     side = 0.7
     walls = side * np.array([[0, 0, 1, 0], [1, 0, 1, 1], [1, 1, 0, 1], [0, 1, 0, 0]])
     env = LimSlamParallelEnv(World("closet", (side, side), walls), num_robots=8)
-    with pytest.raises(WorldError, match="no room for 8 robots"):
+    with pytest.raises(ValueError, match="no room for 8 robots"):
         env.reset(seed=0)
 
 

@@ -22,7 +22,7 @@ from limslam_env.envs.wrappers import (
     PrivilegedLocalMap,
     VelocityAction,
 )
-from limslam_env.geometry.segment import distances
+from limslam_env.geometry import segment
 from limslam_env.interface import beams_on_rim
 from limslam_env.robots import ring
 from limslam_env.simulation.coverage import CELL
@@ -276,7 +276,7 @@ def test_every_cell_is_what_was_truly_seen_there(heading, size):
             elif picture[row, column] == WALL:
                 # Half a diagonal of the cell at most, and something beside it was seen.
                 centre = low + CELL * (np.array([j, i]) + 0.5)
-                assert distances(centre[None], edges).min() <= CELL * math.sqrt(0.5) + 1e-6
+                assert segment.distances(centre[None], edges).min() <= CELL * math.sqrt(0.5) + 1e-6
                 assert seen[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2].any()
             else:
                 assert picture[row, column] == UNSEEN

@@ -8,8 +8,7 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from hypothesis.strategies import SearchStrategy
 
-from limslam_env.geometry import FloatArray, line
-from limslam_env.geometry.se2 import inverse, transform_points
+from limslam_env.geometry import FloatArray, line, se2
 
 SPOTS = np.array([-2.0, 0.0, 3.0])
 CIRCLE = np.linspace(-math.pi, math.pi, 73)
@@ -80,7 +79,7 @@ def test_there_and_back_all_round_the_circle(pose, r):
 @settings(deadline=None, max_examples=200)
 def test_a_line_seen_from_a_pose_holds_the_points_seen_from_there(world, pose):
     seen = line.to_frame(world, pose)
-    points_seen = transform_points(inverse(pose), line.at(world, SPOTS))
+    points_seen = se2.transform_points(se2.inverse(pose), line.at(world, SPOTS))
     np.testing.assert_allclose(line.distance(seen, points_seen), 0.0, atol=1e-11)
     back = line.from_frame(seen, pose)
     assert_normalised(back)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from limslam_env import NoiseConfig, RobotSpec, World
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
+from limslam_env.geometry import FloatArray, se2
 from limslam_env.kernels.readings import reported_travel
 from limslam_env.simulation.noise import ground_travel, noise_table
 from limslam_env.simulation.simulation import Readings, Simulation, Truth
@@ -53,7 +52,7 @@ def poses_of(truths: list[Truth]) -> FloatArray:
 
 def travel_of(poses: FloatArray, axle: float) -> FloatArray:
     """The wheel travel (n, 2) of wheels ``axle`` apart that leads from each pose to the next."""
-    turn = wrap_angle(np.diff(poses[:, 2]))
+    turn = se2.wrap_angle(np.diff(poses[:, 2]))
     chord = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     ahead = chord * 0.5 * turn / np.sin(np.where(turn == 0.0, 1.0, 0.5 * turn))
     ahead = np.where(turn == 0.0, chord, ahead)
@@ -174,6 +173,6 @@ def test_an_axle_mismatch_is_the_arc_of_the_true_axle():
     _, truths = drive(NoiseConfig(axle_mismatch=0.08), [tuple(action) for action in actions.tolist()])
     expected = MIDDLE
     for action, pose in zip(actions, poses_of(truths)[1:], strict=True):
-        expected = compose(expected, arc(*wheels_to_arc(TOP * action, 1.08 * ROBOT.axle)))
+        expected = se2.compose(expected, se2.arc(*se2.wheels_to_arc(TOP * action, 1.08 * ROBOT.axle)))
         np.testing.assert_allclose(pose[:2], expected[:2], atol=1e-9)
-        assert abs(wrap_angle(pose[2] - expected[2])) < 1e-9
+        assert abs(se2.wrap_angle(pose[2] - expected[2])) < 1e-9

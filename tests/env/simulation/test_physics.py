@@ -10,9 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from limslam_env import load_world
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
-from limslam_env.geometry.segment import distances, inside_polygon, polygon_edges
+from limslam_env.geometry import FloatArray, se2, segment
 from limslam_env.simulation.physics import Physics
 
 RADIUS, AXLE, PERIOD, TOP = 0.10, 0.16, 0.1, 0.03  # TOP is the wheel travel of one step, m
@@ -20,7 +18,7 @@ DEEPEST = 1e-3
 
 
 def ring(corners: list[tuple[float, float]]) -> FloatArray:
-    return polygon_edges(np.array(corners))
+    return segment.polygon_edges(np.array(corners))
 
 
 BOX = ring([(0.0, 0.0), (4.0, 0.0), (4.0, 4.0), (0.0, 4.0)])
@@ -42,7 +40,7 @@ def drive(model: Physics, left: float, right: float, steps: int) -> np.ndarray:
 
 
 def depth_in_walls(poses: FloatArray, edges: FloatArray) -> float:
-    return RADIUS - float(distances(poses[:, :2], edges).min())
+    return RADIUS - float(segment.distances(poses[:, :2], edges).min())
 
 
 def overlap(poses: FloatArray) -> float:
@@ -69,11 +67,11 @@ def test_without_contact_the_pose_follows_the_exact_arcs():
     generator = np.random.default_rng(0)
     for travel in generator.uniform(-TOP, TOP, (3000, 2)):
         contact = model.step([travel.tolist()], PERIOD)
-        expected = compose(expected, arc(*wheels_to_arc(travel, AXLE)))
+        expected = se2.compose(expected, se2.arc(*se2.wheels_to_arc(travel, AXLE)))
         assert contact == [False]
         difference = model.poses[0] - expected
         assert np.abs(difference[:2]).max() < 1e-9
-        assert abs(wrap_angle(difference[2])) < 1e-9
+        assert abs(se2.wrap_angle(difference[2])) < 1e-9
 
 
 @given(st.floats(-math.pi, math.pi), st.floats(-TOP, TOP), st.floats(-TOP, TOP), st.floats(0.02, 1.0))
@@ -81,9 +79,9 @@ def test_without_contact_the_pose_follows_the_exact_arcs():
 def test_one_step_is_the_exact_arc_whatever_its_length_in_time(heading, left, right, period):
     model = physics(BOX, (2.0, 2.0, heading))
     model.step([(left, right)], period)
-    expected = compose(np.array([2.0, 2.0, heading]), arc(*wheels_to_arc(np.array([left, right]), AXLE)))
+    expected = se2.compose(np.array([2.0, 2.0, heading]), se2.arc(*se2.wheels_to_arc(np.array([left, right]), AXLE)))
     np.testing.assert_allclose(model.poses[0][:2], expected[:2], atol=1e-12)
-    assert abs(wrap_angle(model.poses[0][2] - expected[2])) < 1e-12
+    assert abs(se2.wrap_angle(model.poses[0][2] - expected[2])) < 1e-12
 
 
 @pytest.mark.parametrize("sign", [1.0, -1.0], ids=["forwards", "backwards"])
@@ -118,7 +116,7 @@ def test_a_robot_in_contact_turns_on_the_spot():
     after = model.poses[0]
     assert contact.all()
     np.testing.assert_allclose(after[:2], before[:2], atol=1e-6)
-    assert wrap_angle(after[2] - before[2]) == pytest.approx(7 * TOP / AXLE, abs=1e-9)
+    assert se2.wrap_angle(after[2] - before[2]) == pytest.approx(7 * TOP / AXLE, abs=1e-9)
 
 
 def test_a_robot_can_leave_a_wall_again():
@@ -148,7 +146,7 @@ def test_a_random_walk_never_enters_a_wall_nor_leaves(edges, start, seed):
     for travel in random_actions(seed, 1, 1500, hold=40):
         touched |= model.step(travel, PERIOD)[0]
         assert depth_in_walls(model.poses, edges) < DEEPEST
-        assert inside_polygon(model.poses[:, :2], outline)[0]
+        assert segment.inside_polygon(model.poses[:, :2], outline)[0]
     assert touched, "a walk that touches nothing shows nothing"
 
 
@@ -205,7 +203,7 @@ def test_robots_that_push_each_other_into_a_wedge_do_not_overlap(seed):
         model.step(travel, PERIOD)
         assert overlap(model.poses) < DEEPEST
         assert depth_in_walls(model.poses, WEDGE) < DEEPEST
-        assert inside_polygon(model.poses[:, :2], WEDGE[:, :2]).all()
+        assert segment.inside_polygon(model.poses[:, :2], WEDGE[:, :2]).all()
 
 
 @pytest.mark.parametrize("speed", [1.0, 3.0])

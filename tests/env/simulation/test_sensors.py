@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from limslam_env import NoiseConfig, RobotSpec, SensorSpec, World, load_world
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.segment import polygon_edges
+from limslam_env.geometry import FloatArray, segment
 from limslam_env.interface import beams_on_rim
 from limslam_env.kernels.observation import drive_and_observe
 from limslam_env.kernels.rays import NOTHING, cast_at_discs
@@ -31,7 +30,7 @@ def unit(angles: FloatArray) -> FloatArray:
 
 
 def ring(corners: list[tuple[float, float]]) -> FloatArray:
-    return polygon_edges(np.array(corners))
+    return segment.polygon_edges(np.array(corners))
 
 
 def box_with(*walls: tuple[float, float, float, float]) -> World:

@@ -6,11 +6,9 @@ import numpy as np
 import pytest
 
 from limslam_env import NoiseConfig, RobotSpec, World, load_world
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.segment import distances
+from limslam_env.geometry import FloatArray, segment
 from limslam_env.simulation.physics import Physics
 from limslam_env.simulation.simulation import Simulation
-from limslam_env.worlds.world import WorldError
 
 ROBOT = RobotSpec()
 BOX = np.array([[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 4.0], [4.0, 4.0, 0.0, 4.0], [0.0, 4.0, 0.0, 0.0]])
@@ -34,7 +32,7 @@ def assert_apart(poses: FloatArray, world: World) -> None:
     for number, pose in enumerate(poses[:, :2]):
         for other in poses[:number, :2]:
             assert np.hypot(*(pose - other)) > 2.0 * ROBOT.radius
-    assert distances(poses[:, :2], world.edges).min() >= ROBOT.radius
+    assert segment.distances(poses[:, :2], world.edges).min() >= ROBOT.radius
 
 
 def record(noise: NoiseConfig, seed: int, steps: int, robots: int = 1) -> dict[str, np.ndarray]:
@@ -132,17 +130,17 @@ def test_a_given_start_is_taken_and_the_others_keep_away_from_it():
 
 
 def test_a_robot_that_does_not_fit_the_world_is_refused():
-    with pytest.raises(WorldError, match="collides"):
+    with pytest.raises(ValueError, match="collides"):
         Simulation(load_world("env1"), RobotSpec(radius=0.9))
 
 
 def test_a_world_that_a_robot_could_leave_is_refused():
-    with pytest.raises(WorldError, match="not closed"):
+    with pytest.raises(ValueError, match="not closed"):
         Simulation(World("open", (4.0, 4.0), BOX[:3], starts=np.array([[2.0, 2.0, 0.0]])), ROBOT)
 
 
 def test_more_starts_than_robots_are_refused():
-    with pytest.raises(WorldError, match="2 starts for 1 robots"):
+    with pytest.raises(ValueError, match="2 starts for 1 robots"):
         start_poses(box_world(), 1, start=np.array([[1.0, 1.0, 0.0], [2.0, 1.0, 0.0]]))
 
 

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from limslam_env import World, load_world
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.segment import distances, inside_polygon, lengths, polygon_edges, sample
+from limslam_env.geometry import FloatArray, segment
 
 PAPER = {"env1": (7.0, 7.0), "env2": (9.0, 5.3), "env3": (7.0, 5.5)}
 NARROW = (0.60, 0.70)
@@ -52,18 +51,18 @@ def test_passages_are_wide_enough_to_pass_with_ease(world):
 
 
 def test_the_loop_is_a_closed_tour_with_clearance_round_something(world):
-    tour, _ = sample(polygon_edges(world.loop), 0.01)
-    assert distances(tour, world.edges).min() >= LOOP_CLEARANCE
+    tour, _ = segment.sample(segment.polygon_edges(world.loop), 0.01)
+    assert segment.distances(tour, world.edges).min() >= LOOP_CLEARANCE
     middles = 0.5 * (world.edges[:, :2] + world.edges[:, 2:])
-    assert inside_polygon(middles, world.loop).sum() >= 4
+    assert segment.inside_polygon(middles, world.loop).sum() >= 4
 
 
 def test_doors_are_open_and_lie_between_wall_ends_on_one_line(world):
     assert {tuple(door) for door in world.doors.tolist()} <= collinear_gaps(world.walls)
     for door in world.doors:
-        points, _ = sample(door[None], 0.01)
+        points, _ = segment.sample(door[None], 0.01)
         to_jambs = np.minimum(*(np.linalg.norm(points - end, axis=1) for end in (door[:2], door[2:])))
-        np.testing.assert_allclose(distances(points, world.edges).min(axis=1), to_jambs, atol=1e-9)
+        np.testing.assert_allclose(segment.distances(points, world.edges).min(axis=1), to_jambs, atol=1e-9)
 
 
 def test_env2_has_perpendicular_walls_and_nothing_else():
@@ -75,6 +74,6 @@ def test_env2_has_perpendicular_walls_and_nothing_else():
 
 
 def test_env2_has_one_narrow_door_and_it_comes_first():
-    widths = lengths(load_world("env2").doors)
+    widths = segment.lengths(load_world("env2").doors)
     assert NARROW[0] <= widths[0] <= NARROW[1]
     assert (widths[1:] >= CLEARLY_WIDER).all()

@@ -18,7 +18,7 @@ from limslam_agent.policies.learned.polar_view import AHEAD, CHANNELS, ViewConfi
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_env import RobotSpec, World
-from limslam_env.geometry.se2 import compose
+from limslam_env.geometry import se2
 
 ROBOT = RobotSpec()
 VIEW = ViewConfig(directions=8, rings=4)
@@ -172,7 +172,7 @@ def test_it_drives_where_the_network_says(turn):
     for _ in range(5):
         left, right = 0.03 * policy.act(belief(pose, ranges=1.5))
         turned += (right - left) / 0.16
-        pose = compose(pose, np.array([0.5 * (left + right), 0.0, (right - left) / 0.16]))
+        pose = se2.compose(pose, np.array([0.5 * (left + right), 0.0, (right - left) / 0.16]))
     assert turned == pytest.approx({0: 0.0, 6: math.pi / 2, 18: -math.pi / 2}[turn], abs=0.35)
     if turn == 0:
         assert pose[0] == pytest.approx(1.15)

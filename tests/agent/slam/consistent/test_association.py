@@ -10,8 +10,7 @@ from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.slam.consistent.limits import FAR_GATE
 from limslam_agent.slam.core.diagnostics import Comparison
 from limslam_env import Observation
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.geometry import FloatArray, se2
 
 START = np.zeros(3)
 CONFIG = preset("consistent")
@@ -61,4 +60,4 @@ def test_the_batch_is_corrected_alike() -> None:
 def test_a_turn_beyond_the_far_gate_is_not_taken_back() -> None:
     observations, pose = misled(10.0)
     slam, _ = recorded(observations, CONFIG, START)
-    assert abs(wrap_angle(float(slam.pose[2] - pose[2]))) > math.radians(5.0)
+    assert abs(se2.wrap_angle(float(slam.pose[2] - pose[2]))) > math.radians(5.0)

@@ -9,7 +9,7 @@ from support.readings import Readings, expected_ranges, hit_points
 
 from limslam_env import RobotSpec
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.line import distance
+from limslam_env.geometry import line as line_geometry
 
 ROBOT = RobotSpec()  # beams on the rim, 0.1 m from the middle, at 90, 45, 15, -15, -45, -90 deg
 places = st.floats(-5.0, 5.0)
@@ -64,4 +64,4 @@ def test_a_reading_as_expected_ends_on_the_line(pose: FloatArray, line: FloatArr
     expected = expected_ranges(stacked, readings, line, anchor)
     clear = np.nonzero(np.abs(expected.cosines) > 0.05)[0]
     points = hit_points(stacked[clear], readings._replace(ranges=expected.ranges).select(clear))
-    np.testing.assert_allclose(distance(line, points - anchor), 0.0, atol=1e-11)
+    np.testing.assert_allclose(line_geometry.distance(line, points - anchor), 0.0, atol=1e-11)

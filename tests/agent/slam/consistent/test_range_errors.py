@@ -19,8 +19,7 @@ from limslam_agent.slam.consistent.range_noise import RangeNoise
 from limslam_agent.slam.consistent.separate_bias import DELAY, by_range_errors
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_env import NominalNoise, Observation, RobotSpec
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.geometry import FloatArray, se2
 
 NOISE = 0.02
 WALLS = np.vstack((room(-0.5, -0.5, 3.5, 2.5), room(0.5, 0.5, 2.5, 1.5)))
@@ -222,7 +221,7 @@ def test_a_stated_opening_angle_keeps_the_filter_consistent() -> None:
         for each, found in ((robot, squared), (ROBOT, without)):
             _, poses, covariances = mapped(observations, config_of(enabled=False), each)
             off = poses[200:] - true[200:]
-            off[:, 2] = wrap_angle(off[:, 2])
+            off[:, 2] = se2.wrap_angle(off[:, 2])
             scaled = np.linalg.solve(covariances[200:], off[..., None])[..., 0]
             found.append(np.mean(np.sum(off * scaled, axis=1)))
     assert np.mean(squared) / 3.0 < 2.0

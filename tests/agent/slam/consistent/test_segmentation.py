@@ -19,8 +19,7 @@ from limslam_agent.slam.consistent.pending_readings import places_of
 from limslam_agent.slam.core.line_fit import fit_line
 from limslam_agent.slam.core.motion import motion_from_wheels
 from limslam_env import NominalNoise, RobotSpec
-from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.geometry.se2 import compose
+from limslam_env.geometry import FloatArray, IntArray, se2
 
 ROBOT = RobotSpec()
 LEFT = [0, 1]  # the beams at 90 and 45 deg
@@ -93,7 +92,7 @@ def drive_past(corners: FloatArray, length: float, noise: float, seed: int, whee
         clone = belief.clone()
         for beam in LEFT:
             heading = truth[2] + ROBOT.beam_angles[beam]
-            start = compose(truth, np.append(ROBOT.beam_origins[beam], 0.0))[:2]
+            start = se2.compose(truth, np.append(ROBOT.beam_origins[beam], 0.0))[:2]
             free = ray(start, heading, corners)
             if free < 1.4:
                 clones.append(clone)
@@ -103,7 +102,7 @@ def drive_past(corners: FloatArray, length: float, noise: float, seed: int, whee
         wheels = np.full(2, STEP)
         motion = motion_from_wheels(wheels, ROBOT, nominal)
         reported = wheels + generator.normal(0.0, math.sqrt(wheel_variance * STEP), 2)
-        truth = compose(truth, motion.increment)
+        truth = se2.compose(truth, motion.increment)
         told = motion_from_wheels(reported, ROBOT, nominal)
         belief.predict(told)
     readings = Readings(

@@ -16,8 +16,7 @@ from limslam_agent.slam.consistent.clone_filter import line_at
 from limslam_agent.slam.consistent.separate_bias import OdometryErrors
 from limslam_agent.slam.core.motion import AS_SPECIFIED, OdometryCalibration, calibrated, motion_from_wheels
 from limslam_env import NominalNoise, Observation, RobotSpec
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import compose, transform_points
+from limslam_env.geometry import FloatArray, se2
 
 ROBOT, NOISE, QUIET = RobotSpec(), NominalNoise(0.02), NominalNoise(0.0, 0.0)
 WALLS = np.array([[0.6, 0.5 * math.pi], [-0.6, 0.5 * math.pi]])
@@ -29,7 +28,7 @@ PRIOR = SMALL**2 * SelfCalibrationConfig().covariance / 1e-4
 
 def range_to(pose: FloatArray, beam: int, line: FloatArray) -> float:
     """The exact range of a beam to an endless wall (r, theta)."""
-    origin = transform_points(pose, ROBOT.beam_origins[[beam]])[0]
+    origin = se2.transform_points(pose, ROBOT.beam_origins[[beam]])[0]
     heading = pose[2] + ROBOT.beam_angles[beam]
     normal = np.array([math.cos(line[1]), math.sin(line[1])])
     return float((line[0] - normal @ origin) / (normal @ [math.cos(heading), math.sin(heading)]))
@@ -44,7 +43,7 @@ class Corridor:
 
     def move(self, left: float, right: float, assumed: OdometryCalibration) -> None:
         reported = motion_from_wheels(np.array([left, right]), ROBOT, QUIET)
-        self.pose = compose(self.pose, calibrated(reported, ROBOT.axle, self.true).increment)
+        self.pose = se2.compose(self.pose, calibrated(reported, ROBOT.axle, self.true).increment)
         for ekf in self.filters:
             found = ekf.calibration()
             motion = calibrated(reported, ROBOT.axle, OdometryCalibration(*found[0]) if found else assumed)

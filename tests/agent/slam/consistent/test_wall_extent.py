@@ -12,9 +12,8 @@ from limslam_agent.kernels.extents import add_wall, clear_along_beams, count_hit
 from limslam_agent.kernels.tables import BIN, FARTHEST, empty_walls
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.wall_map import WallExtent, WallMap
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.line import at, direction, normal
-from limslam_env.geometry.segment import lengths
+from limslam_env.geometry import FloatArray, segment
+from limslam_env.geometry import line as line_geometry
 
 GAP = 0.30
 TOLERANCE = 1.0  # beams that pass for each that ends there
@@ -109,7 +108,7 @@ def wall_map(theta: float = 0.7, config: ExtentConfig | None = None) -> tuple[Wa
     line = np.array([1.0, theta])
     belief.add_line(theta, line[0] * np.array([math.cos(theta), math.sin(theta)]))
     walls = WallMap(belief, config or ExtentConfig())
-    walls.add_known(at(line, wall(-1.0, 1.0)))
+    walls.add_known(line_geometry.at(line, wall(-1.0, 1.0)))
     return walls, line
 
 
@@ -126,20 +125,20 @@ def beams_from(walls: WallMap, origins: FloatArray, heading: float, free: float,
 
 def look(walls: WallMap, line: FloatArray, along: FloatArray, free: float, std: float = 0.005) -> None:
     """Beams straight at places along the wall from 0.5 m before it."""
-    beams_from(walls, at(line, along) - 0.5 * normal(line), line[1], free, std)
+    beams_from(walls, line_geometry.at(line, along) - 0.5 * line_geometry.normal(line), line[1], free, std)
 
 
 @pytest.mark.parametrize("theta", [0.7, -2.0])
 def test_a_piece_of_the_map_vanishes_where_beams_pass(theta: float) -> None:
     walls, line = wall_map(theta)
-    assert lengths(walls.segments) == pytest.approx([1.95])
+    assert segment.lengths(walls.segments) == pytest.approx([1.95])
     for _ in range(2):
         look(walls, line, np.arange(-0.28, 0.3, 0.05), 1.2)
     segments = walls.segments
-    assert lengths(segments) == pytest.approx([0.65, 0.65], abs=0.051)
+    assert segment.lengths(segments) == pytest.approx([0.65, 0.65], abs=0.051)
     middles = 0.5 * (segments[:, :2] + segments[:, 2:])
-    np.testing.assert_allclose(np.abs(middles @ direction(line)), 0.65, atol=0.05)
-    np.testing.assert_allclose(walls.ends(0) @ direction(line), [-0.99, 0.96], atol=1e-12)
+    np.testing.assert_allclose(np.abs(middles @ line_geometry.direction(line)), 0.65, atol=0.05)
+    np.testing.assert_allclose(walls.ends(0) @ line_geometry.direction(line), [-0.99, 0.96], atol=1e-12)
     for _ in range(2):
         look(walls, line, np.arange(-0.98, 1.0, 0.05), 1.2)
     assert walls.segments.shape == (0, 4)
@@ -153,6 +152,6 @@ def test_beams_that_end_at_the_wall_or_within_what_is_unsure_or_look_away_do_not
         look(walls, line, along, 0.5)
         look(walls, line, along, 0.54)
         look(walls, line, along, 1.2, std=0.3)
-        beams_from(walls, at(line, along) - 0.5 * normal(line), line[1] + math.pi, 1.2)
-        beams_from(walls, at(line, along), line[1] + 0.5 * math.pi, 1.2)
-    assert lengths(walls.segments) == pytest.approx([1.95])
+        beams_from(walls, line_geometry.at(line, along) - 0.5 * line_geometry.normal(line), line[1] + math.pi, 1.2)
+        beams_from(walls, line_geometry.at(line, along), line[1] + 0.5 * math.pi, 1.2)
+    assert segment.lengths(walls.segments) == pytest.approx([1.95])

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from limslam_agent.slam.core.encoder_ticks import first_jitter, jitter_of, tick_by, ticks_of
-from limslam_env.geometry.se2 import arc, wheels_to_arc
+from limslam_env.geometry import se2
 
 
 @pytest.mark.parametrize("tick", [0.0003, 0.0023, 0.0102])
@@ -30,7 +30,7 @@ def test_travels_that_are_all_the_same_say_nothing_of_a_tick() -> None:
 def test_the_jitter_is_the_covariance_of_parts_of_ticks() -> None:
     ticks, axle = np.array([0.01, 0.004]), 0.2
     parts = np.random.default_rng(0).uniform(-0.5, 0.5, (20000, 2)) * ticks
-    poses = np.array([arc(*wheels_to_arc(each, axle)) for each in parts])
+    poses = np.array([se2.arc(*se2.wheels_to_arc(each, axle)) for each in parts])
     np.testing.assert_allclose(jitter_of(ticks, axle), np.cov(poses.T), rtol=0.03, atol=2e-7)
 
 

@@ -11,7 +11,7 @@ from limslam_agent.kernels import lines
 from limslam_agent.kernels.compilation import entry
 from limslam_agent.slam.core.hough import ExtractedLine, extract_lines
 from limslam_env.geometry import FloatArray
-from limslam_env.geometry.line import at, nearest_form
+from limslam_env.geometry import line as line_geometry
 
 CONFIG = HoughConfig()
 
@@ -23,13 +23,13 @@ def wall(
 ) -> FloatArray:
     """Noisy points (count, 2) along a piece of a line."""
     generator = np.random.default_rng(seed)
-    points = at(np.array([r, theta]), np.linspace(first, last, count))
+    points = line_geometry.at(np.array([r, theta]), np.linspace(first, last, count))
     return points + generator.normal(0.0, std, (count, 2))
 
 
 def assert_line(found: ExtractedLine, r: float, theta: float) -> None:
     expected = np.array([r, theta])
-    np.testing.assert_allclose(nearest_form(found.fit.line, expected), expected, atol=0.04)
+    np.testing.assert_allclose(line_geometry.nearest_form(found.fit.line, expected), expected, atol=0.04)
 
 
 # Where the bins of theta begin and end: a wall there votes for (r, 0) as well as for (-r, pi).

@@ -7,7 +7,7 @@ from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.separate_bias import DELAY
 from limslam_agent.slam.core.late_ranges import WaitingTravel, ahead, behind, held_back
 from limslam_agent.slam.core.motion import Motion
-from limslam_env.geometry.se2 import arc, compose, wrap_angle
+from limslam_env.geometry import se2
 
 TRAVEL = np.random.default_rng(0).normal(0.03, 0.02, (40, 2, 2))
 
@@ -45,14 +45,14 @@ def test_ahead_is_the_arc_of_the_travel_and_behind_leads_back():
     turned = ahead(np.zeros(3), 0.5 * np.pi * np.array([0.9, 1.1]), axle)
     np.testing.assert_allclose(turned, [1.0, 1.0, 0.5 * np.pi], atol=1e-12)
     back = behind(ahead(pose, TRAVEL[:, 0], axle), TRAVEL[:, 0], axle)
-    np.testing.assert_allclose(wrap_angle(back - pose), np.zeros_like(back), atol=1e-12)
+    np.testing.assert_allclose(se2.wrap_angle(back - pose), np.zeros_like(back), atol=1e-12)
 
 
 def test_a_clone_is_where_late_ranges_were_read():
     start, step, turn = np.array([1.0, 2.0, 0.3]), 0.03, 0.02
     ekf = CloneEKF(start, range_errors=(0.02, 0.05, 1.0))
-    ekf.predict(Motion(arc(step, turn), np.zeros((3, 3))))
+    ekf.predict(Motion(se2.arc(step, turn), np.zeros((3, 3))))
     ekf.clone()
-    late, early = (compose(start, arc((1.0 - delay) * step, (1.0 - delay) * turn)) for delay in (0.1, -0.1))
+    late, early = (se2.compose(start, se2.arc((1.0 - delay) * step, (1.0 - delay) * turn)) for delay in (0.1, -0.1))
     np.testing.assert_allclose(ekf.by_errors[-3:, DELAY], (late - early) / 0.2, atol=5e-4)
     np.testing.assert_array_equal(ekf.by_errors[:3, DELAY], np.zeros(3))

@@ -8,15 +8,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from limslam_agent.slam.core.line_fit import fit_line
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.line import at, nearest_form, normal
-from limslam_env.geometry.se2 import transform_points
+from limslam_env.geometry import FloatArray, se2
+from limslam_env.geometry import line as line_geometry
 
 angles, lengths = st.floats(-math.pi, math.pi), st.floats(0.3, 4.0)
 
 
 def points_on(line: FloatArray, first: float, last: float, count: int = 15) -> FloatArray:
-    return at(line, np.linspace(first, last, count))
+    return line_geometry.at(line, np.linspace(first, last, count))
 
 
 @settings(deadline=None, max_examples=200)
@@ -25,7 +24,7 @@ def test_exact_points_give_the_exact_line_and_its_ends(r: float, theta: float, f
     line = np.array([r, theta])
     points = points_on(line, first, first + length)
     fit = fit_line(np.random.default_rng(1).permutation(points), 0.01)
-    np.testing.assert_allclose(nearest_form(fit.line, line), line, atol=1e-9)
+    np.testing.assert_allclose(line_geometry.nearest_form(fit.line, line), line, atol=1e-9)
     assert fit.line[0] >= 0.0
     assert -math.pi < fit.line[1] <= math.pi
     ends = fit.ends if np.linalg.norm(fit.ends[0] - points[0]) < 0.5 * length else fit.ends[::-1]
@@ -44,16 +43,16 @@ def test_the_covariance_is_what_noise_scatters(middle: tuple[float, float], degr
     std, runs = 0.01, 2000
     generator = np.random.default_rng(5)
     pose = np.array([*middle, math.radians(degrees)])
-    wall = transform_points(pose, np.column_stack((np.linspace(-0.5, 0.5, 20), np.zeros(20))))
+    wall = se2.transform_points(pose, np.column_stack((np.linspace(-0.5, 0.5, 20), np.zeros(20))))
     truth = fit_line(wall, std)
     distances, differences = np.empty(runs), np.empty((runs, 2))
     for run in range(runs):
         # Noise across the wall alone: that is what the fit's std means.
-        fit = fit_line(wall + generator.normal(0.0, std, (20, 1)) * normal(truth.line), std)
-        difference = nearest_form(truth.line, fit.line) - fit.line
+        fit = fit_line(wall + generator.normal(0.0, std, (20, 1)) * line_geometry.normal(truth.line), std)
+        difference = line_geometry.nearest_form(truth.line, fit.line) - fit.line
         distances[run] = difference @ np.linalg.solve(fit.covariance, difference)
         # For the scatter all fits must be in one form, which the truth's is.
-        differences[run] = nearest_form(fit.line, truth.line) - truth.line
+        differences[run] = line_geometry.nearest_form(fit.line, truth.line) - truth.line
     # Two numbers: mean 2, and the mean of 2000 scatters by 2 / sqrt(2000) = 0.045.
     assert distances.mean() == pytest.approx(2.0, abs=0.18)
     scale = np.sqrt(np.diag(truth.covariance))

@@ -8,8 +8,8 @@ import pytest
 from support.corridors import corridor_log, loop_errors
 from support.data import data_folder
 
+from limslam_agent import read_log
 from limslam_agent.config.graph import GraphConfig
-from limslam_agent.logs.log_reader import read_log
 from limslam_agent.logs.relations import read_relations, relation_errors, summary
 from limslam_agent.replay.smoothing import log_data
 from limslam_agent.slam.graph.key_poses import delayed

@@ -11,7 +11,7 @@ from limslam_agent.slam.line_graph.problem import (
     CALIBRATION_PRIOR,
 )
 from limslam_agent.slam.line_graph.reassociation import solve_labels
-from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.geometry import se2
 
 
 def smoothed(problem, poses):
@@ -20,7 +20,7 @@ def smoothed(problem, poses):
 
 def nees(true, estimated, covariances):
     error = true - estimated
-    error[..., 2] = wrap_angle(error[..., 2])
+    error[..., 2] = se2.wrap_angle(error[..., 2])
     return np.einsum("ni,ni->n", error, np.linalg.solve(covariances, error[..., None])[..., 0])
 
 

@@ -7,8 +7,7 @@ from support.smoother_runs import WALLS, noisy_run, state_from_motions, true_lab
 from limslam_agent.slam.line_graph.new_lines import with_new_lines
 from limslam_agent.slam.line_graph.reassociation import reassociate, solve_labels
 from limslam_agent.slam.line_graph.smoothed_map import smoothed_map
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.segment import distances, sample
+from limslam_env.geometry import FloatArray, segment
 
 
 def polygon(corners: int, across: float) -> FloatArray:
@@ -30,10 +29,10 @@ def test_the_faces_of_a_pillar_are_drawn_and_nothing_else(
     labels = true_labels(problem, poses, walls)
     known = np.where(labels < len(WALLS), labels, -1)
     _, segments = smoothed_map(reassociate(problem, state_from_motions(problem), known))
-    faces, _ = sample(walls[len(WALLS) :], 0.02)
-    assert (distances(faces, segments).min(axis=1) < 0.05).mean() > share
-    drawn, _ = sample(segments, 0.02)
-    assert (distances(drawn, walls).min(axis=1) < 0.05).mean() > 0.95
+    faces, _ = segment.sample(walls[len(WALLS) :], 0.02)
+    assert (segment.distances(faces, segments).min(axis=1) < 0.05).mean() > share
+    drawn, _ = segment.sample(segments, 0.02)
+    assert (segment.distances(drawn, walls).min(axis=1) < 0.05).mean() > 0.95
 
 
 def test_five_readings_are_no_line() -> None:

@@ -14,7 +14,7 @@ from limslam_agent.slam.line_graph.problem import RELATIVE_PRIOR, expected, stat
 from limslam_agent.slam.line_graph.reassociation import solve_labels
 from limslam_agent.slam.line_graph.smoother import FilteredRun, beside, settle, smooth_run, smooth_with_unknown_start
 from limslam_env import NominalNoise
-from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.geometry import se2
 
 CONFIG = SmootherConfig()
 FOUND = RangeSensor(0.01, growth=0.02, cone=0.03, bias=0.04)
@@ -61,7 +61,7 @@ def test_poses_with_coarse_encoders_are_about_as_wrong_as_believed():
     wheels = np.diff(np.floor(totals / tick) * tick, axis=0, prepend=np.zeros((1, 1, 2)))
     found = smooth_run(replace(run, wheels=wheels), CONFIG)
     errors = (found.poses - run.poses)[1:, 0]
-    errors[:, 2] = wrap_angle(errors[:, 2])
+    errors[:, 2] = se2.wrap_angle(errors[:, 2])
     assert np.hypot(*errors[:, :2].T).mean() < 0.1
     assert (
         np.einsum("ti,ti->t", errors, np.linalg.solve(found.covariances[1:, 0], errors[..., None])[..., 0]).mean() < 6.0

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 from support.corridors import SIX_BEAMS, corridor_log
 
-from limslam_agent.config.presets import preset
+from limslam_agent import Mapper, preset
 from limslam_agent.logs.recorded_log import RecordedLog
-from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.replay import hand_over
 from limslam_agent.replay.filter_estimate import FilterEstimate
 from limslam_agent.slam.online_graph.online_graph import Beams, OnlineGraph

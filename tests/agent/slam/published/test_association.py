@@ -11,9 +11,8 @@ from limslam_agent.slam.core.diagnostics import CandidateTest
 from limslam_agent.slam.core.ekf import LineEKF
 from limslam_agent.slam.published import association
 from limslam_agent.slam.published.association import ObservedLine, associate
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.line import through, to_frame
-from limslam_env.geometry.se2 import transform_points
+from limslam_env.geometry import FloatArray, se2
+from limslam_env.geometry import line as line_geometry
 
 # Given here, not left to the defaults: the scenes are drawn around these gaps.
 CONFIG = AssociationConfig(gate=100.0, max_end_gap=0.25, range_slack=0.25)
@@ -31,7 +30,7 @@ def sure(_line: FloatArray, _covariance: FloatArray, _landmark: int) -> tuple[Fl
 def observed(start: tuple[float, float], end: tuple[float, float], *beam_origins: tuple[float, float]) -> ObservedLine:
     """A wall seen from ``start`` to ``end`` in the robot's frame, by beams from straight before it unless said."""
     points = np.linspace(start, end, 10)
-    line = through(np.array(start), np.array(end))
+    line = line_geometry.through(np.array(start), np.array(end))
     toward = np.array([math.cos(line[1]), math.sin(line[1])])
     origins = np.array(beam_origins) if beam_origins else points - 0.4 * toward
     if len(origins) != len(points):
@@ -43,8 +42,8 @@ def landmarks(
     pose: FloatArray, *walls: tuple[float, float, float, float], opposite: bool = False
 ) -> tuple[FloatArray, FloatArray]:
     """Lines (N, 2) and segments (N, 4) in the world of walls given in the robot's frame."""
-    segments = np.array([transform_points(pose, np.reshape(wall, (2, 2))).ravel() for wall in walls])
-    lines = np.array([through(segment[:2], segment[2:]) for segment in segments])
+    segments = np.array([se2.transform_points(pose, np.reshape(wall, (2, 2))).ravel() for wall in walls])
+    lines = np.array([line_geometry.through(segment[:2], segment[2:]) for segment in segments])
     if opposite:
         lines = np.column_stack((-lines[:, 0], lines[:, 1] + math.pi))
         segments = segments[:, [2, 3, 0, 1]]
@@ -120,7 +119,7 @@ def test_the_nearest_landmark_comes_first_and_the_gate_ends_the_list(place: tupl
     lines, segments = landmarks(pose, *walls)
     ekf = LineEKF(pose, 1e-12 * np.eye(3))
     for line in lines:
-        ekf.augment(to_frame(line, pose), 1e-12 * np.eye(2))
+        ekf.augment(line_geometry.to_frame(line, pose), 1e-12 * np.eye(2))
     # The observation's sd is 2 cm: 0.11 m off is 30 in squared distance, 0.3 m is 225 and past the gate of 100.
     observation = replace(WALL_AHEAD, covariance=np.diag([4e-4, 1e-3]))
     found = associate(observation, pose, lines, segments, ekf.innovation, MAX_RANGE, CONFIG)

@@ -7,9 +7,7 @@ from support.drives import ranges_at
 from limslam_agent import AgentConfig, LineSlam, preset
 from limslam_agent.config.ablations import ablated
 from limslam_agent.config.published import LoopClosingConfig, PublishedConfig
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import compose, inverse, wrap_angle
-from limslam_env.geometry.segment import polygon_edges
+from limslam_env.geometry import FloatArray, se2, segment
 from limslam_env.interface import NominalNoise, RobotSpec, beams_on_rim
 
 CONFIG = LoopClosingConfig()
@@ -38,11 +36,11 @@ def walled_loop() -> tuple[FloatArray, FloatArray]:
     poses = []
     for side in range(5):
         start, end = corners[side % 4], corners[(side + 1) % 4]
-        heading = wrap_angle(float(np.pi / 2 * side))
+        heading = se2.wrap_angle(float(np.pi / 2 * side))
         poses += [[*place, heading] for place in np.linspace(start, end, 140, endpoint=False)]
-        poses += [[*end, wrap_angle(heading + turn)] for turn in np.linspace(0.0, np.pi / 2, 16, endpoint=False)]
-    outer = polygon_edges(np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]]))
-    inner = polygon_edges(np.array([[1.2, 1.2], [2.8, 1.2], [2.8, 2.8], [1.2, 2.8]]))
+        poses += [[*end, se2.wrap_angle(heading + turn)] for turn in np.linspace(0.0, np.pi / 2, 16, endpoint=False)]
+    outer = segment.polygon_edges(np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0]]))
+    inner = segment.polygon_edges(np.array([[1.2, 1.2], [2.8, 1.2], [2.8, 2.8], [1.2, 2.8]]))
     return np.array(poses), np.vstack((outer, inner))
 
 
@@ -50,7 +48,7 @@ def sensed(poses: FloatArray, walls: FloatArray, drift: float) -> list[dict[str,
     """What the robot reads on the way; its wheels tell ``drift`` (rad per m) too much of a turn."""
     observations, before = [], poses[0]
     for pose in poses:
-        ahead, _, turn = compose(inverse(before), pose)
+        ahead, _, turn = se2.compose(se2.inverse(before), pose)
         half = 0.5 * ROBOT.axle * (turn + drift * ahead)
         observations.append({"ranges": ranges_at(pose, walls, ROBOT), "wheels": np.array([ahead - half, ahead + half])})
         before = pose

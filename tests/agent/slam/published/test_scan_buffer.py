@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from limslam_agent.config.published import BufferConfig
 from limslam_agent.slam.published.scan_buffer import Scan, ScanBuffer
 from limslam_env import RobotSpec
-from limslam_env.geometry import BoolArray, FloatArray
-from limslam_env.geometry.se2 import arc, compose, transform_points
+from limslam_env.geometry import BoolArray, FloatArray, se2
 
 ROBOT = RobotSpec()  # beams at 90, 45, 15, -15, -45, -90 deg; left are 0 and 1, right are 4 and 5
 ALL = np.ones(6, dtype=bool)
@@ -29,12 +28,12 @@ def ends_in_world(pose: FloatArray, beams: list[int]) -> FloatArray:
     for beam in beams:
         spec = ROBOT.beams[beam]
         heading = pose[2] + spec.angle
-        origin = transform_points(pose, np.array([[spec.x, spec.y]]))[0]
+        origin = se2.transform_points(pose, np.array([[spec.x, spec.y]]))[0]
         points.append(origin + RANGES[beam] * np.array([math.cos(heading), math.sin(heading)]))
     return np.array(points)
 
 
-increments = st.tuples(st.floats(-0.05, 0.05), st.floats(-0.4, 0.4)).map(lambda motion: arc(*motion))
+increments = st.tuples(st.floats(-0.05, 0.05), st.floats(-0.4, 0.4)).map(lambda motion: se2.arc(*motion))
 
 
 @settings(deadline=None, max_examples=50)
@@ -45,11 +44,11 @@ def test_points_and_origins_stay_fixed_in_the_world_while_the_robot_moves(motion
     buffer.add(RANGES, ALL, ALL, 0)
     start, seen = pose, ends_in_world(pose, [0, 1])
     for motion in motions:
-        pose = compose(pose, motion)
+        pose = se2.compose(pose, motion)
         buffer.move(motion)
-    np.testing.assert_allclose(transform_points(pose, buffer.scan.points), seen, atol=1e-9)
-    begun = transform_points(start, ROBOT.beam_origins[:2])
-    np.testing.assert_allclose(transform_points(pose, buffer.scan.origins), begun, atol=1e-9)
+    np.testing.assert_allclose(se2.transform_points(pose, buffer.scan.points), seen, atol=1e-9)
+    begun = se2.transform_points(start, ROBOT.beam_origins[:2])
+    np.testing.assert_allclose(se2.transform_points(pose, buffer.scan.origins), begun, atol=1e-9)
 
 
 def test_a_buffer_is_handed_on_when_it_reaches_its_size_and_begins_anew() -> None:

@@ -10,7 +10,6 @@ from PIL import Image
 
 from limslam_env import load_world
 from limslam_env.worlds.formats.pictures import read_levels
-from limslam_env.worlds.world import WorldError
 
 ABOUT = "image: {}\nresolution: 0.1\norigin: [0.0, 0.0, 0.0]\nnegate: {}\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
 
@@ -56,7 +55,7 @@ def test_negate_inverts_a_png_too(tmp_path, as_pgm):
 
 def refusal(tmp_path, content):
     (tmp_path / "some.png").write_bytes(content)
-    with pytest.raises(WorldError) as caught:
+    with pytest.raises(ValueError) as caught:
         load_world(write_map(tmp_path, "some.png"))
     assert "image 'some.png': " in str(caught.value)
     return str(caught.value)
@@ -87,5 +86,5 @@ def test_damaged_pictures_are_refused(tmp_path):
     assert "no PNG file" in refusal(tmp_path, b"P5\n80 60\n255\n" + levels().tobytes())
     for cut in (0, 5, 20, 40, len(whole) // 2):
         assert "cannot be read" in refusal(tmp_path, whole[:cut])
-    with pytest.raises(WorldError):
+    with pytest.raises(ValueError):
         read_levels(tmp_path / "missing.png")

@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from limslam_env import FloorPlanConfig, World
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.segment import distances, inside_polygon, lengths, polygon_edges, sample
+from limslam_env.geometry import FloatArray, segment
 from limslam_env.worlds.generation.floor_plans import SPARE, floor_plan
 from limslam_env.worlds.generation.room_layout import (
     Measures,
@@ -64,7 +63,7 @@ def is_slanted(segments: FloatArray) -> np.ndarray:
 
 def apart(first: FloatArray, second: FloatArray) -> float:
     """Least distance (m) of two sets of segments that do not cross."""
-    ends = distances(first.reshape(-1, 2), second).min(), distances(second.reshape(-1, 2), first).min()
+    ends = segment.distances(first.reshape(-1, 2), second).min(), segment.distances(second.reshape(-1, 2), first).min()
     return float(min(ends))
 
 
@@ -84,12 +83,14 @@ def test_doors_are_truly_open_and_of_the_asked_width(name):
     narrowest, widest = np.broadcast_to(config.door_width, 2)
     for seed in range(min(seeds, 20)):
         world = plan(seed, config, radius)
-        assert ((lengths(world.doors) >= narrowest - 1e-9) & (lengths(world.doors) <= widest + 1e-9)).all()
+        assert (
+            (segment.lengths(world.doors) >= narrowest - 1e-9) & (segment.lengths(world.doors) <= widest + 1e-9)
+        ).all()
         assert not is_slanted(world.doors).any()
         for door in world.doors:
-            points, _ = sample(door[None], 0.02)
+            points, _ = segment.sample(door[None], 0.02)
             to_jambs = np.linalg.norm(points[:, None] - door.reshape(2, 2), axis=-1).min(axis=1)
-            nearest = distances(points, world.edges).min(axis=1)
+            nearest = segment.distances(points, world.edges).min(axis=1)
             # Nothing but the jambs is near, and both are there: the ends of two walls on the door's line.
             np.testing.assert_allclose(nearest, np.minimum(to_jambs, nearest.max()), atol=1e-9)
             assert nearest[0] < 1e-9
@@ -169,15 +170,15 @@ def test_obstacles_keep_their_distance_from_all_but_one_wall(radius, size):
     for seed in range(10):
         world = plan(seed, replace(FULL, width=7.0, height=6.0, min_room=6.0, obstacle_size=size), radius)
         for number, polygon in enumerate(world.obstacles):
-            edges = polygon_edges(polygon)
+            edges = segment.polygon_edges(polygon)
             to_walls = np.array([apart(edges, wall[None]) for wall in world.walls])
             at_walls += (to_walls < 1e-9).sum()
             assert (to_walls < 1e-9).sum() <= 1
             assert (to_walls[to_walls > 1e-9] >= clearance).all()
             for other in world.obstacles[:number]:
-                assert apart(edges, polygon_edges(other)) >= clearance
-                assert not inside_polygon(other.mean(axis=0)[None], polygon)[0]
-                assert not inside_polygon(polygon.mean(axis=0)[None], other)[0]
+                assert apart(edges, segment.polygon_edges(other)) >= clearance
+                assert not segment.inside_polygon(other.mean(axis=0)[None], polygon)[0]
+                assert not segment.inside_polygon(polygon.mean(axis=0)[None], other)[0]
     assert at_walls > 0
 
 
