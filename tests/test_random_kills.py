@@ -87,12 +87,12 @@ def assert_nothing_is_lost(target: Path, files: set[str]) -> None:
 
 @pytest.mark.parametrize("kind", ["run", "replay"])
 def test_a_run_or_a_replay_that_is_killed_leaves_its_results_whole(tmp_path, kind):
-    run = ("limslam_agent.cli.main", "run", "--world", "square", "--max-time", "2")
+    run = ("limslam_agent", "run", "--world", "square", "--max-time", "2")
     first = Command((*run, "--out", "results/first"), tmp_path)
     first.finish()
     target = tmp_path / "results" / kind
     log = str(tmp_path / "results" / "first" / "log.npz")
-    arguments = run if kind == "run" else ("limslam_agent.cli.main", "replay", log)
+    arguments = run if kind == "run" else ("limslam_agent", "replay", log)
     command = Command((*arguments, "--out", str(target), "--force"), tmp_path)
     command.finish()
     command.finish()

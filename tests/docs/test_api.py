@@ -6,11 +6,11 @@ from typing import Any
 
 import pytest
 import typer
+from support.command_line import app
 from support.markdown import ROOT
 
 import limslam_agent
 import limslam_env
-from limslam_agent.cli.main import app
 
 PAGE = (ROOT / "docs" / "api.md").read_text(encoding="utf-8")
 

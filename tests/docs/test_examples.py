@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from support.command_line import call
+from support.command_line import limslam
 from support.markdown import blocks, commands
 
 from limslam_agent import read_log, replay_log
-from limslam_agent.cli.main import main
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 EXAMPLE = EXAMPLES / "live_robot.py"
@@ -64,7 +63,7 @@ def test_its_log_can_be_replayed(live_run):
 def test_the_log_of_wheel_travel_is_replayed_by_the_command_of_its_page(tmp_path):
     page = EXAMPLES.parent / "docs" / "logs.md"
     command = next(words for block in blocks(page) for words in commands(block.text) if "wheel_log.csv" in str(words))
-    finished = call(main, *command[1:], "--out", tmp_path / "out", cwd=EXAMPLES.parent)
+    finished = limslam(*command[1:], "--out", tmp_path / "out", cwd=EXAMPLES.parent)
     assert (finished.returncode, finished.stderr) == (0, "")
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert result["config"]["robot"]["axle"] == 0.115
@@ -94,7 +93,7 @@ def test_a_function_is_scored_beside_the_explorer_in_fifteen_lines():
 def test_an_estimator_of_ones_own_gets_the_metrics_of_a_run(tmp_path):
     example = EXAMPLES / "own_estimator.py"
     folder = tmp_path / "run"
-    write = "import sys; from limslam_agent.cli.main import main; sys.exit(main())"
+    write = "import sys; from limslam_agent.__main__ import main; sys.exit(main())"
     options = ["run", "--world", "env2", "--preset", "consistent", "--max-time", "20", "--out", str(folder)]
     subprocess.run([sys.executable, "-c", write, *options], capture_output=True, text=True, check=True)
     result = subprocess.run([sys.executable, str(example), str(folder)], capture_output=True, text=True, check=True)

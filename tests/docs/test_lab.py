@@ -3,10 +3,8 @@
 import shutil
 
 import pytest
-from support.command_line import call
+from support.command_line import limslam
 from support.markdown import ROOT, blocks, commands
-
-from limslam_agent.cli.main import main
 
 
 def test_the_commands_of_the_exercise_run_one_after_the_other(tmp_path):
@@ -23,7 +21,7 @@ def test_the_commands_of_the_exercise_run_one_after_the_other(tmp_path):
             continue
         for words in commands(block.text):
             short = ["--max-time", "8"] if words[1] == "run" else []
-            done = call(main, *words[1:], *short, cwd=tmp_path)
+            done = limslam(*words[1:], *short, cwd=tmp_path)
             assert done.returncode == 0, f"{words}: {done.stderr}"
             assert done.stderr == "" or words[1] != "replay"
             folders.append(words[words.index("--out") + 1])

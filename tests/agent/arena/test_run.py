@@ -8,13 +8,12 @@ from io import StringIO
 
 import pytest
 from support.arena import MANIFEST, made_entry
-from support.command_line import call
+from support.command_line import limslam
 
 from limslam_agent.arena.results import FORMAT, RUNS, STAMP, read_results
 from limslam_agent.arena.running import Job, run_entry, run_job
 from limslam_agent.arena.verify import differences, opened, verify
 from limslam_agent.cli.arena import write_kept_run
-from limslam_agent.cli.main import main
 from limslam_agent.measurements.store import RESULTS, open_store, read_stamp
 
 PYTHON = MANIFEST.replace('kind = "shipped"\nrun = "random"', 'kind = "python"\nrun = "mine.py:Mine"')
@@ -80,7 +79,7 @@ def test_failed_plans_are_run_again_when_asked(tmp_path, entry, short_plans):
 def test_a_kept_run_can_be_inspected_although_its_world_has_a_decimal_size(tmp_path, entry, short_plans):
     assert short_plans[0].world.endswith("6x5.1")
     run_job(Job(entry, short_plans[0], tmp_path / "run", {}, "", write_kept_run))
-    finished = call(main, "inspect", tmp_path / "run")
+    finished = limslam("inspect", tmp_path / "run")
     assert finished.returncode == 0, finished.stderr
     assert "The poses equal those in the folder" in finished.stdout
 
@@ -206,7 +205,7 @@ def test_a_stamp_that_was_changed_is_noticed(tmp_path, entry):
 def test_bad_input_is_refused_with_one_line(tmp_path, entry, words, reason, monkeypatch):
     assert entry.folder == tmp_path / "entry"
     monkeypatch.setattr("sys.stdin", StringIO("-1\n"))
-    finished = call(main, "arena", *words, cwd=tmp_path)
+    finished = limslam("arena", *words, cwd=tmp_path)
     assert finished.returncode == 2
     assert reason in finished.stderr
     assert len(finished.stderr.splitlines()) == 1

@@ -9,9 +9,7 @@ import pytest
 SCRIPT = Path(sys.executable).with_name("limslam")
 
 
-@pytest.mark.parametrize(
-    "command", [[SCRIPT], [sys.executable, "-m", "limslam_agent.cli.main"]], ids=["script", "module"]
-)
+@pytest.mark.parametrize("command", [[SCRIPT], [sys.executable, "-m", "limslam_agent"]], ids=["script", "module"])
 def test_a_bad_argument_ends_the_command_with_2_and_one_line(command, tmp_path):
     result = subprocess.run(
         [*command, "run", "--noise", "-1"], capture_output=True, text=True, check=False, cwd=tmp_path

@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import pytest
+from support.command_line import limslam
 
 import limslam_env  # noqa: F401 (registers the environments)
 from limslam_agent.cli import warmup as warmup_module
@@ -18,14 +19,14 @@ def test_what_names_no_floor_plan_is_refused_in_a_short_line(name):
     assert len(str(refusal.value)) < 200
 
 
-def test_a_floor_plan_is_run_by_its_seed(limslam, tmp_path):
+def test_a_floor_plan_is_run_by_its_seed(tmp_path):
     code, out, _ = limslam("run", "--world", "random:17", "--max-time", 1, "--out", tmp_path / "run")
     assert code == 0
     assert "stopped" in out
     assert 'world = "random:17"' in (tmp_path / "run" / "run.toml").read_text()
 
 
-def test_warming_up_says_what_it_does_and_ends_each_line(limslam, monkeypatch):
+def test_warming_up_says_what_it_does_and_ends_each_line(monkeypatch):
     done = []
     steps = {name: (seconds, lambda name=name: done.append(name)) for name, (seconds, _) in warmup_module.STEPS.items()}
     monkeypatch.setattr(warmup_module, "STEPS", steps)

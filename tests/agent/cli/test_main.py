@@ -4,15 +4,13 @@ import json
 import os
 import subprocess
 import sys
-from functools import partial
 
 import numpy as np
 import pytest
 from support.bags import odometry, scan, write_bag
-from support.command_line import call
+from support.command_line import limslam
 
 from limslam_agent import AgentConfig, preset
-from limslam_agent.cli.main import main
 from limslam_agent.cli.settings import ReplayOptions, RunOptions
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.runs.run_config import RunConfig
@@ -24,9 +22,6 @@ RUN_FILES = {
 
 # One beam a quarter turn apart would do; 180 beams, one a degree from -90 on.
 SCAN = "FLASER 180 " + " ".join(["2.00"] * 180)
-
-
-limslam = partial(call, main)
 
 
 def carmen_line(x, time):
@@ -258,7 +253,7 @@ def assert_refused(result, words):
 
 def test_importing_the_command_line_is_light():
     heavy = "{'pymunk', 'numba', 'filterpy', 'cv2', 'matplotlib', 'rosbags', 'numpy', 'tomli_w'}"
-    loaded = f"import sys, limslam_agent.cli.main; print(sorted({heavy} & set(sys.modules)))"
+    loaded = f"import sys, limslam_agent.__main__; print(sorted({heavy} & set(sys.modules)))"
     result = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
 

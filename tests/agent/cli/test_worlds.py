@@ -3,6 +3,7 @@
 import sys
 
 import pytest
+from support.command_line import limslam
 
 from limslam_env import load_world
 from limslam_env.worlds.formats.loading import shipped_worlds
@@ -31,7 +32,7 @@ def assert_refused(result, words):
     assert words in error
 
 
-def test_the_list_names_every_shipped_world_and_its_id(limslam):
+def test_the_list_names_every_shipped_world_and_its_id():
     code, out, error = limslam("worlds")
     assert (code, error) == (0, "")
     heading, *rows = out.splitlines()
@@ -43,7 +44,7 @@ def test_the_list_names_every_shipped_world_and_its_id(limslam):
     assert square.split()[-1] == "yes"
 
 
-def test_a_good_file_is_summed_up_in_a_line(limslam, good):
+def test_a_good_file_is_summed_up_in_a_line(good):
     code, out, error = limslam("worlds", "check", good)
     assert (code, error) == (0, "")
     assert out.startswith("closet: 2 x 1.5 m, 4 walls, 1 obstacle, 0 doors, 1 start, ")
@@ -52,7 +53,7 @@ def test_a_good_file_is_summed_up_in_a_line(limslam, good):
     assert float(out.split(", ")[-1].split(" m^2")[0]) == pytest.approx(2.95, abs=0.1)
 
 
-def test_a_world_that_a_robot_could_leave_is_refused_with_the_file(limslam, tmp_path):
+def test_a_world_that_a_robot_could_leave_is_refused_with_the_file(tmp_path):
     path = tmp_path / "hall.toml"
     walls = "[[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 4, 4], [3, 4, 0, 4], [0, 4, 0, 0]]"
     path.write_text(f'name = "hall"\nsize = [6.0, 4.0]\nwalls = {walls}\nstarts = [[1.0, 1.0, 0.0]]\n')
@@ -63,7 +64,7 @@ def test_a_world_that_a_robot_could_leave_is_refused_with_the_file(limslam, tmp_
 
 
 @pytest.mark.parametrize("name", shipped_worlds())
-def test_every_shipped_world_passes_its_check(limslam, name):
+def test_every_shipped_world_passes_its_check(name):
     assert limslam("worlds", "check", name)[0] == 0
 
 
@@ -76,7 +77,7 @@ def test_every_shipped_world_passes_its_check(limslam, name):
         (lambda _: "", "missing"),
     ],
 )
-def test_a_bad_file_is_refused_with_the_reason(limslam, good, damage, words):
+def test_a_bad_file_is_refused_with_the_reason(good, damage, words):
     good.write_text(damage(good.read_text()))
     result = limslam("worlds", "check", good)
     assert_refused(result, words)
@@ -91,13 +92,13 @@ def test_a_bad_file_is_refused_with_the_reason(limslam, good, damage, words):
         (("worlds", "check", "env1", "--radius", "0"), "--radius"),
     ],
 )
-def test_bad_arguments_get_one_line(limslam, arguments, words, tmp_path, monkeypatch):
+def test_bad_arguments_get_one_line(arguments, words, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert_refused(limslam(*arguments), words)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_converted_world_is_the_same_world(limslam, tmp_path):
+def test_a_converted_world_is_the_same_world(tmp_path):
     target = tmp_path / "copy.toml"
     code, out, error = limslam("worlds", "convert", "env1", target)
     assert (code, error) == (0, "")
@@ -105,7 +106,7 @@ def test_a_converted_world_is_the_same_world(limslam, tmp_path):
     assert load_world(target) == load_world("env1")
 
 
-def test_play_without_pygame_or_a_display_says_so(limslam, monkeypatch):
+def test_play_without_pygame_or_a_display_says_so(monkeypatch):
     for name in ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(sys, "platform", "linux")

@@ -4,10 +4,9 @@ import shutil
 
 import numpy as np
 import pytest
-from support.command_line import call
+from support.command_line import limslam
 from support.inspection import data_in, inspected, short_run, unpacked
 
-from limslam_agent.cli import main as cli
 from limslam_agent.inspect import recorder
 from limslam_agent.output.finished_run import read_run
 from limslam_env.geometry import se2
@@ -100,7 +99,7 @@ def test_other_runs(tmp_path, options):
 
 def test_replays_and_logs(tmp_path, run_folder):
     replayed = tmp_path / "replay"
-    assert call(cli.main, "replay", run_folder / "log.npz", "--preset", "consistent", "--out", replayed).returncode == 0
+    assert limslam("replay", run_folder / "log.npz", "--preset", "consistent", "--out", replayed).returncode == 0
     done = inspected(replayed, tmp_path / "replay.html")
     assert "The poses equal" in done.stdout
     arrays, meta = unpacked(data_in(tmp_path / "replay.html"))

@@ -8,11 +8,10 @@ import time
 
 import numpy as np
 import pytest
-from support.command_line import call
+from support.command_line import limslam
 from support.live import start_emulator
 
 from limslam_agent import read_log
-from limslam_agent.cli.main import main
 from limslam_agent.live.protocol import checksum
 from limslam_agent.live.transports import UdpTransport
 from limslam_agent.output.finished_run import read_run
@@ -63,7 +62,7 @@ def test_a_killed_robot_leaves_the_folder_of_a_session_with_its_map(emulator, tm
     process, _ = emulator("--udp", port, "--truth", truth)
     kill_after(process, truth, 20)
     told = ("--preset", "consistent", "--patience", 5, "--out", folder)
-    finished = call(main, "live", "--udp", port, *told)
+    finished = limslam("live", "--udp", port, *told)
     assert finished.returncode == 0, finished.stderr
     assert {path.name for path in folder.iterdir()} == FILES
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith((".", "room-"))] == []
@@ -82,10 +81,10 @@ def test_a_killed_robot_leaves_the_folder_of_a_session_with_its_map(emulator, tm
     true = np.loadtxt(truth)
     moved = np.flatnonzero(np.hypot(*np.diff(true[:, 1:3], axis=0).T) > 0.0)
     assert np.hypot(*run.estimated[0][-1, :2]) == pytest.approx(np.hypot(*(true[-1] - true[moved[0]])[1:3]), abs=0.15)
-    again = call(main, "replay", "--config", folder / "run.toml", "--out", tmp_path / "again")
+    again = limslam("replay", "--config", folder / "run.toml", "--out", tmp_path / "again")
     assert (again.returncode, again.stderr) == (0, "")
     assert (tmp_path / "again" / "map.json").read_text() == (folder / "map.json").read_text()
-    shown = call(main, "show", folder, "--out", tmp_path / "room.png")
+    shown = limslam("show", folder, "--out", tmp_path / "room.png")
     assert (shown.returncode, shown.stderr) == (0, "")
 
 
@@ -97,7 +96,7 @@ def test_a_robot_behind_a_serial_port_is_driven_and_stopped(emulator, tmp_path):
     _, name = emulator("--pty", "--robot", robot)
     folder = tmp_path / "room"
     told = ("--preset", "consistent", "--max-time", 6, "--watch", "--out", folder)
-    finished = call(main, "live", "--serial", name, "--robot", robot, *told)
+    finished = limslam("live", "--serial", name, "--robot", robot, *told)
     assert finished.returncode == 0, finished.stderr
     assert "watch       http://127.0.0.1:" in finished.stderr
     metrics = json.loads((folder / "result.json").read_text())["metrics"]
@@ -105,11 +104,11 @@ def test_a_robot_behind_a_serial_port_is_driven_and_stopped(emulator, tmp_path):
     assert metrics["packets"] >= 60
     assert (metrics["lines_bad"], metrics["packets_implausible"]) == (0, 0)
     assert read_log(folder / "log.npz").robot.axle == 0.115
-    inspected = call(main, "inspect", folder)
+    inspected = limslam("inspect", folder)
     assert inspected.returncode == 0, inspected.stderr
     assert "The poses equal those in the folder" in inspected.stdout
     assert (folder / "inspect.html").is_file()
-    assert "live small, consistent" in call(main, "show", folder, "--out", tmp_path / "room.png").stdout
+    assert "live small, consistent" in limslam("show", folder, "--out", tmp_path / "room.png").stdout
 
 
 @pytest.mark.parametrize(
@@ -127,7 +126,7 @@ def test_a_robot_behind_a_serial_port_is_driven_and_stopped(emulator, tmp_path):
 def test_what_cannot_be_is_refused_in_one_line_and_leaves_nothing(told, words, tmp_path):
     if "/dev/there-is-none" in told:
         pytest.importorskip("serial", reason="needs the extra live (pyserial)")
-    finished = call(main, "live", *told, "--out", tmp_path / "room", cwd=tmp_path)
+    finished = limslam("live", *told, "--out", tmp_path / "room", cwd=tmp_path)
     assert finished.returncode == 2
     # What is wrong in the command is said before the wait for a robot.
     assert ("waiting" in finished.stderr) == ("no robot has answered" in words)
@@ -155,7 +154,7 @@ def test_a_robot_that_cannot_be_driven_is_refused(hello, words, tmp_path):
         thread = threading.Thread(target=greet)
         thread.start()
         try:
-            finished = call(main, "live", "--udp", port, "--out", tmp_path / "room")
+            finished = limslam("live", "--udp", port, "--out", tmp_path / "room")
         finally:
             done.set()
             thread.join()
@@ -198,7 +197,7 @@ def test_a_policy_that_fails_stops_the_robot_and_keeps_its_log(emulator, tmp_pat
     )
     emulator("--udp", port)
     told = ("--policy", f"{policy}:Fails", "--preset", "consistent", "--out", tmp_path / "room")
-    finished = call(main, "live", "--udp", port, *told)
+    finished = limslam("live", "--udp", port, *told)
     assert finished.returncode == 2
     assert "mine.py, line 6, in act" in finished.stderr.splitlines()[-1]
     assert not (tmp_path / "room").exists()
@@ -220,7 +219,7 @@ def test_ctrl_c_stops_the_robot_and_writes_the_folder(emulator, tmp_path):
     )
     emulator("--udp", port)
     told = ("--policy", f"{policy}:Presses", "--preset", "consistent", "--out", folder)
-    finished = call(main, "live", "--udp", port, *told)
+    finished = limslam("live", "--udp", port, *told)
     assert finished.returncode == 0, finished.stderr
     assert "stopped     stopped by hand" in finished.stdout
     log = read_log(folder / "log.npz")

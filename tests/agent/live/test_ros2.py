@@ -10,9 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import typer
-from support.command_line import call
+from support.command_line import app, limslam
 
-from limslam_agent.cli.main import app, main
 from limslam_agent.live.link import NoRobotError
 from limslam_agent.live.protocol import NOTHING_SEEN, Heartbeat, Hello, Speeds, Stop
 from limslam_agent.live.recording import Recording
@@ -279,7 +278,7 @@ def test_without_ros_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(
         "limslam_agent.live.ros2.node.find_spec", lambda name: None if name in PACKAGES else find_spec(name)
     )
-    finished = call(main, "live", "--ros2", "--robot", "paper", "--out", tmp_path / "room")
+    finished = limslam("live", "--ros2", "--robot", "paper", "--out", tmp_path / "room")
     assert finished.returncode == 2
     (line,) = finished.stderr.splitlines()
     assert "ROS 2 needs rclpy, " in line

@@ -1,19 +1,15 @@
 """The walls in ``map.json`` are the walls that were scored and drawn, with open doors."""
 
 import json
-from functools import partial
 
 import numpy as np
 import pytest
-from support.command_line import call
+from support.command_line import limslam
 
-from limslam_agent.cli.main import main
 from limslam_agent.output.finished_run import read_run
 from limslam_env import load_world
 from limslam_env.interface import RobotSpec
 from limslam_env.metrics import metrics
-
-limslam = partial(call, main)
 
 
 @pytest.fixture(scope="module")

@@ -5,21 +5,16 @@ import os
 import signal
 import subprocess
 import sys
-from functools import partial
 from itertools import count
 from pathlib import Path
 
 import pytest
-from support.command_line import call
 from support.kills import dies_at_call
 
-from limslam_agent.cli.main import main
 from limslam_agent.output.atomic_write import atomic_write
 from limslam_agent.output.claims import ClaimedError, OutputError, clear_up
 from limslam_agent.output.finished_run import FolderError, read_run
 from limslam_agent.output.run_folder import RESULT_FILE, new_folder
-
-limslam = partial(call, main)
 
 FILES = ("a.txt", "b.txt", RESULT_FILE)
 

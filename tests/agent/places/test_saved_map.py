@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from support.command_line import call
+from support.command_line import limslam
 
 from limslam_agent import Mapper, preset
-from limslam_agent.cli.main import main
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.output.export import write_map
 from limslam_agent.output.summary import record_summary, run_summary
@@ -148,7 +147,7 @@ def test_damaged_maps_are_refused_in_one_line(tmp_path, change, words):
     with pytest.raises(SavedMapError, match=words) as caught:
         read_saved_map(tmp_path)
     assert "\n" not in str(caught.value)
-    answer = call(main, "run", "--map", tmp_path, "--out", tmp_path / "out")
+    answer = limslam("run", "--map", tmp_path, "--out", tmp_path / "out")
     assert answer.returncode == 2
     assert len(answer.stderr.splitlines()) == 1
     assert not (tmp_path / "out").exists()

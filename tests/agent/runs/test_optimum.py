@@ -6,9 +6,8 @@ import math
 import numpy as np
 import pytest
 from scipy.optimize import least_squares
-from support.command_line import call
+from support.command_line import limslam
 
-from limslam_agent.cli.main import main
 from limslam_agent.runs.optimum import offline_optimum
 from limslam_env import NoiseConfig, load_world
 from limslam_env.geometry import line, se2
@@ -92,7 +91,7 @@ def test_without_a_wall_there_is_no_optimum():
 
 def test_the_command_writes_both_metrics(tmp_path):
     drive = ("--world", "square", "--laps", "1", "--noise", "0.02", "--max-time", "20")
-    result = call(main, "run", *drive, "--limit", "--out", tmp_path / "run")
+    result = limslam("run", *drive, "--limit", "--out", tmp_path / "run")
     assert result.returncode == 0, result.stderr
     metrics = json.loads((tmp_path / "run" / "result.json").read_text())["metrics"]
     assert 0.0 < metrics["limit_ate_m"] < 0.1

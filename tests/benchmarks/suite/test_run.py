@@ -13,9 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support import benchmark_work
-from support.command_line import call
+from support.command_line import benchmarks
 
-from benchmarks.__main__ import main
 from benchmarks.analysis import tables
 from benchmarks.suite.jobs import Job
 from benchmarks.suite.runner import ONE_THREAD, run_suite
@@ -189,7 +188,7 @@ def test_workers_end_when_the_caller_stops_listening():
 def test_a_failed_job_ends_the_command_with_1_and_its_reason(tmp_path):
     (tmp_path / "hasty.toml").write_text(HASTY)
     out = tmp_path / "out"
-    done = call(main, "run", "--suite", tmp_path / "hasty.toml", "--out", out, "--workers", "2", "--timeout", "0.01")
+    done = benchmarks("run", "--suite", tmp_path / "hasty.toml", "--out", out, "--workers", "2", "--timeout", "0.01")
     assert done.returncode == 1
     assert "failed: env1, 0 cm, paper, frontier, seed 0: time-out: not done after 0.01 s" in done.stderr
     assert "2 of 2 jobs done, 2 failed" in done.stdout
@@ -205,5 +204,5 @@ def results(tmp_path):
 
 
 def test_the_command_tabulates(results):
-    shown = call(main, "table", results)
+    shown = benchmarks("table", results)
     assert (shown.returncode, shown.stdout) == (0, tables.table(read_rows(results)))

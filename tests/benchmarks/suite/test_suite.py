@@ -4,9 +4,8 @@ from collections import Counter
 from pathlib import Path
 
 import pytest
-from support.command_line import call
+from support.command_line import benchmarks
 
-from benchmarks.__main__ import main
 from benchmarks.suite.suite import load_suite, shipped_suites
 from benchmarks.suite.work import run_config
 
@@ -145,14 +144,14 @@ def assert_refused(done, reason):
 
 def test_a_bad_suite_file_ends_with_2_and_one_line(tmp_path):
     (tmp_path / "my.toml").write_text(GRID.replace("0.02", "-1"))
-    done = call(main, "run", "--suite", tmp_path / "my.toml", "--out", tmp_path / "out")
+    done = benchmarks("run", "--suite", tmp_path / "my.toml", "--out", tmp_path / "out")
     assert_refused(done, "noise (range_std) must be a number of 0 or more, not -1")
     assert not (tmp_path / "out").exists()
 
 
 def test_a_dry_run_lists_the_jobs_and_runs_none(tmp_path):
     out = tmp_path / "out"
-    done = call(main, "run", "--suite", "smoke", "--dry-run", "--out", out)
+    done = benchmarks("run", "--suite", "smoke", "--dry-run", "--out", out)
     lines = done.stdout.splitlines()
     assert lines[0] == load_suite("smoke").jobs[0].title
     assert lines[-1] == f"smoke: {len(lines) - 1} jobs"

@@ -6,12 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from support.command_line import limslam
 from support.data import data_folder
 from support.drives import FOUR_BEAMS, laps_of_square
-from typer.testing import CliRunner
 
 from limslam_agent import AgentConfig, LineSlam, preset, read_log, replay_log
-from limslam_agent.cli.main import app
 from limslam_agent.config.consistent import SelfCalibrationConfig
 from limslam_agent.config.presets import self_calibrating
 from limslam_env import NominalNoise
@@ -86,7 +85,7 @@ def test_replay_tells_what_it_found(tmp_path: Path) -> None:
     (tmp_path / "settings.toml").write_text('[agent.estimator.self_calibration]\ncalibrate = "always"\n')
     config = ["--preset", "consistent", "--config", str(tmp_path / "settings.toml")]
     arguments = ["replay", str(table), *config, "--out", str(tmp_path / "out")]
-    assert CliRunner().invoke(app, arguments).exit_code == 0
+    assert limslam(*arguments).returncode == 0
     metrics = json.loads((tmp_path / "out" / "result.json").read_text())["metrics"]
     assert abs(metrics["self_calibration_turn_deg_per_m"]) < 0.5
     assert 0.0 < metrics["self_calibration_turn_std_deg_per_m"] < 1.0
