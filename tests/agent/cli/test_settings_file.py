@@ -22,8 +22,7 @@ from limslam_agent.cli.settings import (
     run_options,
 )
 from limslam_agent.config.tables import SettingsError
-from limslam_env import NoiseConfig, load_world
-from limslam_env.interface import NominalNoise, RobotSpec
+from limslam_env import NoiseConfig, NominalNoise, RobotSpec, load_world
 from limslam_env.robots import ROBOTS
 from limslam_env.worlds.formats.toml import world_toml
 

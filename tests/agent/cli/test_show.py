@@ -16,8 +16,7 @@ from limslam_agent.output.tum import write_tum
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import write_episode
 from limslam_agent.runs.run_config import RunConfig
-from limslam_env import load_world
-from limslam_env.interface import RobotSpec
+from limslam_env import RobotSpec, load_world
 
 pytestmark = pytest.mark.usefixtures("no_display")
 

@@ -13,7 +13,7 @@ from limslam_agent.config.bounds import Bounded, Bounds
 from limslam_agent.config.consistent import ConsistentConfig
 from limslam_agent.config.presets import PRESETS, GridConfig, HoughConfig, PolicyConfig, PublishedConfig
 from limslam_agent.config.tables import SettingsError, read_toml, table_of, updated, write_toml
-from limslam_env.interface import NominalNoise, RobotSpec
+from limslam_env import NominalNoise, RobotSpec
 from limslam_env.robots import ROBOTS
 
 KINDS = {

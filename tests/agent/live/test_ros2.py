@@ -20,8 +20,9 @@ from limslam_agent.live.ros2.node import ODOMETRY, PACKAGES, Event
 from limslam_agent.live.ros2.odometer import Odometer, wheel_travel
 from limslam_agent.live.ros2.parameters import Parameters
 from limslam_agent.live.ros2.sensors import RangeSensors, Reading, ScanSensors, in_mm
+from limslam_env import RobotSpec
 from limslam_env.geometry import se2
-from limslam_env.interface import RobotSpec, beams_on_rim
+from limslam_env.interface import beams_on_rim
 
 ROBOT = RobotSpec()
 

@@ -16,8 +16,8 @@ from limslam_agent.logs.carmen import beam_angles_deg, read_carmen
 from limslam_agent.logs.log_reader import DEFAULT_BEAMS_DEG, DEFAULT_MAX_RANGE
 from limslam_agent.logs.recorded_log import LogError, read_npz
 from limslam_agent.replay.plausibility import log_warnings
+from limslam_env import RobotSpec
 from limslam_env.geometry import se2
-from limslam_env.interface import RobotSpec
 
 SIX = (-90.0, -45.0, -15.0, 15.0, 45.0, 90.0)
 

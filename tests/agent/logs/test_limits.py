@@ -12,7 +12,7 @@ from support.data import refusal
 
 from limslam_agent import read_log
 from limslam_agent.policies.learned.network import load_network
-from limslam_env.interface import RobotSpec
+from limslam_env import RobotSpec
 from limslam_env.messages import LONGEST_MESSAGE, described, one_line, printable
 
 

@@ -9,7 +9,8 @@ from support.data import refusal
 
 from limslam_agent import read_log
 from limslam_agent.logs.table_options import TableOptions
-from limslam_env.interface import RobotSpec, SensorSpec, beams_on_rim
+from limslam_env import RobotSpec, SensorSpec
+from limslam_env.interface import beams_on_rim
 
 ROBOT = RobotSpec(radius=0.06, axle=0.115, beams=beams_on_rim((90.0, 54.0, -54.0, -90.0), 0.06, max_range=2.0))
 HEAD = "t,left,right,r_90,r_54,r_-90\n"

@@ -17,8 +17,8 @@ from limslam_agent.runs.results import write_episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.runs.smoothing import final_status
 from limslam_agent.status.status import LEVELS
+from limslam_env import NominalNoise, RobotSpec
 from limslam_env.geometry import se2
-from limslam_env.interface import NominalNoise, RobotSpec
 
 NOISE = 0.02
 HERE = np.zeros(3)

@@ -18,8 +18,8 @@ from limslam_agent.runs.smoothing import final_status
 from limslam_agent.slam.line_graph.problem import make_problem
 from limslam_agent.slam.line_graph.smoother import FilteredRun, with_breaks, with_slips
 from limslam_agent.status.status import Status
+from limslam_env import NominalNoise, RobotSpec
 from limslam_env.geometry import se2
-from limslam_env.interface import NominalNoise, RobotSpec
 
 NOISE, KIDNAPPED = 0.02, 90.0
 LOST, UNSURE = 2, 1

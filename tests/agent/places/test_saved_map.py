@@ -13,9 +13,8 @@ from limslam_agent.runs.episode import run_episode, told_starts
 from limslam_agent.runs.results import score
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_env import load_world
+from limslam_env import NominalNoise, RobotSpec, load_world
 from limslam_env.geometry import se2, segment
-from limslam_env.interface import NominalNoise, RobotSpec
 
 NOISE = 0.02
 

@@ -9,9 +9,8 @@ from scipy.optimize import least_squares
 from support.command_line import limslam
 
 from limslam_agent.runs.optimum import offline_optimum
-from limslam_env import NoiseConfig, load_world
+from limslam_env import NoiseConfig, NominalNoise, RobotSpec, load_world
 from limslam_env.geometry import line, se2
-from limslam_env.interface import NominalNoise, RobotSpec
 from limslam_env.simulation.simulation import Simulation
 
 ROBOT, NOISE = RobotSpec(), NominalNoise(0.02)

@@ -1,12 +1,17 @@
-"""The policies of a run by their names, and the tour, which knows the true pose."""
+"""Runs with each policy, how they end, and that a long one ends as it began."""
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from limslam_agent import preset
+from limslam_agent.config.smoother import RenewalConfig
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import score
 from limslam_agent.runs.run_config import RunConfig
-from limslam_env import World
+from limslam_env import NominalNoise, World
+from limslam_env.metrics.metrics import consistency_metrics
 
 WALLS = [[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0], [2, 0, 2, 1.6]]
 LOOP = [[1.0, 1.0], [1.0, 2.3], [3.0, 2.3], [3.0, 1.0], [3.0, 2.3], [1.0, 2.3]]
@@ -75,3 +80,48 @@ def test_what_cannot_be_driven_is_refused_before_it_begins(settings, words):
     with pytest.raises(ValueError, match=words) as refusal:
         RunConfig(**{"world": ROOM, **settings})
     assert "\n" not in str(refusal.value)
+
+
+# A room of 1.4 m x 1.4 m in the corner of a hall, with a gap in the hall's outer wall or without one.
+CORNER = [[0, 1.4, 1.4, 1.4], [1.4, 1.4, 1.4, 0]]
+CLOSED = [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 0, 4], [0, 4, 0, 0]]
+OPEN = [[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 4, 4], [3, 4, 0, 4], [0, 4, 0, 0]]
+INSIDE = {"starts": np.array([[0.7, 0.7, 0.0]])}
+
+
+@pytest.mark.parametrize(
+    ("walls", "more", "words"), [(CLOSED, INSIDE, "other regions"), (OPEN, {}, "outer wall is open")]
+)
+def test_a_small_region_is_not_called_the_world(walls, more, words):
+    config = RunConfig(World("hall", (6.0, 4.0), np.array(walls + CORNER, dtype=float), **more), seed=1, max_time=200.0)
+    (warning,) = config.warnings
+    assert words in warning
+    episode = run_episode(config)
+    assert episode.is_finished
+    assert episode.stop_reason.startswith("stopped: the start region is explored, but 9")
+    assert episode.stop_reason.endswith("of the floor cannot be reached from it: not explored")
+    assert score(episode)["exploration_time_s"] is None
+
+
+def test_a_whole_world_is_called_explored():
+    config = RunConfig(World("room", (6.0, 4.0), np.array(CLOSED, dtype=float)), seed=1, max_time=400.0)
+    assert config.warnings == []
+    episode = run_episode(config)
+    assert episode.stop_reason == "explored: no frontier is left"
+    assert score(episode)["exploration_time_s"] == episode.time[-1]
+
+
+@pytest.mark.slow
+def test_ten_minutes_in_one_building_end_as_they_began():
+    settings = replace(preset("graph", NominalNoise(0.02)), renewal=RenewalConfig(period=120.0))
+    run = RunConfig("env3", 0.02, seed=100, policy="tour", laps=100, max_time=600.0, settings=settings)
+    landmarks = []
+    episode = run_episode(run, lambda team, *_: landmarks.append(len(team.slam.all_landmarks)))
+    error = np.hypot(*(episode.estimated - episode.true)[:, 0, :2].T)
+    quarters = np.array_split(np.arange(len(error)), 4)
+    first, *_, last = (np.sqrt(np.mean(error[part] ** 2)) for part in quarters)
+    assert last <= 1.5 * max(first, 0.03)
+    part = quarters[-1]
+    scores = consistency_metrics(episode.true[part, 0], episode.estimated[part, 0], episode.covariances[part, 0])
+    assert scores["anees"] <= 3.0
+    assert landmarks[-1] <= 1.3 * landmarks[len(landmarks) // 4]

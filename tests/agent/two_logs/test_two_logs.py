@@ -15,8 +15,8 @@ from limslam_agent.logs.relations import Relations
 from limslam_agent.output.finished_run import FolderError, read_run
 from limslam_agent.two_logs.joining import check_logs, joined
 from limslam_agent.two_logs.output import LOG_FOLDERS, relation_scores
+from limslam_env import NominalNoise
 from limslam_env.geometry import se2
-from limslam_env.interface import NominalNoise
 
 CONFIG = preset("graph", NominalNoise(0.01))
 CORNERS = [(1.0, 1.0), (11.0, 1.0), (11.0, 8.0), (1.0, 8.0)]

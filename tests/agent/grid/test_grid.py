@@ -1,4 +1,4 @@
-"""Frontiers worked out by hand, and Dijkstra against a plain one written down here."""
+"""The occupancy grid, its frontiers and borders without a wall, and the ways over its free ground."""
 
 import heapq
 import math
@@ -8,10 +8,87 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from limslam_agent.config.presets import GridConfig
 from limslam_agent.grid.frontier import frontier_cells, group_of, group_places
-from limslam_agent.grid.occupancy import GridView
+from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.grid.planner import routes, wall_distance
+from limslam_agent.grid.unfinished import Faces, border_faces, in_long_stretches, reachable_ground, unfinished_faces
+from limslam_env import RobotSpec, SensorSpec
 from limslam_env.geometry import BoolArray, FloatArray
+
+# One beam straight ahead from the middle of the body, so that what it crosses can be counted by hand.
+ONE = RobotSpec(radius=0.05, beams=(SensorSpec(0.0, 0.0, 0.0, 0.05, 1.5),))
+YES, NO = np.array([True]), np.array([False])
+CONFIG = GridConfig(cell=0.1, seen_through=1, hit=4, limit=20)
+
+
+def at_centre(column: int, row: int, heading: float = 0.0) -> FloatArray:
+    """A pose in the middle of the cell with the given numbers, 0.1 m each."""
+    return np.array([0.1 * column + 0.05, 0.1 * row + 0.05, heading])
+
+
+def value(grid: OccupancyGrid, column: int, row: int) -> int:
+    """What the grid says at a place of the world; 0 where it does not reach."""
+    view = grid.view
+    cell = view.cells(at_centre(column, row)[None, :2])[0]
+    inside = (cell >= 0).all() and (cell < view.values.shape).all()
+    return int(view.values[tuple(cell)]) if inside else 0
+
+
+def known(grid: OccupancyGrid) -> dict[tuple[int, int], int]:
+    """All cells that are not unknown, by their place in the world."""
+    view = grid.view
+    cells = np.argwhere(~view.unknown)
+    places = np.floor(view.centres(cells) / view.cell).astype(int)
+    return {
+        (int(x), int(y)): int(view.values[row, column]) for (x, y), (row, column) in zip(places, cells, strict=True)
+    }
+
+
+@pytest.mark.parametrize("reading", [float(np.float32(0.2)), 0.1])
+def test_a_reading_at_the_minimum_marks_nothing(reading: float) -> None:
+    with_it, without = OccupancyGrid(CONFIG), OccupancyGrid(CONFIG)
+    beam = RobotSpec(radius=0.05, beams=(SensorSpec(0.3, 0.0, 0.0, 0.2, 1.5),))
+    with_it.update(at_centre(0, 0), beam, np.array([reading]), YES)
+    without.update(at_centre(0, 0), beam, np.array([reading]), NO)
+    # Neither its way nor its end, not even where it begins: the body is all that is known.
+    assert known(with_it) == known(without)
+    assert value(with_it, 3, 0) == value(with_it, 5, 0) == 0
+    # A little more is a reading like any other.
+    with_it.update(at_centre(0, 0), beam, np.array([0.21]), YES)
+    assert value(with_it, 5, 0) == -4
+
+
+@pytest.mark.parametrize("far", [(20_100, 0), (0, -20_100)])
+def test_a_map_without_bounds_is_refused(far: tuple[int, int]) -> None:
+    grid = OccupancyGrid(CONFIG)
+    grid.update(at_centre(0, 0), ONE, np.array([1.0]), YES)
+    with pytest.raises(ValueError, match="the map has grown past 2000 m"):
+        grid.update(at_centre(*far), ONE, np.array([1.0]), YES)
+
+
+def test_values_stay_within_the_limit_and_can_always_be_outvoted() -> None:
+    grid = OccupancyGrid(CONFIG)
+    for _ in range(60):
+        grid.update(at_centre(0, 0), ONE, np.array([1.0]), YES)
+    assert value(grid, 10, 0) == -20
+    assert value(grid, 5, 0) == 20
+    # The wall was none, or has gone: 20 beams through it outweigh whatever was there before.
+    for _ in range(20):
+        grid.update(at_centre(0, 0), ONE, np.array([1.5]), YES)
+    assert value(grid, 10, 0) == 1
+    view = grid.view
+    assert view.free[tuple(view.cells(at_centre(10, 0)[None, :2])[0])], "one more beam through it than into it"
+
+
+def test_cells_and_centres_are_inverse_and_tell_rows_from_columns() -> None:
+    view = GridView(np.array([-1.0, 2.0]), 0.5, np.zeros((4, 6), dtype=np.int16))
+    assert view.cells(np.array([[-1.0, 2.0], [0.6, 2.1], [-1.1, 3.9]])).tolist() == [[0, 0], [0, 3], [3, -1]]
+    cells = np.argwhere(view.unknown)
+    assert len(cells) == 24
+    np.testing.assert_array_equal(view.cells(view.centres(cells)), cells)
+    np.testing.assert_allclose(view.centres(np.array([[3, 0]])), [[-0.75, 3.75]])
+
 
 LOW = np.array([-1.0, 2.0])
 CELL = 0.1
@@ -217,3 +294,90 @@ def test_closed_cells_are_driven_round_though_they_are_free() -> None:
 def test_distances_from_walls_are_those_of_trying_all(seed: int) -> None:
     grid, _ = random_grid(seed, 0.1)
     np.testing.assert_allclose(wall_distance(grid), plain_distances(grid), atol=1e-6)
+
+
+def room(columns: int, rows: int) -> GridView:
+    """Free cells from the origin to a corner, m, and occupied cells around them."""
+    values = np.full((rows + 2, columns + 2), -4, dtype=np.int16)
+    values[1:-1, 1:-1] = 2
+    return GridView(np.full(2, -CELL), CELL, values)
+
+
+def walls_of(columns: int, rows: int) -> FloatArray:
+    """The walls of such a room, along the outer sides of its free cells."""
+    x, y = CELL * columns, CELL * rows
+    return np.array([[0, 0, x, 0], [x, 0, x, y], [x, y, 0, y], [0, y, 0, 0]], dtype=float)
+
+
+def unfinished(grid: GridView, walls: FloatArray, least: float = 0.15) -> Faces:
+    faces = border_faces(grid, reachable_ground(grid, np.full(2, 0.05)))
+    faces = faces.select(unfinished_faces(faces, walls, CELL))
+    return faces.select(in_long_stretches(faces, least, CELL))
+
+
+def test_the_faces_of_a_room_lie_on_its_border_and_look_inside() -> None:
+    faces = border_faces(room(12, 8), room(12, 8).free)
+    assert len(faces) == 2 * (12 + 8)
+    x, y = faces.middles.T
+    assert ((np.isclose(x, 0.0) | np.isclose(x, 1.2)) | (np.isclose(y, 0.0) | np.isclose(y, 0.8))).all()
+    assert (np.sum(faces.normals * (np.array([0.6, 0.4]) - faces.middles), axis=1) > 0.0).all()
+    np.testing.assert_allclose(np.hypot(*faces.normals.T), 1.0)
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    columns=st.integers(3, 40),
+    rows=st.integers(3, 40),
+    error=st.tuples(st.floats(-0.09, 0.09), st.floats(-0.09, 0.09)),
+)
+def test_a_room_with_all_its_walls_has_no_unfinished_stretch(columns, rows, error) -> None:
+    walls = walls_of(columns, rows) + np.tile(error, 2)
+    assert not len(unfinished(room(columns, rows), walls))
+
+
+@settings(deadline=None, max_examples=50)
+@given(
+    side=st.integers(0, 3),
+    start=st.floats(0.1, 2.0),
+    length=st.floats(0.35, 0.9),
+    error=st.floats(-0.05, 0.05),
+)
+def test_a_missing_part_of_a_wall_is_found(side, start, length, error) -> None:
+    columns = rows = 30
+    walls = walls_of(columns, rows) + error
+    cut, others = walls[side], np.delete(walls, side, axis=0)
+    along = (cut[2:] - cut[:2]) / 3.0
+    low, high = cut[:2] + start * along, cut[:2] + (start + length) * along
+    found = unfinished(room(columns, rows), np.vstack((others, [*cut[:2], *low], [*high, *cut[2:]])))
+    assert len(found) * CELL >= length - 0.25
+    places = (found.middles - cut[:2]) @ along
+    assert (places > start - 1e-9).all()
+    assert (places < start + length + 1e-9).all()
+    assert np.abs((found.middles - cut[:2]) @ (along[1], -along[0])).max() < 0.06
+
+
+def test_a_stretch_shorter_than_asked_is_left_out() -> None:
+    walls = walls_of(20, 20)
+    walls = np.vstack((walls[1:], [[0.0, 0.0, 0.83, 0.0], [1.17, 0.0, 2.0, 0.0]]))
+    grid = room(20, 20)
+    assert len(unfinished(grid, walls, 0.15)) == 2
+    assert not len(unfinished(grid, walls, 0.25))
+
+
+def test_an_obstacle_without_walls_is_unfinished_all_around() -> None:
+    grid = room(20, 20)
+    values = grid.values.copy()
+    values[9:13, 9:13] = -4
+    found = unfinished(GridView(grid.low, CELL, values), walls_of(20, 20))
+    assert len(found) == 16
+    assert (np.sum(found.normals * (found.middles - 1.0), axis=1) > 0.0).all()
+
+
+@pytest.mark.parametrize("place", [(0.05, 0.05), (0.95, 0.05)])
+def test_only_the_ground_that_the_robot_can_reach_counts(place) -> None:
+    values = np.full((3, 12), -4, dtype=np.int16)
+    values[1, 1:5], values[1, 7:11] = 2, 2
+    ground = reachable_ground(GridView(np.full(2, -CELL), CELL, values), np.array(place))
+    assert ground[1, 1:5].all() == (place[0] < 0.5)
+    assert ground[1, 7:11].all() == (place[0] > 0.5)
+    assert ground.sum() == 4
