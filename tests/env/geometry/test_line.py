@@ -57,11 +57,6 @@ def test_normalise_names_the_same_points(r, theta):
     np.testing.assert_allclose(line.distance(normalised, line.at(raw, SPOTS)), 0.0, atol=1e-12)
 
 
-def test_normalise_works_row_by_row():
-    rows = np.array([[-1.0, 0.5], [2.0, 4.0], [0.0, -math.pi], [-0.0, 3.0]])
-    np.testing.assert_array_equal(line.normalise(rows), [line.normalise(row) for row in rows])
-
-
 @pytest.mark.parametrize("pose", POSES)
 @pytest.mark.parametrize("r", [0.0, 1e-9, 0.5])
 def test_there_and_back_all_round_the_circle(pose, r):
@@ -97,12 +92,6 @@ def test_a_line_through_the_pose_itself_is_seen_at_zero(r):
         assert_same_line(line.from_frame(seen, pose), line.normalise(world))
 
 
-def test_frames_work_on_stacks_of_lines():
-    rows = np.array([[1.0, 0.5], [0.3, -2.0], [4.0, 3.1]])
-    for change in (line.to_frame, line.from_frame):
-        np.testing.assert_array_equal(change(rows, POSES[1]), [change(row, POSES[1]) for row in rows])
-
-
 @pytest.mark.parametrize(
     ("change", "jacobians"),
     [(line.to_frame, line.to_frame_jacobians), (line.from_frame, line.from_frame_jacobians)],
@@ -124,18 +113,6 @@ def test_frame_jacobians_match_central_differences(change, jacobians):
 
     check()
     assert signs == {-1.0, 1.0}, "both branches must have been seen"
-
-
-def test_nearest_form_goes_on_across_the_seam():
-    reference = np.array([2.0, -math.pi + 0.01])
-    near = line.nearest_form(np.array([2.5, math.pi - 0.01]), reference)
-    np.testing.assert_allclose(near - reference, [0.5, -0.02], atol=1e-12)
-
-
-def test_nearest_form_turns_r_negative_for_a_normal_that_points_the_other_way():
-    reference = np.array([0.01, 0.1])
-    near = line.nearest_form(np.array([0.02, 0.12 - math.pi]), reference)
-    np.testing.assert_allclose(near - reference, [-0.03, 0.02], atol=1e-12)
 
 
 @given(lines(), lines())
@@ -161,18 +138,6 @@ def test_through_one_point_twice_is_refused():
         line.through(np.array([1.0, 2.0]), np.array([1.0, 2.0]))
 
 
-@pytest.mark.parametrize(
-    ("start", "end", "expected"),
-    [
-        ((0.0, 2.0), (5.0, 2.0), (2.0, math.pi / 2)),
-        ((-3.0, 0.0), (-3.0, 1.0), (3.0, math.pi)),
-        ((1.0, -1.0), (2.0, 0.0), (math.sqrt(2.0), -math.pi / 4)),
-    ],
-)
-def test_through_on_cases_worked_by_hand(start, end, expected):
-    np.testing.assert_allclose(line.through(np.array(start), np.array(end)), expected, atol=1e-12)
-
-
 @given(lines(), st.lists(st.floats(-20.0, 20.0), min_size=1, max_size=6))
 @settings(deadline=None)
 def test_at_is_the_inverse_of_along_and_lies_on_the_line(given_line, positions):
@@ -188,11 +153,6 @@ def test_distance_and_along_are_the_point_in_the_frame_of_the_line(given_line, p
     rebuilt = line.at(given_line, position)[0] + away * line.normal(given_line)
     np.testing.assert_allclose(rebuilt, point, atol=1e-11)
     assert line.normal(given_line) @ line.direction(given_line) == pytest.approx(0.0, abs=1e-15)
-
-
-def test_distance_is_positive_beyond_the_line():
-    wall = np.array([2.0, 0.0])
-    np.testing.assert_allclose(line.distance(wall, np.array([[3.0, 9.0], [0.0, 0.0]])), [1.0, -2.0])
 
 
 @pytest.mark.parametrize(

@@ -34,19 +34,6 @@ def central_difference(function, at: FloatArray, step: float = 1e-5) -> FloatArr
     return np.array(columns).T / (2.0 * step)
 
 
-@given(poses(), poses(), poses())
-@settings(deadline=None)
-def test_compose_is_associative(first, second, third):
-    assert_same(se2.compose(se2.compose(first, second), third), se2.compose(first, se2.compose(second, third)))
-
-
-@given(poses())
-@settings(deadline=None)
-def test_the_origin_changes_nothing_on_either_side(pose):
-    assert_same(se2.compose(pose, ORIGIN), pose)
-    assert_same(se2.compose(ORIGIN, pose), pose)
-
-
 @given(poses())
 @settings(deadline=None)
 def test_inverse_undoes_from_both_sides(pose):

@@ -1,7 +1,6 @@
 """Segments: distances against dense sampling, evenly spaced samples, insides of polygons."""
 
 import numpy as np
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -27,12 +26,6 @@ def test_distances_agree_with_a_walk_along_each_segment(points, segments):
         half_gap = 0.5 * segment_geometry.lengths(edge[None])[0] / 2000
         assert (found[:, column] <= nearest + 1e-9).all()
         assert (found[:, column] >= nearest - half_gap - 1e-9).all()
-
-
-def test_distances_beside_beyond_and_to_a_point_by_hand():
-    edges = np.array([[0.0, 0.0, 4.0, 0.0], [1.0, 1.0, 1.0, 1.0]])
-    found = segment_geometry.distances(np.array([[2.0, 3.0], [7.0, 4.0], [1.0, 1.0]]), edges)
-    np.testing.assert_allclose(found, [[3.0, np.sqrt(5.0)], [5.0, np.sqrt(45.0)], [1.0, 0.0]])
 
 
 @given(st.lists(segment, min_size=1, max_size=5), st.floats(0.05, 3.0))
@@ -61,14 +54,6 @@ def test_polygon_edges_close_the_ring():
     edges = segment_geometry.polygon_edges(L_SHAPE)
     np.testing.assert_array_equal(edges[:, :2], L_SHAPE)
     np.testing.assert_array_equal(edges[:, 2:], np.vstack((L_SHAPE[1:], L_SHAPE[:1])))
-
-
-@pytest.mark.parametrize("polygon", [L_SHAPE, L_SHAPE[::-1]], ids=["counter-clockwise", "clockwise"])
-def test_inside_of_a_concave_polygon(polygon):
-    inside = [[0.5, 0.5], [2.9, 0.9], [0.1, 2.9], [0.5, 1.0]]
-    outside = [[2.0, 2.0], [1.1, 1.1], [-0.1, 0.5], [3.1, 0.5], [0.5, 3.1], [-1.0, 0.0], [9.0, 1.0]]
-    assert segment_geometry.inside_polygon(np.array(inside), polygon).all()
-    assert not segment_geometry.inside_polygon(np.array(outside), polygon).any()
 
 
 def test_inside_of_an_l_is_the_union_of_its_two_bars():

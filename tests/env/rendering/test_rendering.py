@@ -30,16 +30,6 @@ def wall_box(picture: np.ndarray) -> tuple[int, int, int, int]:
     return rows[0], rows[-1], columns[0], columns[-1]
 
 
-@pytest.mark.parametrize("world", ["env1", "square"])
-def test_a_picture_is_rgb_with_even_sides(world):
-    picture = picture_of((1.2, 2.0, 0.0) if world == "env1" else (1.0, 1.0, 0.0), world=world)
-    assert picture.dtype == np.uint8
-    assert picture.ndim == 3
-    assert picture.shape[2] == 3
-    # Video codecs refuse odd sides.
-    assert picture.shape[0] % 2 == picture.shape[1] % 2 == 0
-
-
 @pytest.mark.parametrize("size", [(5.03, 3.17), (3.3, 5.0), (30.0, 2.0)])
 def test_sides_are_even_whatever_the_shape_of_the_world(size):
     width, height = size
@@ -65,14 +55,6 @@ def test_walls_are_dark_where_they_stand_and_the_floor_is_light():
             assert darkest_near(x1 + fraction * (x2 - x1), y1 + fraction * (y2 - y1)) < 110
     for x, y in ((6.3, 3.5), (3.5, 6.0), (0.6, 6.3), (3.5, 3.5)):
         assert darkest_near(x, y) > 180
-
-
-def test_y_points_up():
-    low, high = (picture_of((1.0, y, 0.0)).astype(int) for y in (2.0, 3.5))
-    empty = picture_of((6.0, 5.5, 0.0)).astype(int)
-    left = np.s_[:, : empty.shape[1] // 3]
-    rows = [np.nonzero(np.abs(picture - empty)[left].sum(axis=(1, 2)) > 600)[0].mean() for picture in (low, high)]
-    assert rows[0] > rows[1] + 50
 
 
 def test_the_picture_follows_the_robot_and_draws_its_path():

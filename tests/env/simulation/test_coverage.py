@@ -182,13 +182,6 @@ def test_what_two_robots_see_at_once_counts_for_the_first_of_them():
     assert sum(both.new_area) == pytest.approx(both.coverage * total * CELL**2)
 
 
-@pytest.mark.parametrize("side", [0.22, 0.35])
-def test_a_room_hardly_larger_than_the_robot_can_be_covered(side):
-    walls = np.array([[0.0, 0.0, side, 0.0], [side, 0.0, side, side], [side, side, 0.0, side], [0.0, side, 0.0, 0.0]])
-    world = World("closet", (side, side), walls, starts=np.array([[0.5 * side, 0.5 * side, 0.0]]))
-    assert coverage_grid(world, ROBOT, world.starts).total >= (side / CELL - 1.0) ** 2
-
-
 def test_a_start_a_fraction_of_a_cell_off_the_free_ground_is_in_its_region():
     space = box_world().free_space(ROBOT.radius)
     inside = space.label_of(np.array([0.5, 1.0]))

@@ -8,7 +8,7 @@ import pytest
 from limslam_env import NoiseConfig, RobotSpec, World
 from limslam_env.geometry import FloatArray, se2
 from limslam_env.kernels.readings import reported_travel
-from limslam_env.simulation.noise import ground_travel, noise_table
+from limslam_env.simulation.noise import noise_table
 from limslam_env.simulation.simulation import Readings, Simulation, Truth
 
 ROBOT = RobotSpec()
@@ -57,16 +57,6 @@ def travel_of(poses: FloatArray, axle: float) -> FloatArray:
     ahead = chord * 0.5 * turn / np.sin(np.where(turn == 0.0, 1.0, 0.5 * turn))
     ahead = np.where(turn == 0.0, chord, ahead)
     return np.column_stack((ahead - 0.5 * turn * axle, ahead + 0.5 * turn * axle))
-
-
-@pytest.mark.parametrize("travel", [0.002, 0.01, 0.03, -0.02])
-def test_wheel_variance_is_proportional_to_travel(travel):
-    count, per_metre = 20_000, 2e-5
-    errors = reports(np.full((count, 2), travel), NoiseConfig(wheel_variance=per_metre), limit=1.0) - travel
-    # The noise of one report must not be taken back by the next.
-    variance = errors.var(axis=0) / (per_metre * abs(travel))
-    np.testing.assert_allclose(variance, 1.0, atol=5.0 * math.sqrt(2.0 / count))
-    assert np.abs(errors.mean(axis=0)).max() < 5.0 * math.sqrt(per_metre * abs(travel) / count)
 
 
 def test_the_simulation_s_wheels_err_apart_and_step_by_step():
@@ -122,21 +112,6 @@ def test_in_contact_the_encoders_go_on_reporting_the_wheels():
     assert truths[-1].contact[0]
     np.testing.assert_allclose(wheels_of(readings)[-1], TOP, atol=1e-7)
     assert truths[-1].poses[0, 0] == pytest.approx(SIDE - ROBOT.radius, abs=1e-3)
-
-
-@pytest.mark.parametrize(("rate", "travel"), [(1.0, 0.03), (10.0, 0.03), (30.0, -0.01), (1e6, 0.001)])
-def test_a_wheel_slips_as_often_per_metre_as_asked(rate, travel):
-    count = 50_000
-    noise = noise_table(vars(NoiseConfig(slip_rate=rate, slip_share=0.25)), ROBOT)
-    uniforms = np.random.default_rng(0).random((count, 2))
-    carried = ground_travel(np.full((count, 2), travel), noise, uniforms)
-    slips = carried != travel
-    # At least one event of a Poisson process along the way.
-    chance = 1.0 - math.exp(-rate * abs(travel))
-    np.testing.assert_allclose(
-        slips.mean(axis=0), chance, atol=5.0 * math.sqrt(chance * (1.0 - chance) / count) + 1e-12
-    )
-    np.testing.assert_allclose(carried[slips], 0.75 * travel, rtol=1e-12)
 
 
 def test_a_slipping_robot_gets_less_far_and_reports_the_way_in_full():

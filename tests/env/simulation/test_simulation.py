@@ -63,17 +63,6 @@ def test_noise_levels_with_one_seed_share_the_truth():
     assert (quiet["wheels"] != loud["wheels"]).any()
 
 
-@pytest.mark.parametrize(("name", "robots"), [("env1", 2), ("square", 3)])
-def test_several_robots_start_apart_and_the_first_where_it_would_alone(name, robots):
-    world = load_world(name)
-    poses = start_poses(world, robots)
-    assert poses.shape == (robots, 3)
-    np.testing.assert_array_equal(poses[0], start_poses(world, 1)[0])
-    np.testing.assert_array_equal(poses[0], world.starts[0])
-    np.testing.assert_array_equal(poses[1], world.starts[1])
-    assert_apart(poses, world)
-
-
 def test_drawn_starts_depend_on_the_seed_and_cover_the_room_and_all_headings():
     poses = np.vstack([start_poses(box_world(), 1, seed) for seed in range(60)])
     assert len(np.unique(poses, axis=0)) == 60
@@ -127,21 +116,6 @@ def test_a_given_start_is_taken_and_the_others_keep_away_from_it():
     poses = start_poses(world, 2, start=np.array([1.25, 2.0, 1.0]))
     np.testing.assert_array_equal(poses[0], [1.25, 2.0, 1.0])
     assert_apart(poses, world)
-
-
-def test_a_robot_that_does_not_fit_the_world_is_refused():
-    with pytest.raises(ValueError, match="collides"):
-        Simulation(load_world("env1"), RobotSpec(radius=0.9))
-
-
-def test_a_world_that_a_robot_could_leave_is_refused():
-    with pytest.raises(ValueError, match="not closed"):
-        Simulation(World("open", (4.0, 4.0), BOX[:3], starts=np.array([[2.0, 2.0, 0.0]])), ROBOT)
-
-
-def test_more_starts_than_robots_are_refused():
-    with pytest.raises(ValueError, match="2 starts for 1 robots"):
-        start_poses(box_world(), 1, start=np.array([[1.0, 1.0, 0.0], [2.0, 1.0, 0.0]]))
 
 
 @pytest.mark.parametrize(("robots", "speed"), [(1, 0.3), (3, 2.0)], ids=["usual", "fast"])

@@ -9,7 +9,6 @@ import pytest
 from limslam_env import World, load_world
 from limslam_env.geometry import FloatArray
 from limslam_env.worlds.formats import loading
-from limslam_env.worlds.formats.loading import shipped_worlds
 from limslam_env.worlds.formats.toml import parse_world
 
 RADIUS = 0.10
@@ -47,18 +46,6 @@ def segment_set(edges: FloatArray) -> set[frozenset[tuple[float, float]]]:
     """Segments without direction, to the micrometre."""
     ends = np.round(edges.reshape(-1, 2, 2), 6) + 0.0
     return {frozenset(map(tuple, pair.tolist())) for pair in ends}
-
-
-@pytest.mark.parametrize("name", shipped_worlds())
-def test_shipped_worlds_load_and_hold_a_robot(name):
-    world = load_world(name)
-    assert world.name == name
-    world.check(RADIUS)
-    assert len(world.starts) >= 2
-    assert len(np.unique(world.starts[:, 2])) >= 2, "the starts face different ways"
-    corners = world.edges.reshape(-1, 2)
-    np.testing.assert_allclose(corners.min(axis=0), 0.0)
-    np.testing.assert_allclose(corners.max(axis=0), world.size)
 
 
 def test_env1_is_the_same_after_a_quarter_turn():

@@ -1,9 +1,6 @@
 """Random floor plans: closed, all of one piece, as the settings say, and the same everywhere."""
 
 import math
-import re
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -19,7 +16,6 @@ from limslam_env.worlds.generation.room_layout import (
 
 RADIUS = 0.10
 DEFAULT = FloorPlanConfig()
-BARE = FloorPlanConfig(slanted=0.0, obstacles=0.0)
 TINY = FloorPlanConfig(width=3.0, height=3.0)
 FULL = FloorPlanConfig(loops=1.0, slanted=1.0, obstacles=20.0, corridor=1.0)
 # Every setting at its ends, and the settings that press hardest on one another. (config, radius, seeds)
@@ -103,13 +99,6 @@ def test_without_loops_the_doors_are_a_tree(seed):
     assert len(world.doors) == room_count(world, RADIUS) - 1 > 0
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_more_loops_open_more_doors(seed):
-    counts = [len(plan(seed, replace(BARE, loops=loops)).doors) for loops in (0.0, 0.5, 1.0)]
-    assert counts[0] < counts[1] < counts[2]
-    assert counts[1] - counts[0] == round(0.5 * (counts[2] - counts[0]))
-
-
 def measures(corridor: float) -> Measures:
     return Measures(min_room=1800, corridor_width=(1000, 1400), corridor=corridor)
 
@@ -127,14 +116,6 @@ def test_corridors_are_there_as_often_as_asked():
 def test_without_slants_walls_are_parallel_to_the_axes():
     for seed in range(40):
         assert not is_slanted(plan(seed, FloorPlanConfig(slanted=0.0)).walls).any()
-
-
-def test_more_slant_is_more_slanted_walls():
-    def count(slanted: float) -> int:
-        return sum(is_slanted(plan(seed, FloorPlanConfig(slanted=slanted)).walls).sum() for seed in range(40))
-
-    assert 0 < count(0.1) < count(0.5) < count(1.0)
-    assert all(is_slanted(plan(seed, FloorPlanConfig(slanted=1.0)).walls).sum() >= 4 for seed in range(40))
 
 
 def test_without_obstacles_there_are_none():
@@ -198,22 +179,6 @@ def test_sizes_are_drawn_from_their_ranges():
     assert (sizes.min(axis=0) >= [4.0, 7.0]).all()
     assert (sizes.max(axis=0) <= [5.0, 9.0]).all()
     assert (np.ptp(sizes, axis=0) > [0.8, 1.6]).all()
-
-
-def test_every_seed_gives_another_plan():
-    worlds = [plan(seed) for seed in range(50)]
-    assert len({world.name for world in worlds}) == 50
-    assert len({world.walls.tobytes() for world in worlds}) == 50
-    assert all(re.fullmatch(r"random-[0-9a-f]{8}", world.name) for world in worlds)
-
-
-def test_the_same_seed_gives_the_same_plan_in_another_process():
-    code = (
-        "import numpy as np; from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan; "
-        "print(*(floor_plan(FloorPlanConfig(), np.random.default_rng(seed), 0.1).digest for seed in range(20)))"
-    )
-    digests = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split()
-    assert digests == [plan(seed).digest for seed in range(20)]
 
 
 def test_a_plan_of_old_is_still_the_same():
