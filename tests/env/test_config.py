@@ -6,8 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from limslam_env import NoiseConfig
-from limslam_env.config import TaskConfig
+from limslam_env import LimSlamEnv, NoiseConfig
 
 HIGHEST = {
     "sensor_noise": 1e3,
@@ -97,4 +96,4 @@ def test_sharp_sensors_can_be_changed():
 @pytest.mark.parametrize("goal", [0.0, -0.5, 1.0001, math.nan, math.inf])
 def test_a_coverage_goal_that_cannot_be_reached_or_is_no_goal_is_refused(goal):
     with pytest.raises(ValueError, match="coverage_goal must lie in"):
-        TaskConfig(coverage_goal=goal)
+        LimSlamEnv("env1", coverage_goal=goal)

@@ -4,9 +4,9 @@ import sys
 
 import pytest
 from support.command_line import limslam
+from support.data import SHIPPED_WORLDS
 
 from limslam_env import load_world
-from limslam_env.worlds.formats.loading import shipped_worlds
 
 GOOD = """
 name = "closet"
@@ -36,7 +36,7 @@ def test_the_list_names_every_shipped_world_and_its_id():
     code, out, error = limslam("worlds")
     assert (code, error) == (0, "")
     heading, *rows = out.splitlines()
-    assert [row.split()[0] for row in rows] == shipped_worlds()
+    assert [row.split()[0] for row in rows] == SHIPPED_WORLDS
     assert heading.split() == ["name", "size,", "m", "walls", "obstacles", "doors", "starts", "loop", "id"]
     env1 = next(row for row in rows if row.startswith("env1 "))
     assert env1.split() == ["env1", "7", "x", "7", "12", "1", "0", "2", "yes", "LimSlam-Env1-v0"]
@@ -63,7 +63,7 @@ def test_a_world_that_a_robot_could_leave_is_refused_with_the_file(tmp_path):
     assert error.count("\n") == 1
 
 
-@pytest.mark.parametrize("name", shipped_worlds())
+@pytest.mark.parametrize("name", SHIPPED_WORLDS)
 def test_every_shipped_world_passes_its_check(name):
     assert limslam("worlds", "check", name)[0] == 0
 

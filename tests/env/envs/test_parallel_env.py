@@ -16,7 +16,6 @@ from support.episodes import EVERYTHING, bits, held_actions
 
 import limslam_env
 from limslam_env import LimSlamEnv, LimSlamParallelEnv, RewardConfig, RobotSpec, World, load_world
-from limslam_env.envs.arguments import MAX_ROBOTS
 from limslam_env.interface import beams_on_rim
 
 with warnings.catch_warnings():
@@ -355,7 +354,7 @@ def test_more_robots_than_have_room_are_refused():
 
 @pytest.mark.parametrize("robots", [0, 9, -1])
 def test_a_number_of_robots_that_cannot_be_is_refused(robots):
-    with pytest.raises(ValueError, match=f"there can be 1 to {MAX_ROBOTS} robots, not {robots}"):
+    with pytest.raises(ValueError, match=f"there can be 1 to 8 robots, not {robots}"):
         LimSlamParallelEnv("env1", num_robots=robots)
 
 

@@ -25,7 +25,6 @@ from limslam_env.envs.wrappers import (
 from limslam_env.geometry import segment
 from limslam_env.interface import beams_on_rim
 from limslam_env.robots import ring
-from limslam_env.simulation.coverage import CELL
 
 FRONT = RobotSpec(beams=beams_on_rim((0.0, 90.0, -90.0), 0.10))
 NO_NOISE = NoiseConfig(wheel_variance=0.0)
@@ -255,18 +254,18 @@ def test_every_cell_is_what_was_truly_seen_there(heading, size):
     picture = observation["local_map"][0]
     for row in range(size):
         for column in range(size):
-            ahead, left = (0.5 * (size - 1) - row) * CELL, (0.5 * (size - 1) - column) * CELL
+            ahead, left = (0.5 * (size - 1) - row) * 0.1, (0.5 * (size - 1) - column) * 0.1
             px = x + ahead * math.cos(theta) - left * math.sin(theta)
             py = y + ahead * math.sin(theta) + left * math.cos(theta)
-            i, j = math.floor((py - low[1]) / CELL), math.floor((px - low[0]) / CELL)
+            i, j = math.floor((py - low[1]) / 0.1), math.floor((px - low[0]) / 0.1)
             is_inside = 0 <= i < seen.shape[0] and 0 <= j < seen.shape[1]
             if picture[row, column] == FREE:
                 assert is_inside
                 assert seen[i, j]
             elif picture[row, column] == WALL:
                 # Half a diagonal of the cell at most, and something beside it was seen.
-                centre = low + CELL * (np.array([j, i]) + 0.5)
-                assert segment.distances(centre[None], edges).min() <= CELL * math.sqrt(0.5) + 1e-6
+                centre = low + 0.1 * (np.array([j, i]) + 0.5)
+                assert segment.distances(centre[None], edges).min() <= 0.1 * math.sqrt(0.5) + 1e-6
                 assert seen[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2].any()
             else:
                 assert picture[row, column] == UNSEEN

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.data import SHIPPED_WORLDS
 
 from limslam_env import NoiseConfig, RobotSpec, World, load_world
 from limslam_env.geometry import FloatArray
@@ -15,7 +16,6 @@ from limslam_env.simulation.coverage import CELL, coverage_grid
 from limslam_env.simulation.noise import noise_table
 from limslam_env.simulation.sensors import beam_table, build_wall_index
 from limslam_env.simulation.simulation import Simulation
-from limslam_env.worlds.formats.loading import shipped_worlds
 
 ROBOT = RobotSpec()
 BOX = [[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 2.0], [4.0, 2.0, 0.0, 2.0], [0.0, 2.0, 0.0, 0.0]]
@@ -145,7 +145,7 @@ def test_coverage_grows_from_above_zero_and_never_beyond_one():
     assert area == pytest.approx(shares[-1] * total * CELL**2)
 
 
-@pytest.mark.parametrize("name", shipped_worlds())
+@pytest.mark.parametrize("name", SHIPPED_WORLDS)
 def test_what_can_be_seen_in_a_drive_was_coverable(name):
     simulation = Simulation(load_world(name), ROBOT)
     simulation.reset(np.random.SeedSequence(1), NoiseConfig())

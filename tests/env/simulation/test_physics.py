@@ -7,9 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from limslam_env import load_world
+from limslam_env import NoiseConfig, RobotSpec, load_world
 from limslam_env.geometry import FloatArray, se2, segment
 from limslam_env.simulation.physics import Physics
+from limslam_env.simulation.simulation import Simulation
 
 RADIUS, AXLE, PERIOD, TOP = 0.10, 0.16, 0.1, 0.03  # TOP is the wheel travel of one step, m
 DEEPEST = 1e-3
@@ -190,3 +191,20 @@ def test_fast_robots_do_not_pass_through_each_other(speed):
         assert contact[-1].all()
         assert model.poses[0, 0] < model.poses[1, 0]
         assert -1e-4 < overlap(model.poses) < DEEPEST
+
+
+@pytest.mark.parametrize(("robots", "speed"), [(1, 0.3), (3, 2.0)], ids=["usual", "fast"])
+def test_the_compiled_step_moves_robots_as_the_physics_does(robots, speed):
+    robot, world = RobotSpec(max_wheel_speed=speed), load_world("env3")
+    simulation, physics = Simulation(world, robot, robots), Physics(world.edges, robot.radius, robots)
+    physics.place(simulation.reset(np.random.SeedSequence(1), NoiseConfig())[1].poses, robot.axle)
+    generator, touches = np.random.default_rng(2), 0
+    for step in range(600):
+        if step % 20 == 0:
+            actions = generator.uniform(-0.2, 1.0, (robots, 2))
+        truth = simulation.step(actions.tolist())[1]
+        travel = actions * (speed * robot.control_period)
+        assert truth.contact == physics.step(travel.tolist(), robot.control_period)
+        np.testing.assert_array_equal(truth.poses, physics.poses)
+        touches += sum(truth.contact)
+    assert 0 < touches < 600 * robots

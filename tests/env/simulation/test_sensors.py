@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from support.data import SHIPPED_WORLDS
 
 from limslam_env import NoiseConfig, RobotSpec, SensorSpec, World, load_world
 from limslam_env.geometry import FloatArray, segment
@@ -14,7 +15,6 @@ from limslam_env.kernels.readings import noisy_reading
 from limslam_env.simulation.noise import noise_table
 from limslam_env.simulation.sensors import CELL, beam_table, build_wall_index
 from limslam_env.simulation.simulation import Readings, Simulation, Truth
-from limslam_env.worlds.formats.loading import shipped_worlds
 
 REACH = 3.0
 BOX = np.array([[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 4.0], [4.0, 4.0, 0.0, 4.0], [0.0, 4.0, 0.0, 0.0]])
@@ -81,7 +81,7 @@ def sight(
     return Simulation(world, robot, len(poses)).reset(np.random.SeedSequence(0), noise, np.array(poses))
 
 
-@pytest.mark.parametrize("name", [*shipped_worlds(), "random walls"])
+@pytest.mark.parametrize("name", [*SHIPPED_WORLDS, "random walls"])
 def test_rays_agree_with_every_ray_against_every_wall(name):
     edges = np.random.default_rng(5).uniform(-3.0, 3.0, (60, 4)) if name == "random walls" else load_world(name).edges
     rays = random_rays(edges, 10_000, seed=2)

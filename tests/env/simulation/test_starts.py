@@ -3,12 +3,9 @@
 import math
 
 import numpy as np
-import pytest
 
-from limslam_env import NoiseConfig, RobotSpec, World, load_world
+from limslam_env import LimSlamParallelEnv, NoiseConfig, RobotSpec, World, load_world
 from limslam_env.geometry import FloatArray, segment
-from limslam_env.simulation.physics import Physics
-from limslam_env.simulation.simulation import Simulation
 
 ROBOT = RobotSpec()
 BOX = np.array([[0.0, 0.0, 4.0, 0.0], [4.0, 0.0, 4.0, 4.0], [4.0, 4.0, 0.0, 4.0], [0.0, 4.0, 0.0, 0.0]])
@@ -24,8 +21,9 @@ def box_world(*starts: tuple[float, float, float], extra: FloatArray | None = No
 
 
 def start_poses(world: World, robots: int, seed: int = 0, start: FloatArray | None = None) -> FloatArray:
-    simulation = Simulation(world, ROBOT, robots)
-    return simulation.reset(np.random.SeedSequence(seed), NoiseConfig(), start)[1].poses
+    env = LimSlamParallelEnv(world, num_robots=robots)
+    _, infos = env.reset(seed=seed, options={} if start is None else {"start": start})
+    return np.array([infos[name]["pose"] for name in env.agents])
 
 
 def assert_apart(poses: FloatArray, world: World) -> None:
@@ -35,32 +33,17 @@ def assert_apart(poses: FloatArray, world: World) -> None:
     assert segment.distances(poses[:, :2], world.edges).min() >= ROBOT.radius
 
 
-def record(noise: NoiseConfig, seed: int, steps: int, robots: int = 1) -> dict[str, np.ndarray]:
-    """Everything that a run gives, as arrays."""
-    simulation = Simulation(load_world("env1"), ROBOT, robots)
-    results = [simulation.reset(np.random.SeedSequence(seed), noise)]
-    generator = np.random.default_rng(1)
-    for step in range(steps):
-        if step % 10 == 0:
-            actions = generator.uniform(-0.5, 1.0, (robots, 2)).tolist()
-        results.append(simulation.step(actions))
-    return {
-        "ranges": np.array([readings.ranges for readings, _ in results]),
-        "wheels": np.array([readings.wheels for readings, _ in results]),
-        "poses": np.array([truth.poses for _, truth in results]),
-        "coverage": np.array([truth.coverage for _, truth in results]),
-        "wall_seen": np.array([truth.wall_seen for _, truth in results]),
-        "contact": np.array([truth.contact for _, truth in results]),
-        "time": np.array([truth.time for _, truth in results]),
-    }
-
-
 def test_noise_levels_with_one_seed_share_the_truth():
-    quiet, loud = record(NoiseConfig(wheel_variance=0.0), 3, 200), record(ALL_NOISE, 3, 200)
-    for name in ("poses", "coverage", "wall_seen", "contact"):
-        np.testing.assert_array_equal(quiet[name], loud[name])
-    assert (quiet["ranges"] != loud["ranges"]).any()
-    assert (quiet["wheels"] != loud["wheels"]).any()
+    envs = [LimSlamParallelEnv("env1", num_robots=1, noise=n) for n in (NoiseConfig(wheel_variance=0.0), ALL_NOISE)]
+    told = [env.reset(seed=3)[0]["robot_0"] for env in envs]
+    for action in np.repeat(np.random.default_rng(1).uniform(-0.5, 1.0, (20, 2)), 10, axis=0):
+        steps = [env.step({"robot_0": action}) for env in envs]
+        told += [step[0]["robot_0"] for step in steps]
+        quiet, loud = (step[4]["robot_0"] for step in steps)
+        for name in ("pose", "coverage", "wall_seen", "collision"):
+            np.testing.assert_array_equal(quiet[name], loud[name])
+    for name in ("ranges", "wheels"):
+        assert any((quiet[name] != loud[name]).any() for quiet, loud in zip(told[::2], told[1::2], strict=True))
 
 
 def test_drawn_starts_depend_on_the_seed_and_cover_the_room_and_all_headings():
@@ -69,13 +52,6 @@ def test_drawn_starts_depend_on_the_seed_and_cover_the_room_and_all_headings():
     assert (np.ptp(poses[:, :2], axis=0) > 3.0).all()
     assert np.ptp(poses[:, 2]) > 5.0
     assert (np.abs(poses[:, 2]) <= math.pi).all()
-
-
-def test_each_robot_needs_an_action():
-    simulation = Simulation(load_world("env3"), ROBOT, 2)
-    simulation.reset(np.random.SeedSequence(0), NoiseConfig())
-    with pytest.raises(ValueError, match="for each of 2 robots, not 1"):
-        simulation.step([(1.0, 1.0)])
 
 
 def test_drawn_starts_lie_in_the_largest_region():
@@ -116,20 +92,3 @@ def test_a_given_start_is_taken_and_the_others_keep_away_from_it():
     poses = start_poses(world, 2, start=np.array([1.25, 2.0, 1.0]))
     np.testing.assert_array_equal(poses[0], [1.25, 2.0, 1.0])
     assert_apart(poses, world)
-
-
-@pytest.mark.parametrize(("robots", "speed"), [(1, 0.3), (3, 2.0)], ids=["usual", "fast"])
-def test_the_compiled_step_moves_robots_as_the_physics_does(robots, speed):
-    robot, world = RobotSpec(max_wheel_speed=speed), load_world("env3")
-    simulation, physics = Simulation(world, robot, robots), Physics(world.edges, robot.radius, robots)
-    physics.place(simulation.reset(np.random.SeedSequence(1), NoiseConfig())[1].poses, robot.axle)
-    generator, touches = np.random.default_rng(2), 0
-    for step in range(600):
-        if step % 20 == 0:
-            actions = generator.uniform(-0.2, 1.0, (robots, 2))
-        truth = simulation.step(actions.tolist())[1]
-        travel = actions * (speed * robot.control_period)
-        assert truth.contact == physics.step(travel.tolist(), robot.control_period)
-        np.testing.assert_array_equal(truth.poses, physics.poses)
-        touches += sum(truth.contact)
-    assert 0 < touches < 600 * robots
