@@ -10,7 +10,8 @@ import pytest
 from support.command_line import limslam
 from support.markdown import blocks, commands
 
-from limslam_agent import read_log, replay_log
+from limslam_agent import preset, read_log, replay_log
+from limslam_env import NominalNoise
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 EXAMPLE = EXAMPLES / "live_robot.py"
@@ -54,9 +55,6 @@ def test_its_log_can_be_replayed(live_run):
     log = read_log(live_run[0] / "log.csv", None, 1.58)
     assert len(log) > 150
     np.testing.assert_allclose(np.degrees(log.robot.beam_angles), [90.0, 45.0, 15.0, -15.0, -45.0, -90.0])
-    from limslam_agent.config.presets import preset
-    from limslam_env.interface import NominalNoise
-
     assert len(replay_log(log, preset("paper", NominalNoise(0.01))).segments) >= 3
 
 
