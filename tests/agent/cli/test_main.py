@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,9 +12,11 @@ from support.bags import odometry, scan, write_bag
 from support.command_line import limslam
 
 from limslam_agent import AgentConfig, preset
+from limslam_agent.cli import warmup as warmup_module
 from limslam_agent.cli.settings import ReplayOptions, RunOptions
 from limslam_agent.config import DEFAULT_PRESET
 from limslam_agent.runs.run_config import RunConfig
+from limslam_env import load_world
 
 RUN_FILES = {
     "log.npz", "result.json", "trajectory_true.tum", "trajectory_est.tum", "map.json", "map.pgm", "map.yaml", "map.png",
@@ -293,3 +296,75 @@ def test_a_noise_beyond_the_longest_range_is_refused(carmen_log):
     result = limslam("replay", carmen_log, "--noise", "20")
     assert (result.returncode, result.stderr.count("\n")) == (2, 1)
     assert "--noise 20 m is more than the longest range of 3 m: is it in metres?" in result.stderr
+
+
+SCRIPT = Path(sys.executable).with_name("limslam")
+
+
+@pytest.mark.parametrize("command", [[SCRIPT], [sys.executable, "-m", "limslam_agent"]], ids=["script", "module"])
+def test_a_bad_argument_ends_the_command_with_2_and_one_line(command, tmp_path):
+    result = subprocess.run(
+        [*command, "run", "--noise", "-1"], capture_output=True, text=True, check=False, cwd=tmp_path
+    )
+    assert (result.returncode, result.stdout, result.stderr.count("\n")) == (2, "", 1)
+    assert result.stderr.startswith("limslam: ")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["random:x", "random:-1", "random:" + "9" * 5000])
+def test_what_names_no_floor_plan_is_refused_in_a_short_line(name):
+    with pytest.raises(ValueError, match="a seed is needed, as in random:17") as refusal:
+        load_world(name)
+    assert len(str(refusal.value)) < 200
+
+
+def test_a_floor_plan_is_run_by_its_seed(tmp_path):
+    code, out, _ = limslam("run", "--world", "random:17", "--max-time", 1, "--out", tmp_path / "run")
+    assert code == 0
+    assert "stopped" in out
+    assert 'world = "random:17"' in (tmp_path / "run" / "run.toml").read_text()
+
+
+def test_warming_up_says_what_it_does_and_ends_each_line(monkeypatch):
+    done = []
+    steps = {name: (seconds, lambda name=name: done.append(name)) for name, (seconds, _) in warmup_module.STEPS.items()}
+    monkeypatch.setattr(warmup_module, "STEPS", steps)
+    monkeypatch.setattr(warmup_module, "LAST", "no step")
+    monkeypatch.setenv("LIMSLAM_QUIET", "")
+    code, out, error = limslam("warmup")
+    assert (code, error) == (0, "")
+    assert done == ["simulator", "batch", "smoothers", "BatchSlam"]
+    assert [line.split()[0] for line in out.splitlines()] == done
+    assert all("up to about" in line and "done after" in line for line in out.splitlines())
+
+
+@pytest.mark.parametrize("name", ["simulator", "batch", "smoothers", "BatchSlam"])
+def test_each_step_of_the_warm_up_runs(name):
+    warmup_module.STEPS[name][1]()
+
+
+SLOW = """
+from limslam_env import compilation
+compilation._SECONDS["slow"] = 7
+import kernels
+print(kernels.slow(1), kernels.slow(2))
+"""
+KERNELS = """
+from limslam_env.compilation import entry
+@entry
+def slow(x):
+    return x + 1
+"""
+
+
+@pytest.mark.parametrize(("quiet", "first"), [("", "limslam: compiling 'slow', once, about 7 s\n"), ("1", "")])
+def test_a_kernel_says_that_it_is_compiled_once_and_never_again(tmp_path, quiet, first):
+    (tmp_path / "kernels.py").write_text(KERNELS)
+    (tmp_path / "slow.py").write_text(SLOW)
+    paths = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
+    environment = {**os.environ, "LIMSLAM_QUIET": quiet, "NUMBA_CACHE_DIR": str(tmp_path / "kept"), "PYTHONPATH": paths}
+    for expected in (first, ""):
+        result = subprocess.run(
+            [sys.executable, str(tmp_path / "slow.py")], env=environment, capture_output=True, text=True, check=True
+        )
+        assert (result.stdout, result.stderr) == ("2 3\n", expected)

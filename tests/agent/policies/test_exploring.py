@@ -1,4 +1,4 @@
-"""The policies that explore: to frontiers, and along walls until they are whole."""
+"""Policies that explore: to frontiers, along walls until they are whole, at random, and of one's own."""
 
 import math
 from dataclasses import replace
@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from support.beliefs import (
     BLOCKED,
+    CLEAR,
     CLOSED,
     CONFIG,
     CORRIDOR,
@@ -21,7 +22,7 @@ from support.beliefs import (
     place,
 )
 
-from limslam_agent import Belief, FrontierPolicy
+from limslam_agent import Belief, FrontierPolicy, Laps, LimSlamAgent, RandomPolicy, WallFollower
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.grid.unfinished import Faces
 from limslam_agent.policies.controller import PATIENCE
@@ -265,3 +266,121 @@ def test_two_robots_look_at_the_walls_together() -> None:
     episode = run("walls", robots=2)
     assert episode.is_finished
     assert "all walls were looked at" in episode.stop_reason
+
+
+SQUARE = np.array([[0.0, 0.0], [2.0, 0.0], [2.0, 2.0], [0.0, 2.0]])
+
+
+@pytest.mark.parametrize("corner", range(2))
+def test_laps_that_are_blocked_stop_and_name_the_corner(corner: int) -> None:
+    before, ahead = SQUARE[corner - 1], SQUARE[corner]
+    heading = math.atan2(*(ahead - before)[::-1])
+    policy = Laps(ROBOT, SQUARE, 3)
+    actions = actions_until_stopped(policy, belief_of(np.array([*before, heading]), CLOSED, BLOCKED))
+    assert policy.stop_reason == f"stopped: something is in the way to corner {corner + 1} of the loop"
+    assert 40 <= len(actions) <= 41
+    np.testing.assert_allclose(actions, 0.0, atol=1e-9)
+
+
+def test_a_wall_follower_goes_round() -> None:
+    coverage, contacts = explored("env1", WallFollower(ROBOT, CONFIG), 180.0)
+    assert coverage > 0.6
+    assert contacts == 0
+
+
+def test_a_wall_follower_stops_when_there_is_nothing_new() -> None:
+    policy = WallFollower(ROBOT, CONFIG)
+    actions = actions_until_stopped(policy, belief_of(place(4, 4), CLOSED))
+    assert policy.stop_reason == "stopped: nothing new was seen along the wall for 90 s"
+    assert len(actions) == 902
+    np.testing.assert_array_equal(policy.act(belief_of(place(4, 4), CLOSED)), [0.0, 0.0])
+
+
+def seeing(**distances: float) -> Belief:
+    """Beams from left to right are called a to f."""
+    ranges = CLEAR.copy()
+    for name, distance in distances.items():
+        ranges["abcdef".index(name)] = distance
+    return belief_of(place(4, 4), CLOSED, ranges)
+
+
+def test_a_wall_follower_keeps_its_distance() -> None:
+    def turn(**distances: float) -> float:
+        left, right = WallFollower(ROBOT, CONFIG).act(seeing(**distances))
+        return float(left - right)
+
+    assert turn(f=0.25) == pytest.approx(0.0, abs=1e-9)
+    assert turn(f=0.15) < -0.05
+    assert turn(f=0.40) > 0.05
+    # Something ahead: away from the wall, where it stands.
+    assert turn(f=0.25, c=0.1, d=0.1) < -0.3
+
+
+def test_a_random_walk_gets_about() -> None:
+    coverage, contacts = explored("env1", RandomPolicy(ROBOT, CONFIG, 3), 200.0)
+    assert coverage > 0.4
+    assert contacts <= 1
+
+
+def test_a_random_walk_is_its_seeds() -> None:
+    belief = belief_of(place(4, 4), CLOSED, BLOCKED)
+
+    def walk(seed: int | np.random.Generator) -> FloatArray:
+        policy = RandomPolicy(ROBOT, CONFIG, seed)
+        return np.array([policy.act(belief) for _ in range(50)])
+
+    np.testing.assert_array_equal(walk(1), walk(np.random.default_rng(1)))
+    assert any((walk(1) != walk(seed)).any() for seed in (2, 3, 4))
+
+
+SEEN = {"ranges": ROBOT.max_ranges.astype(np.float32), "wheels": np.zeros(2, dtype=np.float32)}
+
+
+class Mine:
+    """A policy that gives what it is told to give."""
+
+    def __init__(self, action=(0.0, 0.0), plan=(), stop_reason=None):
+        self.action, self.plan, self.stop_reason = action, plan, stop_reason
+
+    def act(self, _belief):
+        return self.action
+
+
+def agent_of(policy):
+    agent = LimSlamAgent(ROBOT, policy=policy)
+    agent.reset(np.zeros(3))
+    return agent
+
+
+@pytest.mark.parametrize("plan", [(), np.zeros((0, 2)), np.zeros(0)])
+def test_an_empty_plan_may_be_written_in_any_way(plan):
+    agent = agent_of(Mine(plan=plan))
+    agent.act(SEEN)
+    assert agent.snapshot().plan.shape == (0, 2)
+
+
+def test_a_plan_may_be_a_list_and_a_snapshot_keeps_a_copy():
+    policy = Mine(plan=[[0.0, 1.0], [2.0, 3.0]])
+    snapshot = agent_of(policy).snapshot()
+    policy.plan[0][0] = 9.0
+    assert snapshot.plan.tolist() == [[0.0, 1.0], [2.0, 3.0]]
+
+
+@pytest.mark.parametrize("action", [None, (1.0,), (np.nan, 0.0), "ahead"])
+def test_an_action_is_two_finite_numbers(action):
+    with pytest.raises(ValueError, match=r"^Mine: act must return two finite numbers") as refusal:
+        agent_of(Mine(action)).act(SEEN)
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("plan", [None, np.zeros((2, 3)), [[np.nan, 0.0]]])
+def test_a_plan_is_a_list_of_finite_points(plan):
+    with pytest.raises(ValueError, match=r"^Mine: plan must be an array \(k, 2\)") as refusal:
+        agent_of(Mine(plan=plan)).snapshot()
+    assert "\n" not in str(refusal.value)
+
+
+@pytest.mark.parametrize("reason", [True, 0, b"enough"])
+def test_a_stop_reason_is_a_text(reason):
+    with pytest.raises(ValueError, match=r"^Mine: stop_reason must be None or a text"):
+        agent_of(Mine(stop_reason=reason)).act(SEEN)

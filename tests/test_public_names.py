@@ -1,11 +1,13 @@
-"""The names that users import from `limslam_agent`, and what the package says when it is run."""
+"""Public names of both packages."""
 
+import importlib
 import subprocess
 import sys
 
 import pytest
 
 import limslam_agent
+import limslam_env
 
 
 @pytest.mark.parametrize("name", limslam_agent.__all__)
@@ -29,3 +31,16 @@ def test_running_the_package_is_the_command():
         2,
         "limslam: no_such_log.csv: cannot be read: No such file or directory\n",
     )
+
+
+@pytest.mark.parametrize("name", limslam_env.__all__)
+def test_every_public_name_is_there(name):
+    value = getattr(limslam_env, name)
+    assert name in dir(limslam_env)
+    if hasattr(value, "__module__") and callable(value):
+        assert getattr(importlib.import_module(value.__module__), name) is value
+
+
+def test_other_names_are_not_there():
+    with pytest.raises(AttributeError, match="'limslam_env' has no attribute 'Simulation'"):
+        limslam_env.Simulation  # noqa: B018
