@@ -71,14 +71,6 @@ def test_what_is_drawn_lies_in_its_range_and_fills_it():
         assert values.mean() == pytest.approx(0.5 * (low + high), abs=5.0 * (high - low) / math.sqrt(12.0 * 400))
 
 
-def test_settings_are_drawn_independently_of_each_other():
-    ranges = {name: (lowest(name), high) for name, high in HIGHEST.items()}
-    generator = np.random.default_rng(1)
-    values = np.array([list(vars(NoiseConfig(**ranges).drawn(generator)).values()) for _ in range(2000)])
-    correlations = np.corrcoef(values.T) - np.eye(len(HIGHEST))
-    assert np.abs(correlations).max() < 5.0 / math.sqrt(2000)
-
-
 @pytest.mark.parametrize("name", HIGHEST)
 def test_one_range_more_shifts_no_other_draw(name):
     some = {"sensor_noise": (0.01, 0.04), "axle_mismatch": (-0.1, 0.1), "slip_share": (0.2, 0.9)}

@@ -76,14 +76,6 @@ def test_failed_plans_are_run_again_when_asked(tmp_path, entry, short_plans):
     assert (folder / RESULTS).read_bytes().startswith(kept)
 
 
-def test_a_kept_run_can_be_inspected_although_its_world_has_a_decimal_size(tmp_path, entry, short_plans):
-    assert short_plans[0].world.endswith("6x5.1")
-    run_job(Job(entry, short_plans[0], tmp_path / "run", {}, "", write_kept_run))
-    finished = limslam("inspect", tmp_path / "run")
-    assert finished.returncode == 0, finished.stderr
-    assert "The poses equal those in the folder" in finished.stdout
-
-
 def test_a_policy_of_a_file_drives_every_robot(tmp_path, short_plans):
     entry = made_entry(tmp_path / "mine", PYTHON.format(name="Mine"), mine=POLICY.format(body="return [0.5, 0.4]"))
     row = run_job(Job(entry, short_plans[1], None, {}, ""))

@@ -146,16 +146,6 @@ def test_writing_into_a_snapshot_is_refused_or_does_not_reach_the_agent(recordin
     assert np.array([agent.act(o) for o in recording[1][250:300]]).tobytes() == recording[2][250:300].tobytes()
 
 
-def test_a_snapshot_keeps_its_moment_while_the_agent_goes_on(recording: Recording) -> None:
-    agent = after(recording)
-    snapshot = agent.snapshot()
-    before = {name: np.array(array) for name, array in arrays_of(snapshot).items()}
-    for observation in recording[1][250:300]:
-        agent.act(observation)
-    for name, array in arrays_of(snapshot).items():
-        np.testing.assert_array_equal(array, before[name], err_msg=name)
-
-
 class Stopper:
     """A policy that wants nothing."""
 

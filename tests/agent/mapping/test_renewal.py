@@ -6,14 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.drives import along, drive, room
-from support.walls import wall_along
 
 from limslam_agent import LineSlam, Mapper, preset
 from limslam_agent.config.smoother import RenewalConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.mapping.renewal import Renewal
-from limslam_agent.slam.consistent.map_state import MapState
-from limslam_agent.slam.consistent.wall_map import NEW
 from limslam_env import NominalNoise, RobotSpec
 from limslam_env.geometry import se2
 
@@ -140,18 +137,3 @@ def test_a_robot_that_a_wrong_estimate_has_made_lost_is_renewed(monkeypatch):
     begin = mapper.places.revisions[0].begin
     revised = mapper.places.revisions[0].poses
     assert np.hypot(*(revised - true[begin : begin + len(revised)])[:, :2].T).max() < 0.15, "also the earlier poses"
-
-
-def walls(*given):
-    """A map of walls along x between -1 and 1 m: for each its y, m, and the landmark that it was recognised as."""
-    found = []
-    for _, known in given:
-        found.append(wall_along(NEW, np.linspace(-1.0, 1.0, 21), known))
-    count = len(given)
-    return MapState(
-        pose=np.zeros(3),
-        lines=np.tile([0.0, 0.5 * np.pi], (count, 1)),
-        anchors=np.array([[0.0, y] for y, _ in given]),
-        covariance=1e-4 * np.eye(3 + 2 * count),
-        walls=found,
-    )

@@ -9,8 +9,7 @@ from PIL import Image as Pictures
 from support.command_line import limslam
 
 from limslam_agent.output.drawing import MapPicture, draw_map, legend, paint_map
-from limslam_agent.output.finished_run import read_run
-from limslam_env import RobotSpec, load_world
+from limslam_env import load_world
 from limslam_env.metrics import metrics
 
 WALLS = np.array([(0.0, 0.0, 4.0, 0.0), (4.0, 0.0, 4.0, 3.0)])
@@ -98,22 +97,6 @@ def content(folder, name):
 
 def rows(segments):
     return np.array(segments, dtype=float).reshape(-1, 4)
-
-
-def test_scores_of_the_file_are_the_scores_of_the_run(explored):
-    run, world, robot = read_run(explored), load_world("env2"), RobotSpec()
-    with np.load(explored / "log.npz") as log:
-        true = log["true_pose"]
-    visible = metrics.visible_samples(world, robot.radius, robot.reach)
-    told = content(explored, "result.json")["metrics"]
-    for name, suffix, paths in (("map.json", "", run.smoothed), ("map_online.json", "_online", run.estimated)):
-        alignment = metrics.rigid_alignment(true[:, :2], paths[0][:, :2])
-        scores = metrics.wall_metrics(visible, world.edges, rows(content(explored, name)["segments"]), alignment)
-        for score in ("wall_f1", "wall_recall", "spurious_walls"):
-            assert scores[score] == told[score + suffix]
-        # Poses have six digits in the files.
-        assert scores["wall_f1_aligned"] == pytest.approx(told["wall_f1_aligned" + suffix], abs=1e-3)
-    assert len(run.segments) == told["landmarks"]
 
 
 def test_the_map_of_a_run_is_drawn_from_the_smoothed_path(explored):

@@ -115,20 +115,6 @@ def test_the_body_of_a_robot_that_is_not_known_contradicts_no_map():
     assert met.levels[:, 0].max() < LEVELS.index("lost")
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"robots": 1}, "unknown starts are for two robots, not 1"),
-        ({"robots": 3}, "unknown starts are for two robots, not 3"),
-        ({"robots": 2, "preset": "paper"}, "unknown starts are for the policy frontier with the preset graph"),
-        ({"robots": 2, "policy": "random"}, "unknown starts are for the policy frontier with the preset graph"),
-    ],
-)
-def test_what_cannot_be_run_is_refused(options, words):
-    with pytest.raises(ValueError, match=words):
-        RunConfig("env2", NOISE, unknown_starts=True, **options)
-
-
 def test_a_team_with_unknown_starts_is_two_robots():
     with pytest.raises(ValueError, match="two robots"):
         LimSlamTeam(RobotSpec(), num_robots=3, unknown_starts=True)

@@ -10,7 +10,7 @@ from support.smoother_runs import state_from_motions
 
 from limslam_agent import Mapper, preset, with_until
 from limslam_agent.output.summary import record_summary
-from limslam_agent.places.revisions import BEGUN_ANEW, NOT_CONFIRMED, PlaceHistory, Revision, revised
+from limslam_agent.places.revisions import BEGUN_ANEW, NOT_CONFIRMED, PlaceHistory
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import score, write_episode
 from limslam_agent.runs.run_config import RunConfig
@@ -102,19 +102,6 @@ def test_a_robot_that_never_finds_its_place_keeps_its_earlier_map(tmp_path, monk
     assert scores["wall_f1_aligned_online"] > scores["wall_f1_online"] - 0.05
 
 
-@pytest.mark.parametrize(
-    ("wrong", "words"),
-    [
-        ({"kidnap_at": 0.0}, "not at 0 s"),
-        ({"kidnap_at": float("nan")}, "not at nan s"),
-        ({"kidnap_at": 5.0, "robots": 2}, "one of several robots cannot be kidnapped"),
-    ],
-)
-def test_impossible_kidnappings_are_refused(wrong, words):
-    with pytest.raises(ValueError, match=words):
-        RunConfig("env1", **wrong)
-
-
 def test_a_world_without_another_place_is_refused(tmp_path):
     path = tmp_path / "cell.toml"
     path.write_text('name = "cell"\nsize = [1, 1]\nwalls = [[0,0,1,0],[1,0,1,1],[1,1,0,1],[0,1,0,0]]\n')
@@ -161,15 +148,6 @@ def test_a_robot_that_has_slipped_goes_on_near_by(step, turn):
     assert mapper.places.breaks == []
     ((_, last),) = mapper.places.slips
     assert abs(last - step) <= 10
-
-
-def test_revisions_replace_the_poses_of_a_local_frame():
-    poses, covariances = np.zeros((6, 1, 3)), np.zeros((6, 1, 3, 3))
-    found = Revision(2, np.ones((3, 3)), np.ones((3, 3, 3)))
-    new, spread = revised(poses, covariances, [found])
-    np.testing.assert_array_equal(new[:, 0, 0], [0, 0, 1, 1, 1, 0])
-    np.testing.assert_array_equal(spread[:, 0, 0, 0], [0, 0, 1, 1, 1, 0])
-    assert poses.sum() == 0.0
 
 
 @pytest.mark.parametrize("step", [0, 50])

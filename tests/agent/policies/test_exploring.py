@@ -18,7 +18,6 @@ from support.beliefs import (
     actions_until_stopped,
     belief_of,
     explored,
-    grid_of,
     place,
 )
 
@@ -86,17 +85,6 @@ def test_a_frontier_in_whose_way_something_stands_is_left() -> None:
     actions = actions_until_stopped(policy, belief_of(place(3, 3), CORRIDOR, BLOCKED))
     assert policy.stop_reason == "explored: 1 frontier is left that cannot be reached, near (3.0, 0.4)"
     assert PATIENCE < len(actions) < 2 * PATIENCE
-
-
-def test_the_reason_names_the_places_and_no_more_than_three() -> None:
-    # Halls of 16 cells at both ends, each open to one side, with walls between.
-    row = "." * 4 + "#" + "." * 10 + "#" + "." * 4
-    two = grid_of("#" * 20, *[row] * 8, "#" * 20)
-    policy = FrontierPolicy(ROBOT, CONFIG)
-    actions_until_stopped(policy, belief_of(place(4, 9), two))
-    assert policy.stop_reason is not None
-    assert policy.stop_reason.startswith("explored: 2 frontiers are left that cannot be reached, near (0.1, 0.")
-    assert ") and (2.0, 0." in policy.stop_reason
 
 
 @pytest.mark.parametrize("width", [0.40, 0.60])

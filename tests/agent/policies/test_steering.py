@@ -60,14 +60,6 @@ def test_the_robot_turns_to_the_side_of_its_target_by_the_shorter_way(
         assert np.abs(action).max() <= 1.0 + 1e-12
 
 
-@pytest.mark.parametrize("bearing_deg", [41.0, 179.0, -120.0])
-def test_far_off_its_heading_it_turns_where_it_stands(bearing_deg: float) -> None:
-    pose = np.array([1.0, 2.0, 3.0])
-    action = steer(pose, ahead_of(pose, math.radians(bearing_deg)), CLEAR, ROBOT, CONFIG.speed)
-    assert action.sum() == pytest.approx(0.0, abs=1e-12)
-    assert np.abs(action).max() > 0.3
-
-
 @settings(deadline=None, max_examples=50)
 @given(angles, angles, st.floats(0.5, 3.0))
 def test_it_arrives(yaw: float, bearing: float, distance: float) -> None:

@@ -221,11 +221,6 @@ class Ambiguous(TurnFromWalls):
         pass
 
 
-class Uncopied(TurnFromWalls):
-    def __deepcopy__(self, memo):
-        raise TypeError("no copies")
-
-
 @pytest.mark.parametrize(
     ("policy", "env_id", "words"),
     [

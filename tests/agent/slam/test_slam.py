@@ -8,7 +8,7 @@ import pytest
 from support.drives import FOUR_BEAMS, drive, laps_of_square, placed, recorded, straight
 
 from limslam_agent import AgentConfig, LineSlam, preset
-from limslam_agent.config.published import AssociationConfig, BufferConfig, MapConfig, PublishedConfig
+from limslam_agent.config.published import BufferConfig, MapConfig, PublishedConfig
 from limslam_agent.slam.core.motion import motion_from_wheels
 from limslam_env import NominalNoise, Observation, RobotSpec
 from limslam_env.geometry import FloatArray, se2
@@ -178,28 +178,6 @@ def test_associations_name_the_steps_and_beams_that_made_them() -> None:
         assert beams in ({0, 1}, {4, 5})
 
 
-def test_readings_at_a_beams_limits_make_no_wall() -> None:
-    # Beams at their maximum see nothing, and at their minimum something too near to say where.
-    for reading in (1.5, 0.05):
-        slam = LineSlam(ROBOT, CONFIG)
-        for _ in range(100):
-            slam.step({"ranges": np.full(6, reading, dtype=np.float32), "wheels": np.float32([0.025, 0.025])})
-        assert len(slam.segments) == 0
-
-
-def test_odometry_poses_serve_in_place_of_wheels() -> None:
-    start = np.zeros(3)
-    observations, poses = drive(CORRIDOR, start, straight(3.0))
-    moved = np.array([0.025, 0.0, 0.0])
-    logged: list[Observation] = [
-        {"ranges": each["ranges"], "odometry": moved if number else np.zeros(3)}
-        for number, each in enumerate(observations)
-    ]
-    slam = run(logged, CONFIG, start)
-    assert len(slam.segments) == 2
-    np.testing.assert_allclose(slam.pose, poses[-1], atol=5e-3)
-
-
 def test_finish_uses_what_is_left_in_the_buffers() -> None:
     # The buffers are so large that they never fill: without an end nothing comes of the drive.
     start = np.array([1.0, 2.0, 2.5])
@@ -218,17 +196,6 @@ def test_finish_uses_what_is_left_in_the_buffers() -> None:
     slam.finish()
     assert len(records) == 2
     assert [landmark.observations for landmark in slam.landmarks] == [1, 1]
-
-
-def test_new_landmarks_have_a_least_length() -> None:
-    # One beam a side, so that a line is as long as the drive.
-    robot = RobotSpec(beams=(ROBOT.beams[0], ROBOT.beams[5]))
-    config = published(buffer=BufferConfig(size=1000), association=AssociationConfig(min_new_length=0.5))
-    for metres, walls in ((0.475, 0), (0.525, 2)):
-        observations, _ = drive(CORRIDOR, np.zeros(3), straight(metres), robot)
-        slam, records = recorded(observations, config, np.zeros(3), robot)
-        slam.finish()
-        assert len(slam.segments) == len(records) == walls
 
 
 def test_observations_without_ranges_move_the_robot_and_measure_nothing() -> None:

@@ -21,7 +21,6 @@ from limslam_env.geometry import se2
 
 WALLS = room(0.0, 0.0, 2.0, 2.0)
 POSE = np.array([1.0, 0.8, 0.3])
-UNKNOWN = GridView(np.zeros(2), 0.1, np.zeros((0, 0), dtype=np.int16))
 FREE = GridView(np.full(2, -1.0), 0.1, np.full((40, 40), 4, dtype=np.int16))
 NOISE = 0.02
 STATED = RangeSensor(NOISE)
@@ -61,12 +60,6 @@ def test_a_wall_too_near_is_gone_through(ranges):
     assert (found.evidence[through] < 0.0).all()
 
 
-def test_an_unsure_pose_explains_a_miss():
-    wall = room(0.0, 0.0, 2.0, 1.6)
-    assert explained(wall)[0].against.any()
-    assert not explained(wall, covariance=np.diag([0.04, 0.04, 1e-4]))[0].against.any()
-
-
 def test_ends_of_beams_in_free_space_contradict_unless_they_are_beside_unknown_ground():
     nothing = np.zeros((0, 4))
     found, rays = explained(nothing)
@@ -79,13 +72,6 @@ def test_ends_of_beams_in_free_space_contradict_unless_they_are_beside_unknown_g
     rows, columns = FREE.cells(ends).T
     values[rows, columns + 1] = 0
     assert not explained(nothing, grid=GridView(FREE.low, FREE.cell, values))[0].against.any()
-
-
-def test_nothing_is_said_on_unknown_ground():
-    found, _ = explained(np.zeros((0, 4)), grid=UNKNOWN)
-    assert not (found.tested | (found.against > 0.0)).any()
-    assert not found.evidence.any()
-    assert KnownMap(WALLS, FREE, STATED).fit_here(np.empty((0, 7))).evidence == 0.0
 
 
 @pytest.mark.parametrize("bias", [0.4, -0.4])
@@ -150,13 +136,6 @@ def watched_levels(watched, steps, walls=WALLS, known=KNOWN, covariance=SURE, be
         watched.check(covariance, known)
         levels.append(watched.status.level)
     return levels
-
-
-def test_a_robot_in_a_right_map_is_ok():
-    watched = monitor()
-    assert set(watched_levels(watched, 100)) == {"ok"}
-    assert watched.status == Status()
-    assert not watched.added_covariance.any()
 
 
 def test_a_robot_whose_walls_are_gone_is_lost_at_once_and_says_why():

@@ -30,11 +30,6 @@ def test_the_grid_has_a_row_for_each_world_noise_and_number_of_robots():
     )
 
 
-def test_the_median_stands_in_its_cell():
-    rows = [row(seed=seed, ate_m=value) for seed, value in enumerate((0.5, 0.1, 0.2))]
-    assert column(rows, "Exploration", "ATE m") == ["0.200 [0.100, 0.500]"]
-
-
 def test_failed_runs_are_counted_and_listed_and_in_no_median():
     rows = [row(seed=0, ate_m=0.1), row(seed=1, ate_m=0.3), failed(row(seed=2))]
     assert column(rows, "Exploration", "n") == ["2 (1)"]
@@ -50,11 +45,6 @@ def test_what_was_not_measured_is_a_dash_and_never_0():
     assert "ATE / limit" not in sheet(rows, "Exploration").header
     limited = [*rows, row("env4", ate_over_limit=2.0)]
     assert column(limited, "Exploration", "ATE / limit")[:4] == [MISSING, MISSING, MISSING, "2.0"]
-
-
-def test_a_value_that_only_some_runs_have_says_how_many():
-    rows = [row(seed=seed, exploration_time_s=value) for seed, value in enumerate((100.0, None, 300.0, None))]
-    assert column(rows, "Exploration", "time s") == ["200 (2)"]
 
 
 def test_no_rows_are_refused_in_one_line():
@@ -106,23 +96,6 @@ def test_ablations_are_compared_pair_by_pair():
     title = "Other methods against the published one"
     assert column(rows, title, f"ATE, {TIMES}") == ["2.00"]
     assert (column(rows, title, "pairs"), column(rows, title, "left out")) == (["3"], ["1"])
-
-
-def test_two_robots_are_compared_with_one_in_each_world_and_in_all():
-    rows = [row(world, seed=seed, robots=n, exploration_time_s=100.0 / n) for world in ("env1", "env2")
-            for n in (1, 2) for seed in range(3)]  # fmt: skip
-    title = "Several robots against one"
-    assert column(rows, title, f"time, {TIMES}") == ["0.50"] * 3
-    assert column(rows, title, "world") == ["env1", "env2", "all"]
-
-
-def test_policies_and_random_plans_have_their_tables():
-    rows = [row(f"random:{plan}", 0.02, wall_f1_aligned=plan / 10) for plan in range(8)]
-    assert column(rows, "Exploration", "world") == ["random plans"]
-    assert column(rows, "Exploration", "n") == ["8"]
-    assert sheet(rows, "Policies") is None
-    rows += [row(f"random:{plan}", 0.02, policy="random", time_to_95_s=None) for plan in range(8)]
-    assert column(rows, "Policies", "95 % s") == ["90", MISSING]
 
 
 def test_markdown_has_as_many_cells_in_each_line_of_a_table():

@@ -29,7 +29,6 @@ MOTION = np.diag([2e-6, 5e-7, 4e-5])
 STEP = np.array([0.05, 0.002, 0.02])
 STD = 0.02
 places = st.floats(-4.0, 4.0)
-angles = st.floats(-math.pi, math.pi)
 
 
 def spread(size: int, seed: int, scale: float = 1e-4) -> FloatArray:

@@ -16,7 +16,6 @@ from limslam_env.geometry import line as line_geometry
 MOTION = np.diag([2e-6, 5e-7, 4e-5])
 SEEN = np.array([[1e-4, 3e-5], [3e-5, 2e-4]])
 LINES = np.array([(2.0, 0.3), (1.5, 1.9), (3.0, -2.8), (0.8, -1.2)])
-angles = st.floats(-math.pi, math.pi)
 
 
 def spread(size: int, seed: int, scale: float = 1e-3) -> FloatArray:

@@ -166,13 +166,6 @@ def test_the_sparse_step_equals_a_dense_one():
 CONFIG = GraphConfig()
 
 
-@pytest.fixture(scope="module")
-def drive():
-    log, truth = corridor_log(laps=1)
-    keys = choose_keys(log, CONFIG.keys)
-    return log, truth, keys
-
-
 def test_normals_of_a_wall_point_to_the_sensor():
     x = np.linspace(0.0, 3.0, 61)
     places = np.column_stack((x, np.full(61, 1.0)))

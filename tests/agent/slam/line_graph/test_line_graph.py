@@ -135,16 +135,6 @@ def test_errors_are_as_large_as_the_covariances_say():
     assert 0.5 < np.mean(mean) < 1.6
 
 
-def test_wheel_sizes_are_found():
-    problem, poses = noisy_run(6, mismatch=0.02, prior=CALIBRATION_PRIOR)
-    solution = smoothed(problem, poses)
-    # The left wheel reports 2 % too much: it is smaller than specified.
-    assert solution.state.calibration[0, :2] == pytest.approx([-0.02, 0.02], abs=0.006)
-    error = np.linalg.norm(solution.state.poses[0, :, :2] - poses[0, :, :2], axis=1).max()
-    plain, _ = noisy_run(6, mismatch=0.02)
-    assert error < 0.5 * np.linalg.norm(state_from_motions(plain).poses[0, :, :2] - poses[0, :, :2], axis=1).max()
-
-
 def test_a_range_bias_is_found():
     problem, poses = noisy_run(7, noise=0.0, prior=CALIBRATION_PRIOR)
     biased = problem.readings.distances + 0.015

@@ -203,9 +203,6 @@ def test_the_nearest_landmark_comes_first_and_the_gate_ends_the_list(place: tupl
     assert possible(gated) == [1]
 
 
-CLOSING = LoopClosingConfig()
-
-
 def wall(y: float, x1: float, x2: float) -> np.ndarray:
     return np.array([x1, y, x2, y])
 
