@@ -1,7 +1,7 @@
 """Entries of the arena, and results that were made up."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 from limslam_agent.arena.entry import read_entry
 from limslam_agent.arena.results import STAMP, Row, digest_of, stamp_of
@@ -17,6 +17,11 @@ run = "random"
 uses = "belief"
 robots = 2
 """
+
+
+def short_plans():
+    """Plans of two seconds."""
+    return [replace(plan, max_time=2.0) for plan in plans_of()[:3]]
 
 
 def made_entry(folder, manifest, **files):

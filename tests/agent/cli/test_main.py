@@ -11,11 +11,7 @@ import pytest
 from support.bags import odometry, scan, write_bag
 from support.command_line import limslam
 
-from limslam_agent import AgentConfig, preset
 from limslam_agent.cli import warmup as warmup_module
-from limslam_agent.cli.settings import ReplayOptions, RunOptions
-from limslam_agent.config import DEFAULT_PRESET
-from limslam_agent.runs.run_config import RunConfig
 from limslam_env import load_world
 
 RUN_FILES = {
@@ -106,11 +102,6 @@ def test_a_runs_log_replays_to_the_same_trajectory(short_run, tmp_path):
     assert {name: metrics[name] for name in shared} == {name: told[name] for name in shared}
 
 
-def test_runs_and_replays_share_one_default_preset():
-    assert RunOptions().preset == ReplayOptions().preset == RunConfig().preset == AgentConfig().preset == DEFAULT_PRESET
-    assert AgentConfig() == preset(DEFAULT_PRESET)
-
-
 def test_results_are_only_replaced_by_force(tmp_path):
     folder = tmp_path / "copy"
     folder.mkdir()
@@ -147,6 +138,15 @@ def test_laps_drive_round_the_square(tmp_path):
         (("run", "--max-time", "0"), "--max-time must be a number from 0.001 to 1e+06, not 0.0"),
         (("run", "--policy", "magic"), "no policy is called 'magic'"),
         (("run", "--policy", "tour", "--robots", "2"), "for one robot"),
+        (("run", "--policy", "random", "--laps", "2"), "not with 'random'"),
+        (("run", "--kidnap-at", "0"), "not at 0 s"),
+        (("run", "--kidnap-at", "5", "--robots", "2"), "one of several robots cannot be kidnapped"),
+        (("run", "--unknown-starts", "--robots", "3"), "unknown starts are for two robots, not 3"),
+        (("run", "--unknown-starts", "--robots", "2", "--preset", "paper"), "with the preset graph"),
+        (
+            ("run", "--unknown-starts", "--robots", "2", "--policy", "random"),
+            "unknown starts are for the policy frontier",
+        ),
         (("fly",), "fly"),
         (("replay", "missing.log"), "missing.log"),
         (("replay", "{log}", "--beams", "90,120"), "120"),
@@ -155,6 +155,7 @@ def test_laps_drive_round_the_square(tmp_path):
         (("replay", "{log}", "--odometry-bias", "1,0"), "--odometry-bias"),
         (("replay", "{log}", "--calibrate", "{log}", "--odometry-bias", "1"), "--odometry-bias and --calibrate"),
         (("replay", "{log}", "--topics", "/odom"), "is not a ROS bag"),
+        (("replay", "{log}", "--noise", "20"), "--noise 20 m is more than the longest range of 3 m: is it in metres?"),
     ],
 )
 def test_bad_arguments_get_one_line_and_leave_nothing(arguments, words, carmen_log, tmp_path):
@@ -290,12 +291,6 @@ def test_ctrl_c_says_that_the_command_was_stopped(monkeypatch):
     monkeypatch.setattr("limslam_env.worlds.formats.loading.shipped_worlds", interrupted)
     result = limslam("worlds")
     assert (result.returncode, result.stdout, result.stderr) == (130, "", "limslam: stopped\n")
-
-
-def test_a_noise_beyond_the_longest_range_is_refused(carmen_log):
-    result = limslam("replay", carmen_log, "--noise", "20")
-    assert (result.returncode, result.stderr.count("\n")) == (2, 1)
-    assert "--noise 20 m is more than the longest range of 3 m: is it in metres?" in result.stderr
 
 
 SCRIPT = Path(sys.executable).with_name("limslam")

@@ -1,6 +1,8 @@
 """Recorded logs: CARMEN's rules and refusals, the project's own log.npz, and which reader takes which file."""
 
 import math
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -8,11 +10,28 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 from support.data import data_folder, refusal
-from support.work import count_calls
 
 from limslam_agent import read_log
 from limslam_env import RobotSpec
 from limslam_env.geometry import se2
+
+
+def count_calls(function: Callable[..., Any], *arguments: Any) -> tuple[int, Any]:
+    """How many calls of Python and C functions a call makes, and what it returns."""
+    calls = 0
+
+    def count(_frame: Any, event: str, _argument: Any) -> None:
+        nonlocal calls
+        calls += event in {"call", "c_call"}
+
+    before = sys.getprofile()
+    sys.setprofile(count)
+    try:
+        result = function(*arguments)
+    finally:
+        sys.setprofile(before)
+    return calls, result
+
 
 SIX = (-90.0, -45.0, -15.0, 15.0, 45.0, 90.0)
 

@@ -1,16 +1,12 @@
 """Pictures of a run, and the walls of its files."""
 
-import json
-
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from PIL import Image as Pictures
-from support.command_line import limslam
+from support.runs import run
 
 from limslam_agent.output.drawing import MapPicture, draw_map, legend, paint_map
-from limslam_env import load_world
-from limslam_env.metrics import metrics
 
 WALLS = np.array([(0.0, 0.0, 4.0, 0.0), (4.0, 0.0, 4.0, 3.0)])
 NOTHING = np.zeros((0, 4))
@@ -85,34 +81,18 @@ def test_title_and_remark_lie_within_the_picture(tmp_path, height):
 @pytest.fixture(scope="module")
 def explored(tmp_path_factory):
     """A finished exploration of Env2, whose walls have doors."""
-    folder = tmp_path_factory.mktemp("runs") / "env2"
-    result = limslam("run", "--world", "env2", "--seed", "3", "--out", folder)
-    assert result.returncode == 0, result.stderr
-    return folder
+    return run(tmp_path_factory.mktemp("runs") / "env2", "--world", "env2", "--seed", 3)
 
 
-def content(folder, name):
-    return json.loads((folder / name).read_text())
-
-
-def rows(segments):
-    return np.array(segments, dtype=float).reshape(-1, 4)
-
-
-def test_the_map_of_a_run_is_drawn_from_the_smoothed_path(explored):
-    final, online = content(explored, "map.json"), content(explored, "map_online.json")
+def test_the_map_of_a_run_is_drawn_from_the_smoothed_path_and_leaves_doors_open(explored):
+    final, online = explored.content("map.json"), explored.content("map_online.json")
     assert final["segments"] != online["segments"]
     assert all(np.linalg.eigvalsh(mark["cov"]).min() > 0.0 for mark in final["landmarks"])
+    assert explored.metrics["doors_open"] == 1.0
 
 
 def test_the_preset_consistent_gives_the_map_of_the_filter(tmp_path, explored):
-    folder = tmp_path / "filter"
-    result = limslam("run", "--world", "env2", "--seed", "3", "--preset", "consistent", "--out", folder)
-    assert result.returncode == 0, result.stderr
-    assert content(folder, "map.json") == content(explored, "map_online.json")
-    assert not (folder / "trajectory_smoothed.tum").exists()
-    assert "ate_smoothed_m" not in content(folder, "result.json")["metrics"]
-
-
-def test_the_doors_of_env2_are_open_in_the_file(explored):
-    assert metrics.doors_open(load_world("env2").doors, rows(content(explored, "map.json")["segments"])) == 1.0
+    plain = run(tmp_path / "filter", "--world", "env2", "--seed", 3, "--preset", "consistent")
+    assert plain.content("map.json") == explored.content("map_online.json")
+    assert not (plain.path / "trajectory_smoothed.tum").exists()
+    assert "ate_smoothed_m" not in plain.metrics

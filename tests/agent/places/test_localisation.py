@@ -5,21 +5,32 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.halls import HALL, PART, ROBOT, SQUARE, STD, WAY, drive, known
-from support.walls import wall_along
 
 from limslam_agent.config.exploration import GridConfig
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
+from limslam_agent.kernels.extents import add_wall, count_hits
 from limslam_agent.kernels.rays import scan_poses
-from limslam_agent.kernels.tables import RAY_LENGTH, RAY_REACH, RAY_TO_X
+from limslam_agent.kernels.tables import LENGTH, LOW, RAY_LENGTH, RAY_REACH, RAY_TO_X, empty_walls
 from limslam_agent.places.localisation import FAR_SHARE, LEAD, KnownPlaces, agree, localise
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with, poses_moved_with
+from limslam_agent.slam.consistent.wall_map import NEW, Wall, WallExtent
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.known_map import DECIDED, PlaceFit
 from limslam_agent.status.rays import have_ended, moved, rays_of
+from limslam_env.geometry import FloatArray, se2
 from limslam_env.geometry import line as line_geometry
-from limslam_env.geometry import se2
 from limslam_env.geometry import segment as segment_geometry
+
+
+def wall_along(number: int, along: FloatArray, known_as: int = NEW) -> Wall:
+    """A landmark on which beams ended at positions (n,), m along its line."""
+    walls = empty_walls(1, 4000)
+    add_wall(walls, 0)
+    count_hits(walls, 0, np.asarray(along, dtype=float))
+    low, length = walls.table[0, [LOW, LENGTH]].tolist()
+    extent = WallExtent(low, walls.counted[0, :, :length], walls.reached[0, :, :length])
+    return Wall(number, extent, 1, len(along), known_as=known_as)
 
 
 @pytest.fixture(scope="module")

@@ -1,15 +1,20 @@
 """The status: readings against a map, contradictions, sudden changes, faults of robots, and the smoothed path."""
 
 import math
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 from support.drives import ROBOT, ranges_at, room
-from support.faults import Fault, steps_with
 from support.halls import HALL, PART, WAY, drive, known
 
+from benchmarks.suite.faults import Fault
+from benchmarks.suite.jobs import KIDNAPPED
+from limslam_agent import LimSlamAgent, preset
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.kernels.tables import RAY_LENGTH
+from limslam_agent.runs.kidnapping import another_place
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.known_map import KnownMap, contradiction_test, drift_fit, slip_fit
 from limslam_agent.status.monitor import CARRIED, WINDOW, StatusMonitor
@@ -17,7 +22,46 @@ from limslam_agent.status.rays import moved, rays_of, step_rays
 from limslam_agent.status.smoothed_status import lost_since, smoothed_status
 from limslam_agent.status.status import Status, final_status_scores, status_scores, worst
 from limslam_agent.status.sudden_changes import Sight
+from limslam_env import LimSlamEnv, NominalNoise
 from limslam_env.geometry import se2
+
+
+def steps_with(
+    fault: Fault,
+    world: str,
+    noise: float,
+    lasts: float,
+    seed: int,
+    note: list[str] | None = None,
+    *,
+    finds_places: bool = True,
+) -> tuple[LimSlamAgent, list[dict[str, Any]]]:
+    """Explore until some seconds (``lasts``) after a fault began. A lost robot may look for its place.
+
+    Returns
+    -------
+    agent
+        The agent at the end.
+    rows
+        For each step the true ``info``, and the ``observation`` that the agent got. Its status is added to ``note``.
+    """
+    env = LimSlamEnv(world, sensor_noise=noise, coverage_goal=None)
+    settings = preset("consistent", NominalNoise(noise))
+    agent = LimSlamAgent(env.robot, settings if finds_places else replace(settings, finds_places=False))
+    told, info = env.reset(seed=seed)
+    agent.reset(info["pose"], seed)
+    rows = []
+    while info["time"] < fault.begin + lasts:
+        seen = fault.altered(told, info["time"])
+        action = agent.act(seen)
+        rows.append({**info, "observation": seen})
+        if note is not None:
+            note.append(agent.status)
+        if fault.kind == KIDNAPPED and abs(info["time"] - fault.begin) < 1e-6:
+            env.carry(0, another_place(env.world, env.robot, info["pose"], np.random.default_rng(fault.seed)))
+        told, _, _, _, info = env.step(action)
+    return agent, rows
+
 
 WALLS = room(0.0, 0.0, 2.0, 2.0)
 POSE = np.array([1.0, 0.8, 0.3])
