@@ -234,11 +234,6 @@ def test_the_ellipse_holds_95_percent(turned):
         assert not shows(picture, *(tip + 0.06 * axis), rendering._BELIEF)
 
 
-def test_a_pose_that_is_certain_has_an_ellipse_of_no_size():
-    certain = Overlay(np.array([1.0, 3.5, 0.0]), np.diag([0.0, -1e-20, 0.0]))
-    assert render(state_of(overlay=[certain])).dtype == np.uint8
-
-
 @pytest.mark.parametrize("far", [1e12])
 def test_a_belief_that_is_far_off_is_drawn_as_far_as_it_can_be_seen(far):
     lost = Overlay(

@@ -102,13 +102,6 @@ def test_a_cell_behind_a_wall_is_not_marked():
     assert seen[:14, 19].all(), "the cells on this side of the wall"
 
 
-@pytest.mark.parametrize("gap", [0.0, 1e-6])
-def test_a_robot_against_a_wall_marks_nothing_behind_it(gap):
-    world = box_world([2.0, 0.0, 2.0, 1.4])
-    for x, behind in ((2.0 - ROBOT.radius - gap, np.s_[:14, 20:]), (2.0 + ROBOT.radius + gap, np.s_[:14, :20])):
-        assert not seen_from(world, turning_at(x, 0.55))[behind].any()
-
-
 def test_a_beam_marks_the_cells_that_it_crosses_and_no_others():
     world = box_world()
     seen = seen_from(world, np.array([[1.05, 1.05, 0.0]]))
@@ -180,11 +173,3 @@ def test_what_two_robots_see_at_once_counts_for_the_first_of_them():
     assert both.new_area[0] == pytest.approx(alone[0])
     assert 0.0 < both.new_area[1] < alone[1]
     assert sum(both.new_area) == pytest.approx(both.coverage * total * CELL**2)
-
-
-def test_a_start_a_fraction_of_a_cell_off_the_free_ground_is_in_its_region():
-    space = box_world().free_space(ROBOT.radius)
-    inside = space.label_of(np.array([0.5, 1.0]))
-    # Touching the wall, the centre's own cell may count as blocked.
-    for y in np.linspace(0.3, 1.7, 15):
-        assert space.label_of(np.array([ROBOT.radius + 1e-6, y])) == inside

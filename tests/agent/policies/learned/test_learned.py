@@ -194,10 +194,9 @@ def test_it_explores_a_room(policy):
 def test_running_it_loads_neither_torch_nor_numba():
     code = (
         "import sys, numpy as np\n"
-        "from limslam_agent.policies.learned.learned import LearnedPolicy\n"
-        "from limslam_agent.config.presets import PolicyConfig\n"
-        "from limslam_env.interface import RobotSpec\n"
-        "LearnedPolicy(RobotSpec(), PolicyConfig())\n"
+        "from limslam_agent import LearnedPolicy, preset\n"
+        "from limslam_env import RobotSpec\n"
+        "LearnedPolicy(RobotSpec(), preset('consistent').policy)\n"
         "print({'torch', 'numba', 'pymunk'} & set(sys.modules))"
     )
     result = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

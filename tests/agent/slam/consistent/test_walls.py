@@ -187,18 +187,6 @@ def test_two_facets_are_cut_near_the_corner_between_them(noise: float, angle: fl
     assert max(off) < 0.2
 
 
-def test_a_curve_has_no_long_straight_piece() -> None:
-    # A round pillar of 0.5 m radius, 0.4 m to the left.
-    bends = np.radians(np.linspace(-180.0, 0.0, 60))
-    pillar = np.column_stack((0.5 + 0.5 * np.cos(bends), 0.9 + 0.5 * np.sin(bends)))
-    for seed in range(10):
-        drive = drive_past(pillar, 1.0, 0.0, seed)
-        members = np.nonzero(drive.hits[:, 1] < 0.55)[0]
-        pieces = drive.pieces(members)
-        assert np.ptp(drive.hits[members, 0]) > 0.6
-        assert max(piece.length for piece in pieces) < 0.35
-
-
 @pytest.mark.parametrize("noise", [0.0, 0.01])
 def test_the_end_of_another_wall_is_cut_off(noise: float) -> None:
     # The wall steps back by 6 cm, and 10 cm of what comes then were taken for it.
@@ -326,7 +314,6 @@ def test_a_reading_as_expected_ends_on_the_line(pose: FloatArray, line: FloatArr
     np.testing.assert_allclose(line_geometry.distance(line, points - anchor), 0.0, atol=1e-11)
 
 
-GAP = 0.30
 TOLERANCE = 1.0  # beams that pass for each that ends there
 spots = st.lists(st.floats(-3.0, 3.0), min_size=1, max_size=30).map(np.array)
 
@@ -375,11 +362,6 @@ def wall(low: float, high: float) -> FloatArray:
     return np.arange(low + 0.01, high, BIN)
 
 
-def passed(extent: Extent, low: float, high: float, times: int) -> None:
-    for along in np.repeat(np.arange(low + 0.02, high, BIN), times):
-        extent.pass_at(float(along))
-
-
 @given(spots, st.floats(0.06, 2.0))
 def test_pieces_are_the_hits_cut_at_gaps(along: FloatArray, gap: float) -> None:
     pieces = hit_at(along).intervals(gap, TOLERANCE)
@@ -391,20 +373,6 @@ def test_pieces_are_the_hits_cut_at_gaps(along: FloatArray, gap: float) -> None:
     for low, high in pieces:
         inside = np.sort(along[(along >= low) & (along <= high)])
         assert (np.diff(inside) <= gap).all()
-
-
-@pytest.mark.parametrize("hits", [3])
-def test_a_door_that_was_closed_by_mistake_opens_again_when_enough_beams_pass(hits: int) -> None:
-    extent = hit_at(*[wall(0.0, 2.0)] * hits)
-    passed(extent, 0.8, 1.4, hits)
-    np.testing.assert_allclose(extent.intervals(GAP, TOLERANCE), [[0.01, 1.96]])
-    passed(extent, 0.8, 1.4, 1)
-    np.testing.assert_allclose(extent.intervals(GAP, TOLERANCE), [[0.01, 0.76], [1.41, 1.96]])
-    assert extent.ends == pytest.approx((0.01, 1.96))
-    # A wider tolerance takes the passes for errors, and it closes again when it is hit again.
-    assert len(extent.intervals(GAP, (hits + 1) / hits)) == 1
-    extent.hit(wall(0.8, 1.4))
-    np.testing.assert_allclose(extent.intervals(GAP, TOLERANCE), [[0.01, 1.96]])
 
 
 # Two landmarks that turn out to be one wall.

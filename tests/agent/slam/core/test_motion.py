@@ -13,7 +13,7 @@ from limslam_agent.config.shared import OdometryConfig
 from limslam_agent.slam.consistent.clone_ekf import CloneEKF
 from limslam_agent.slam.consistent.separate_bias import DELAY
 from limslam_agent.slam.core.contact import LONGEST, Contacts, slip_covariance, slip_covariances
-from limslam_agent.slam.core.encoder_ticks import first_jitter, jitter_of, tick_by, ticks_of
+from limslam_agent.slam.core.encoder_ticks import jitter_of, tick_by, ticks_of
 from limslam_agent.slam.core.late_ranges import WaitingTravel, ahead, behind, held_back
 from limslam_agent.slam.core.motion import (
     Motion,
@@ -144,13 +144,6 @@ def test_the_jitter_is_the_covariance_of_parts_of_ticks() -> None:
     np.testing.assert_allclose(jitter_of(ticks, axle), np.cov(poses.T), rtol=0.03, atol=2e-7)
 
 
-def test_the_first_jitter_is_that_of_the_wheels_whose_ticks_were_not_known() -> None:
-    ticks = np.array([0.01, 0.004])
-    added = first_jitter(np.array([0.0, 0.004]), ticks, 0.2)
-    np.testing.assert_array_equal(added, jitter_of(np.array([0.01, 0.0]), 0.2))
-    assert not first_jitter(ticks, ticks, 0.2).any()
-
-
 TRAVEL = np.random.default_rng(0).normal(0.03, 0.02, (40, 2, 2))
 
 
@@ -230,30 +223,11 @@ def test_a_robot_that_goes_on_towards_a_wall_slips() -> None:
     assert sum(found) == pytest.approx(np.mean(np.maximum(driven - free, 0.0) ** 2), rel=1e-3)
 
 
-def test_noise_does_not_end_a_contact_and_free_space_does() -> None:
-    steady, noisy = Contacts(ROBOT, STD), Contacts(ROBOT, STD)
-    expected = [variance_of(steady, 0.02, LEAST) for _ in range(10)]
-    found = [
-        variance_of(noisy, 0.02, near) for near in (LEAST, 0.07, LEAST, LEAST, 0.08, LEAST, LEAST, 0.06, 0.07, 0.06)
-    ]
-    assert found == expected
-    assert variance_of(noisy, 0.02, 0.15) == 0.0
-    assert variance_of(noisy, 0.02, LEAST) == 0.0
-
-
 def test_a_beam_that_reads_its_minimum_for_ever_soon_says_nothing() -> None:
     contacts = Contacts(ROBOT, STD)
     found = [variance_of(contacts, 0.02, 0.0) for _ in range(200)]
     assert math.sqrt(sum(found)) < LONGEST
     assert found[100:] == [0.0] * 100
-
-
-def test_steps_without_a_scan_do_not_end_a_contact() -> None:
-    ranges = np.array([seen(LEAST if row % 3 == 0 else 1.5) for row in range(31)])[:, None]
-    has_scan = np.array([row % 3 == 0 for row in range(31)])[:, None, None]
-    wheels = np.full((31, 1, 2), 0.02)
-    found = slip_covariances(ROBOT, STD, np.moveaxis(wheels, 0, 1)[:, 1:], ranges, np.isfinite(ranges) & has_scan)
-    assert np.count_nonzero(found[0, :, 0, 0]) > 20
 
 
 def test_beams_to_the_sides_and_beams_that_cannot_measure_near_the_body_show_no_contact() -> None:
