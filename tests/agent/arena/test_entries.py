@@ -1,6 +1,5 @@
 """Entries of the arena: manifests, processes, plans, and scores."""
 
-from collections import Counter
 from dataclasses import replace
 from types import SimpleNamespace
 
@@ -174,14 +173,6 @@ def test_a_seed_gives_its_own_plans_every_time():
     assert plans_of(7) == plans_of(7)
     assert len(plans_of(7)) == COUNT
     assert not {plan.world for plan in plans_of(7)} & {plan.world for plan in plans_of()}
-
-
-@pytest.mark.parametrize("seed", [0, 12345])
-def test_settings_have_their_shares(seed):
-    plans = plans_of(seed)
-    assert Counter(plan.robots for plan in plans) == {1: 70, 2: 30}
-    assert Counter(plan.fault for plan in plans) == {"none": 55, "wheels": 15, "sharp": 15, "dropout": 15}
-    assert {plan.noise for plan in plans} == {0.0, 0.02, 0.04}
 
 
 def test_faults_are_in_the_simulator_and_not_in_what_is_told():

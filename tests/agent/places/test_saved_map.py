@@ -9,7 +9,7 @@ from limslam_agent.grid.occupancy import GridView
 from limslam_agent.output.export import write_map
 from limslam_agent.output.summary import record_summary, run_summary
 from limslam_agent.places.saved_map import SavedMap, SavedMapError, read_saved_map
-from limslam_agent.runs.episode import run_episode, told_starts
+from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import score
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.slam.core.line_map import Landmark
@@ -59,14 +59,6 @@ def test_a_map_is_read_as_it_was_written(folder):
     assert [(mark.r, mark.theta, mark.segments) for mark in read.landmarks] == [
         (mark.r, mark.theta, mark.segments) for mark in saved.landmarks
     ]
-
-
-def test_nobody_is_told_an_unknown_start(folder):
-    true = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, -1.0]])
-    np.testing.assert_array_equal(told_starts(RunConfig(robots=2), true), true)
-    np.testing.assert_array_equal(told_starts(RunConfig(robots=2, unknown_starts=True), true), [true[0], np.zeros(3)])
-    np.testing.assert_array_equal(told_starts(RunConfig("env3", prior_map=folder), true[:1]), np.zeros((1, 3)))
-    assert true.all()
 
 
 def test_a_run_finds_itself_in_an_earlier_map(episode):

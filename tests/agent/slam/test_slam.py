@@ -151,33 +151,6 @@ def test_an_observation_without_motion_is_refused() -> None:
         LineSlam(ROBOT, CONFIG).step({"ranges": np.ones(6)})
 
 
-def test_associations_name_the_steps_and_beams_that_made_them() -> None:
-    start = np.array([1.0, 2.0, 2.5])
-    walls = placed(CORRIDOR, start)
-    observations, poses = drive(walls, start, straight(3.0))
-    slam, records = recorded(observations, CONFIG, start)
-    assert [record.is_new for record in records].count(True) == 2
-    # The first line of each wall is new, each later one is taken for a landmark that exists.
-    seen: set[int] = set()
-    for record in records:
-        assert record.is_new == (record.landmark not in seen)
-        seen.add(record.landmark)
-        # Go back to what was measured: the reading's point lies on the landmark's true wall.
-        landmark = slam.landmarks[record.landmark]
-        line = np.array([landmark.r, landmark.theta])
-        for step, beam in record.readings.tolist():
-            spec, pose = ROBOT.beams[beam], poses[step]
-            reading = float(observations[step]["ranges"][beam])
-            local = np.array([[spec.x + reading * math.cos(spec.angle), spec.y + reading * math.sin(spec.angle)]])
-            assert abs(line_geometry.distance(line, se2.transform_points(pose, local))[0]) < 0.01
-    # No reading is used twice.
-    readings = np.vstack([record.readings for record in records])
-    assert len(np.unique(readings, axis=0)) == len(readings)
-    for landmark_number in (0, 1):
-        beams = {int(b) for record in records if record.landmark == landmark_number for b in record.readings[:, 1]}
-        assert beams in ({0, 1}, {4, 5})
-
-
 def test_finish_uses_what_is_left_in_the_buffers() -> None:
     # The buffers are so large that they never fill: without an end nothing comes of the drive.
     start = np.array([1.0, 2.0, 2.5])

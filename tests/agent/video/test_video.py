@@ -59,15 +59,6 @@ def test_a_band_is_as_wide_as_the_line_may_be_off():
         assert half == pytest.approx(2.0 * np.std(off), rel=0.06)
 
 
-# The right half.
-
-
-# The panels.
-
-
-# What is said.
-
-
 # The frame and the film.
 
 

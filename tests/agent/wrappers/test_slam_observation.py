@@ -11,11 +11,11 @@ from gymnasium.utils.env_checker import check_env
 
 import limslam_env  # noqa: F401 (registers the ids)
 from limslam_agent import AgentConfig, SlamObservation, preset
-from limslam_agent.wrappers.single import FREE, OCCUPIED, UNKNOWN
 from limslam_env import LimSlamEnv, NominalNoise
 from limslam_env.envs.wrappers import NormalizedObservation
 from limslam_env.geometry import se2
 
+UNKNOWN, FREE, OCCUPIED = 0, 127, 255
 ACTIONS = [*[(0.6, 0.6)] * 25, *[(-0.4, 0.4)] * 10, *[(0.5, 0.6)] * 25]
 
 

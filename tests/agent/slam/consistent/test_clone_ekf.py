@@ -394,9 +394,6 @@ def test_an_iterated_merge_teaches_nothing_of_how_the_whole_world_lies_and_is_tu
     assert gained[1] < 0.1 * gained[0]
 
 
-# Several robots.
-
-
 # Many steps.
 
 ROOM = np.array([[1.5, 0.0], [1.2, 0.5 * math.pi], [1.5, math.pi], [1.2, -0.5 * math.pi]])

@@ -375,9 +375,6 @@ def test_pieces_are_the_hits_cut_at_gaps(along: FloatArray, gap: float) -> None:
         assert (np.diff(inside) <= gap).all()
 
 
-# Two landmarks that turn out to be one wall.
-
-
 # The map that is drawn of it.
 
 
