@@ -1,4 +1,4 @@
-"""Which package may import which, read from the source; and what an import loads, seen in a new interpreter."""
+"""What may import what, what importing loads, and the length of functions."""
 
 import ast
 import subprocess
@@ -114,7 +114,7 @@ AGENT = {
     "limslam_agent.live.ros2": {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid", "live", "logs", "output.formats", "policies"),
     },
-    "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "output", "slam.core")},
+    "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output", "slam.core")},
     "limslam_agent.inspect": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("config", "grid", "mapping", "output", "policies", "slam", "slam.core", "status", "video"),
@@ -309,7 +309,7 @@ def test_importing_the_agent_loads_no_simulator():
         *PLACES["limslam_agent.two_logs"],
         *PLACES["limslam_agent.slam.online_graph"],
     ]
-    replay = ("misreading", "smoothing", "trust")
+    replay = ("hand_over", "local_views", "misreading", "reversing", "smoothing", "trust")
     compiled += [f"limslam_agent.replay.{name}" for name in replay]
     parts = [name for place in AGENT for name in PLACES[place] if name not in compiled]
     assert len(parts) > 10
@@ -323,3 +323,43 @@ def test_the_suspects_would_be_noticed():
 
 def test_only_the_published_estimator_loads_filterpy():
     assert loaded_by(["limslam_agent.mapping.mapper"], {"filterpy", "scipy.stats"}) == set()
+
+
+ROOT = Path(__file__).parents[1]
+NOT_COUNTED = ("limslam_env/kernels/", "limslam_agent/slam/batch/")
+LONGEST = 60
+
+
+def functions_of(top: str) -> dict[str, int]:
+    """Functions outside compiled kernels, by file and name, and the lines of their bodies."""
+    found = {}
+    for path in sorted((ROOT / top).rglob("*.py")):
+        name = path.relative_to(ROOT).as_posix()
+        if name.startswith(NOT_COUNTED):
+            continue
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                found[f"{name}:{node.name}:{node.lineno}"] = lines_of(node)
+    return found
+
+
+def lines_of(function: ast.FunctionDef | ast.AsyncFunctionDef) -> int:
+    """Lines of a function's body. Signatures declare, like the options of a command, and are not counted."""
+    body = function.body[1:] if ast.get_docstring(function) is not None else function.body
+    return body[-1].end_lineno - body[0].lineno + 1 if body else 0
+
+
+@pytest.mark.parametrize("top", ["limslam_env", "limslam_agent", "benchmarks"])
+def test_no_function_is_longer_than_a_screen(top):
+    if not (ROOT / top).is_dir():
+        pytest.skip("there is only the installed package")
+    functions = functions_of(top)
+    assert len(functions) > 100
+    assert {name: length for name, length in functions.items() if length > LONGEST} == {}
+
+
+def test_signature_and_docstring_do_not_count():
+    tree = ast.parse(
+        'def function(\n    value,\n):\n    """One.\n\n    Two.\n    """\n    value += 1\n    return value\n'
+    )
+    assert lines_of(tree.body[0]) == 2

@@ -3,7 +3,6 @@
 import json
 import os
 import random
-import shutil
 import signal
 import subprocess
 import sys
@@ -14,22 +13,11 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks.suite.store import read_rows
 from limslam_agent.output.claims import clear_up
 from limslam_agent.output.finished_run import read_run
 
 ROOT = Path(__file__).parents[1]
 KILLS = 30
-SUITE = """
-name = "kills"
-description = "A few short runs."
-[[grid]]
-worlds = ["square"]
-noises = [0.02]
-presets = ["odometry"]
-seeds = { first = 0, count = 4 }
-max_time = 2.0
-"""
 
 pytestmark = pytest.mark.slow
 
@@ -87,12 +75,12 @@ def assert_nothing_is_lost(target: Path, files: set[str]) -> None:
 
 @pytest.mark.parametrize("kind", ["run", "replay"])
 def test_a_run_or_a_replay_that_is_killed_leaves_its_results_whole(tmp_path, kind):
-    run = ("limslam_agent.cli.main", "run", "--world", "square", "--max-time", "2")
+    run = ("limslam_agent", "run", "--world", "square", "--max-time", "2")
     first = Command((*run, "--out", "results/first"), tmp_path)
     first.finish()
     target = tmp_path / "results" / kind
     log = str(tmp_path / "results" / "first" / "log.npz")
-    arguments = run if kind == "run" else ("limslam_agent.cli.main", "replay", log)
+    arguments = run if kind == "run" else ("limslam_agent", "replay", log)
     command = Command((*arguments, "--out", str(target), "--force"), tmp_path)
     command.finish()
     command.finish()
@@ -105,31 +93,4 @@ def test_a_run_or_a_replay_that_is_killed_leaves_its_results_whole(tmp_path, kin
     command.finish()
     assert_nothing_is_lost(target, files)
     assert command.outcomes["killed"] > KILLS // 2, command.outcomes
-    print(dict(command.outcomes))  # noqa: T201 (seen with pytest -s)
-
-
-def test_a_suite_that_is_killed_goes_on(tmp_path):
-    (tmp_path / "kills.toml").write_text(SUITE)
-    out, kept = tmp_path / "out", 0
-    arguments = ("benchmarks", "run", "--suite", "kills.toml", "--out", str(out), "--workers", "1")
-    command = Command(arguments, tmp_path)
-    command.finish()
-    expected = {row.key: row.metrics for row in read_rows(out)}
-    shutil.rmtree(out)
-    chance = random.Random(1)  # noqa: S311 (moments, not secrets)
-    for _ in range(KILLS):
-        command.kill(command.seconds * chance.uniform(0.2, 1.05))
-        rows = read_rows(out) if (out / "results.jsonl").is_file() else []
-        assert len(rows) >= kept, "a row is lost"
-        assert all(row.metrics == expected[row.key] for row in rows)
-        kept = len(rows)
-        if kept == len(expected):
-            command.finish()
-            assert hidden_files(out) == []
-            shutil.rmtree(out)
-            kept = 0
-    command.finish()
-    assert {row.key: row.metrics for row in read_rows(out)} == expected
-    assert hidden_files(out) == []
-    assert sorted(path.name for path in out.iterdir()) == ["results.jsonl", "suite.json"]
     print(dict(command.outcomes))  # noqa: T201 (seen with pytest -s)

@@ -1,4 +1,4 @@
-"""What a reading means: the same for live observations, batches, ``log.npz``, tables, bags and CARMEN logs."""
+"""What a reading means: as a sensor reports it, in a batch, and when beams miss walls."""
 
 import dataclasses
 import math
@@ -6,11 +6,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.special import ndtr
 from support.bags import odometry, scan, write_bag
 
 from limslam_agent import BatchSlam, LimSlamAgent, Mapper, preset, read_log, replay_log
+from limslam_agent.config.presets import GridConfig
+from limslam_agent.dropouts import Dropouts, short_series, without_dropouts
+from limslam_agent.grid.drawing import ReadingDrawer
+from limslam_agent.grid.occupancy import GridView, OccupancyGrid, drawn_grid
+from limslam_agent.kernels.readings import sort_readings, weigh_changes
 from limslam_agent.readings import as_readings
-from limslam_env import RobotSpec, SensorSpec
+from limslam_env import NominalNoise, RobotSpec, SensorSpec
+from limslam_env.geometry import BoolArray, FloatArray
 
 MOST = 3.0
 LEAST = {"carmen": 0.02, "table": 0.02, "bag": 0.05, "npz": 0.05}
@@ -111,3 +118,168 @@ def test_each_beam_has_its_own_limits():
     robot = RobotSpec(beams=beams)
     readings = as_readings([[0.1, 0.1], [2.0, 2.0]], robot.min_ranges, robot.max_ranges)
     np.testing.assert_array_equal(readings, [[0.1, 0.2], [2.0, 1.0]])
+
+
+SIX = RobotSpec()
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_readings(seed: int) -> None:
+    generator, count = np.random.default_rng(seed), len(SIX.beams)
+    special = np.array([np.nan, np.inf, -np.inf, -0.3, 0.0, SIX.max_ranges[0], SIX.min_ranges[0], 0.01, 9.0])
+    values = generator.uniform(0.0, 2.0, count)
+    values = np.where(generator.random(count) < 0.5, generator.choice(special, count), values)
+    is_new = generator.random(count) < 0.7
+    readings, measured, hits = np.empty(count), is_new.copy(), np.zeros(count, dtype=bool)
+    limits = SIX.min_ranges, SIX.max_ranges, SIX.too_near, SIX.too_far
+    refused = sort_readings(values, *limits, readings, measured, hits)
+    expected = as_readings(values, SIX.min_ranges, SIX.max_ranges)
+    np.testing.assert_array_equal(readings, expected)
+    assert refused == np.count_nonzero(np.isnan(expected))
+    np.testing.assert_array_equal(measured, is_new & ~np.isnan(expected))
+    np.testing.assert_array_equal(hits, measured & (expected > SIX.too_near) & (expected < SIX.too_far))
+
+
+def density(off: FloatArray, std: FloatArray) -> FloatArray:
+    return np.asarray(np.exp(-0.5 * (off / std) ** 2) / (std * math.sqrt(2.0 * math.pi)))
+
+
+def plain_evidence(ranges: FloatArray, usable: BoolArray, motions: FloatArray, std: float, growth: float) -> FloatArray:
+    limits, shares, slopes = SIX.max_ranges, (0.75, 0.25), ((1.0, 0.7), (2.0, 2.0))
+    seen, nothing = np.minimum(ranges, limits), ranges >= SIX.too_far
+    now, before, earlier = seen[2:], seen[1:-1], seen[:-2]
+    travel, turn = motions[2:, :1], motions[2:, 1:]
+    shorter = np.minimum(now, before)
+    variances = std**2 + (growth * shorter**2) ** 2
+    base = 2.0 * variances + 0.01**2
+    stds = [np.sqrt(base + (drive * travel) ** 2 + (spin * turn * shorter) ** 2) for drive, spin in slopes]
+    edges = 0.01 + 0.4 * np.minimum(turn, 0.2)
+    goes_on = sum(share * density(now - before, each) for share, each in zip(shares, stds, strict=True))
+    bend = np.sqrt(6.0 * variances + 0.03**2 + (0.2 * turn * shorter) ** 2)
+    is_line = (np.minimum(turn, motions[1:-1, 1:]) > 0.05) & ~(nothing[2:] | nothing[1:-1] | nothing[:-2])
+    is_line &= ~np.isnan(earlier)
+    goes_on = np.where(is_line, np.maximum(goes_on, 0.6 * density(now - 2.0 * before + earlier, bend)), goes_on)
+    changes = (1.0 - edges) * goes_on + edges / limits
+    vanishes = sum(share * ndtr((before - limits) / each) for share, each in zip(shares, stds, strict=True))
+    vanishes = (1.0 - edges) * vanishes + 0.45 * edges
+    comes = sum(share * density(limits - now, each) for share, each in zip(shares, stds, strict=True))
+    comes = 0.08 * (1.0 + 3.0 * (turn > 0.1)) * comes + edges / limits
+    here = np.where(nothing[2:], vanishes, np.where(nothing[1:-1], comes, changes))
+    evidence = np.log(np.where(nothing[2:], 0.45, 0.55 / limits) / here)
+    evidence = np.where(nothing[2:] & nothing[1:-1], math.log(0.45), evidence)
+    return np.where(usable[2:] & usable[1:-1], np.clip(evidence, -1.5, 4.5), 0.0)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_evidence_of_changes(seed: int) -> None:
+    generator, shape = np.random.default_rng(seed), (12, len(SIX.beams))
+    ranges = np.cumsum(generator.normal(0.0, 0.03, shape), axis=0) + generator.uniform(0.3, 1.5, shape[1])
+    ranges = np.where(generator.random(shape) < 0.15, SIX.max_ranges, np.clip(ranges, 0.1, SIX.max_ranges))
+    ranges[generator.random(shape) < 0.05] = np.nan
+    usable = ~np.isnan(ranges) & (generator.random(shape) < 0.95)
+    motions = np.abs(generator.normal(0.0, (0.02, 0.1), (12, 2)))
+    evidence = np.empty((10, shape[1]))
+    weigh_changes(ranges, usable, motions, SIX.beam_table, 0.02, 0.05, evidence)
+    np.testing.assert_allclose(evidence, plain_evidence(ranges, usable, motions, 0.02, 0.05), rtol=1e-9, atol=1e-9)
+    assert np.std(evidence) > 0.1
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_dropouts(seed: int) -> None:
+    nothing = np.random.default_rng(seed).random((15, 6)) < 0.7
+    expected = nothing.copy()
+    for first in range(15 - 4 + 1):
+        expected[first : first + 4, nothing[first : first + 4].all(axis=0)] = False
+    np.testing.assert_array_equal(short_series(nothing, 4), expected)
+
+
+COUNT = len(SIX.beams)
+ALL = np.ones(COUNT, dtype=bool)
+
+
+def readings_of_a_wall(steps: int, chance: float, *, at: float = 0.8, seed: int = 0) -> FloatArray:
+    """Readings (steps, n_beams), m, of a wall that each beam misses with some probability."""
+    generator = np.random.default_rng(seed)
+    seen = at + 0.02 * generator.standard_normal((steps, COUNT))
+    return np.where(generator.random(seen.shape) < chance, SIX.max_ranges, seen)
+
+
+def noted(ranges: FloatArray) -> Dropouts:
+    """The drop-outs among readings (t, n_beams), m."""
+    dropouts = Dropouts(SIX)
+    for row in ranges:
+        dropouts.note(row, ALL)
+    return dropouts
+
+
+@pytest.mark.parametrize("chance", [0.05, 0.3])
+def test_their_share_is_estimated(chance: float) -> None:
+    dropouts = noted(readings_of_a_wall(1000, chance))
+    assert dropouts.share == pytest.approx(chance, rel=0.15)
+
+
+def test_a_sensor_that_misses_nothing_has_none() -> None:
+    # Open doors of many widths, an object that moves, and a wall at the end of the longest range.
+    ranges = readings_of_a_wall(300, 0.0)
+    for step in range(10, 290, 20):
+        ranges[step : step + step // 20 + 2] = SIX.max_ranges
+    ranges[:, 0] = np.where(np.arange(300) % 3 == 0, SIX.max_ranges[0], 0.97 * SIX.max_ranges[0])
+    ranges[::2, 1], ranges[1::2, 1] = 0.4, 1.2
+    dropouts = noted(ranges)
+    assert (dropouts.share, dropouts.enough) == (0.0, 1)
+
+
+def drawn_with(ranges: FloatArray) -> OccupancyGrid:
+    """The grid of a robot that stands at the origin, after readings (t, n_beams), m."""
+    drawer, grid = ReadingDrawer(SIX), OccupancyGrid(GridConfig())
+    for row in ranges:
+        drawer.draw(grid, 0, np.zeros(3), row, ALL)
+    return grid
+
+
+def reach_of(view: GridView) -> float:
+    """Distance (m) of the farthest free cell from the origin."""
+    return float(np.hypot(*view.centres(np.argwhere(view.free)).T).max())
+
+
+def test_readings_that_saw_nothing_are_drawn_when_enough_of_them_follow_each_other() -> None:
+    # The first drop-outs make some free ground behind the wall, before it is known that there are drop-outs.
+    before = readings_of_a_wall(1000, 0.1, at=0.5)
+    known = drawn_with(before).view.values
+    nothing = np.tile(SIX.max_ranges, (6, 1))
+    seen = np.full((1, COUNT), 0.5)
+    short = drawn_with(np.vstack((before, seen, nothing[:2], seen))).view
+    assert np.count_nonzero(short.free) == np.count_nonzero(known > 0)
+    # A chance of 0.1 makes a series of four with a probability of 1e-4. The estimated chance is not exactly 0.1.
+    assert np.count_nonzero(drawn_with(np.vstack((before, nothing))).view.free) > 1.2 * np.count_nonzero(known > 0)
+
+
+def test_a_beam_that_takes_turns_with_others_is_compared_with_its_own_readings() -> None:
+    dropouts, ranges = Dropouts(SIX), readings_of_a_wall(6000, 0.1)
+    for step, row in enumerate(ranges):
+        fresh = np.arange(COUNT) == step % COUNT
+        # What the other beams read earlier means nothing now.
+        dropouts.note(np.where(fresh, row, np.nan), fresh)
+    assert dropouts.share == pytest.approx(0.1, rel=0.2)
+
+
+def test_a_finished_map_has_no_free_ground_behind_a_wall() -> None:
+    steps = 400
+    ranges = readings_of_a_wall(steps, 0.1, at=0.5)[:, None]
+    measured, poses = np.ones(ranges.shape, dtype=bool), np.zeros((steps, 1, 3))
+    grid = drawn_grid(GridConfig(), SIX, poses, ranges, measured)
+    assert reach_of(grid) < 0.75
+    kept = without_dropouts(SIX, ranges[:, 0], measured[:, 0])
+    assert (kept | (ranges[:, 0] >= SIX.too_far)).all()
+
+
+def test_a_mapper_that_is_reset_draws_no_reading_of_the_estimate_before() -> None:
+    mapper = Mapper(SIX, preset("consistent", NominalNoise(0.02)))
+    for row in readings_of_a_wall(300, 0.1, at=0.5):
+        mapper.step({"wheels": np.zeros(2), "ranges": row})
+    mapper.step({"wheels": np.zeros(2), "ranges": SIX.max_ranges})  # these readings wait
+    mapper.reset(np.array([20.0, 0.0, 0.0]))
+    for _ in range(8):
+        mapper.step({"wheels": np.zeros(2), "ranges": SIX.max_ranges})
+    cells = mapper.grid.centres(np.argwhere(mapper.grid.free))
+    assert np.hypot(*(cells - np.array([20.0, 0.0])).T).max() < 1.7

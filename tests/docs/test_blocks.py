@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 import typer
 from support.arena import made_entry
+from support.command_line import app as limslam_app
 from support.markdown import ROOT, Block, all_blocks, blocks, code_spans, commands, name_of, pages
 
 from limslam_agent import read_log
-from limslam_agent.cli.main import app as limslam_app
 from limslam_agent.cli.settings import robot_named
 from limslam_agent.config.shared import OdometryConfig
 from limslam_agent.live.emulator.__main__ import app as emulator_app

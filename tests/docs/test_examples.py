@@ -1,17 +1,21 @@
-"""The examples run without changes."""
+"""The examples, the README's code, and the exercise run without changes."""
 
 import json
+import re
+import shlex
+import shutil
 import subprocess
 import sys
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 import pytest
-from support.command_line import call
-from support.markdown import blocks, commands
+from support.command_line import limslam
+from support.markdown import ROOT, blocks, commands, pages, prose
 
-from limslam_agent import read_log, replay_log
-from limslam_agent.cli.main import main
+from limslam_agent import preset, read_log, replay_log
+from limslam_env import NominalNoise
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 EXAMPLE = EXAMPLES / "live_robot.py"
@@ -55,16 +59,13 @@ def test_its_log_can_be_replayed(live_run):
     log = read_log(live_run[0] / "log.csv", None, 1.58)
     assert len(log) > 150
     np.testing.assert_allclose(np.degrees(log.robot.beam_angles), [90.0, 45.0, 15.0, -15.0, -45.0, -90.0])
-    from limslam_agent.config.presets import preset
-    from limslam_env.interface import NominalNoise
-
     assert len(replay_log(log, preset("paper", NominalNoise(0.01))).segments) >= 3
 
 
 def test_the_log_of_wheel_travel_is_replayed_by_the_command_of_its_page(tmp_path):
     page = EXAMPLES.parent / "docs" / "logs.md"
     command = next(words for block in blocks(page) for words in commands(block.text) if "wheel_log.csv" in str(words))
-    finished = call(main, *command[1:], "--out", tmp_path / "out", cwd=EXAMPLES.parent)
+    finished = limslam(*command[1:], "--out", tmp_path / "out", cwd=EXAMPLES.parent)
     assert (finished.returncode, finished.stderr) == (0, "")
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert result["config"]["robot"]["axle"] == 0.115
@@ -94,7 +95,7 @@ def test_a_function_is_scored_beside_the_explorer_in_fifteen_lines():
 def test_an_estimator_of_ones_own_gets_the_metrics_of_a_run(tmp_path):
     example = EXAMPLES / "own_estimator.py"
     folder = tmp_path / "run"
-    write = "import sys; from limslam_agent.cli.main import main; sys.exit(main())"
+    write = "import sys; from limslam_agent.__main__ import main; sys.exit(main())"
     options = ["run", "--world", "env2", "--preset", "consistent", "--max-time", "20", "--out", str(folder)]
     subprocess.run([sys.executable, "-c", write, *options], capture_output=True, text=True, check=True)
     result = subprocess.run([sys.executable, str(example), str(folder)], capture_output=True, text=True, check=True)
@@ -105,3 +106,93 @@ def test_an_estimator_of_ones_own_gets_the_metrics_of_a_run(tmp_path):
     assert found["heading_rmse_deg"] == pytest.approx(known["odometry_heading_rmse_deg"], abs=1e-3)
     own, odometry = (np.loadtxt(folder / f"trajectory_{name}.tum") for name in ("own", "odometry"))
     np.testing.assert_allclose(own, odometry, atol=1e-5)
+
+
+README = ROOT / "README.md"
+
+
+def texts(language):
+    return [block.text for block in blocks(README) if block.language == language]
+
+
+def test_the_python_example_explores_env1(capsys):
+    (block,) = [block for block in blocks(README) if block.language == "python"]
+    block.run_python({"__name__": "__main__"})
+    share, seconds, walls = re.fullmatch(
+        r"(\d+)% seen after (\d+) s, (\d+) walls", capsys.readouterr().out.strip()
+    ).groups()
+    assert int(share) >= 95
+    assert int(seconds) < 600
+    assert int(walls) >= 16
+
+
+def test_the_two_commands_make_all_that_they_need():
+    first, second = (text.strip() for text in texts("sh")[:2])
+    for command, last in ((first, ".venv/bin/limslam"), (second, ".venv/bin/pytest")):
+        steps = [shlex.split(step) for step in command.split("&&")]
+        assert steps[0] == ["python3", "-m", "venv", ".venv"]
+        assert steps[1][:2] == [".venv/bin/pip", "install"]
+        assert steps[2][0] == last
+
+
+def test_nothing_was_left_to_be_filled_in():
+    assert len(pages()) > 3
+    # Names of environment variables stand as code.
+    text = [re.sub(r"`[^`]*`", "", prose(page)) for page in pages()]
+    assert [re.findall(r"\b[A-Z]{3,}_[A-Z0-9]+\b", part) for part in text] == [[]] * len(text)
+
+
+def test_the_commands_of_the_exercise_run_one_after_the_other(tmp_path):
+    page, example = ROOT / "docs" / "lab.md", ROOT / "examples" / "my_policy.py"
+    if not example.is_file():
+        pytest.skip("the examples do not travel with the tests: run them in a checkout")
+    pytest.importorskip("moviepy")
+    shutil.copy(example, tmp_path)
+    folders = []
+    for block in blocks(page):
+        if block.language == "toml":
+            name = block.text.split()[1]
+            (tmp_path / name).write_text(block.text, encoding="utf-8")
+            continue
+        for words in commands(block.text):
+            short = ["--max-time", "8"] if words[1] == "run" else []
+            done = limslam(*words[1:], *short, cwd=tmp_path)
+            assert done.returncode == 0, f"{words}: {done.stderr}"
+            assert done.stderr == "" or words[1] != "replay"
+            folders.append(words[words.index("--out") + 1])
+    assert len(set(folders)) == len(folders) > 12
+    assert all((tmp_path / name).exists() for name in folders)
+
+
+NEEDS = {
+    "rl_sb3": ["stable_baselines3"],
+    "rl_batch": ["stable_baselines3"],
+    "rl_recurrent": ["sb3_contrib"],
+    "rl_two_robots": ["stable_baselines3", "supersuit"],
+    "rl_cleanrl": ["torch"],
+    "rl_torchrl": ["torchrl"],
+}
+
+
+def test_no_example_is_left_out():
+    assert {path.stem for path in EXAMPLES.glob("rl_*.py")} == set(NEEDS)
+
+
+@pytest.mark.parametrize("name", NEEDS)
+def test_it_learns_for_some_steps(name, tmp_path):
+    path = EXAMPLES / f"{name}.py"
+    if missing := [library for library in NEEDS[name] if find_spec(library) is None]:
+        pytest.skip(f"needs {', '.join(missing)}: pip install 'limslam[rl]', or TorchRL on its own")
+    few = {"rl_batch": ["--envs", "4", "--plans", "1"], "rl_sb3": ["--plans", "1"]}.get(name, [])
+    command = [sys.executable, str(path), "--steps", "256", *few]
+    result = subprocess.run(command, capture_output=True, text=True, check=False, cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    said = re.search(r"^(\d+) steps: .*", result.stdout, re.MULTILINE)
+    assert int(said[1]) >= 128
+    if name == "rl_batch":
+        assert said[0].endswith(": no episode has ended yet (needs about 2400 steps)")
+    else:
+        assert np.isfinite(float(re.search(r"(?:reward |: )(-?[\d.]+)", said[0])[1]))
+    if name in {"rl_sb3", "rl_batch"}:
+        assert "total_timesteps" in result.stdout, "no progress is printed"
+        assert re.findall(r"^(\w+) +sees \d+% ", result.stdout, re.MULTILINE) == ["PPO", "frontier"]

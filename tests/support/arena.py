@@ -1,7 +1,7 @@
 """Entries of the arena, and results that were made up."""
 
 import json
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 from limslam_agent.arena.entry import read_entry
 from limslam_agent.arena.results import STAMP, Row, digest_of, stamp_of
@@ -19,6 +19,11 @@ robots = 2
 """
 
 
+def short_plans():
+    """Plans of two seconds."""
+    return [replace(plan, max_time=2.0) for plan in plans_of()[:3]]
+
+
 def made_entry(folder, manifest, **files):
     folder.mkdir(parents=True)
     (folder / "entry.toml").write_text(manifest)
@@ -27,11 +32,11 @@ def made_entry(folder, manifest, **files):
     return read_entry(folder)
 
 
-def made_results(folder, entry, times, *, seed=0, claims=()):
+def made_results(folder, entry, times, *, seed=0, is_secret=False, claims=()):
     """A folder of results with a time to 95 % of each plan, where the longest time is a lost plan, and None
     is no score."""
     plans = plans_of(seed)
-    stamp = stamp_of(entry, seed, versions={"limslam": "0"}, commit="0" * 40)
+    stamp = stamp_of(entry, seed, is_secret=is_secret, versions={"limslam": "0"}, commit="0" * 40)
     folder.mkdir(parents=True)
     (folder / STAMP).write_text(json.dumps(asdict(stamp)))
     lines = []

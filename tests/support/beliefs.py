@@ -8,8 +8,7 @@ from limslam_agent import Belief, LimSlamAgent, Policy, preset
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.occupancy import GridView
 from limslam_env import LimSlamEnv, NoiseConfig, NominalNoise, RobotSpec, World
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import arc, compose, wheels_to_arc
+from limslam_env.geometry import FloatArray, se2
 
 ROBOT = RobotSpec()
 CONFIG = PolicyConfig()
@@ -52,7 +51,7 @@ def actions_until_stopped(policy: Policy, belief: Belief, most: int = 3000) -> F
 def drive(pose: FloatArray, action: FloatArray) -> FloatArray:
     """The pose after one control period without contact."""
     travel = action * ROBOT.max_wheel_speed * ROBOT.control_period
-    return compose(pose, arc(*wheels_to_arc(travel, ROBOT.axle)))
+    return se2.compose(pose, se2.arc(*se2.wheels_to_arc(travel, ROBOT.axle)))
 
 
 def explored(world: World | str, policy: Policy, max_time: float, seed: int = 100) -> tuple[float, int]:

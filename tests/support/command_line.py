@@ -4,18 +4,17 @@ import signal
 import sys
 from collections.abc import Callable
 from contextlib import chdir, redirect_stderr, redirect_stdout
-from dataclasses import dataclass
 from io import StringIO
 from pathlib import Path
-from typing import Any
+from typing import NamedTuple
 from unittest.mock import patch
 
-import typer
-from typer.testing import CliRunner
+from limslam_agent.cli.main import app, main
+
+__all__ = ["Finished", "app", "benchmarks", "limslam", "refused", "told"]
 
 
-@dataclass(frozen=True)
-class Finished:
+class Finished(NamedTuple):
     """A call that has ended: its exit code, and what it wrote to standard output and standard error."""
 
     returncode: int
@@ -23,8 +22,35 @@ class Finished:
     stderr: str
 
 
-def call(main: Callable[[], None], *arguments: object, cwd: Path | None = None) -> Finished:
-    """Call the entry point of a command with arguments, in a folder (None: where the tests run)."""
+def limslam(*arguments: object, cwd: Path | None = None) -> Finished:
+    """Call ``limslam`` with arguments, in a folder (None: where the tests run)."""
+    return _called(main, arguments, cwd)
+
+
+def benchmarks(*arguments: object, cwd: Path | None = None) -> Finished:
+    """Call ``python -m benchmarks``, which isn't there where only the package is installed."""
+    from benchmarks.__main__ import main as benchmarks_main
+
+    return _called(benchmarks_main, arguments, cwd)
+
+
+def told(*arguments: object, cwd: Path | None = None) -> str:
+    """What ``limslam`` writes to standard output when all goes well."""
+    finished = limslam(*arguments, cwd=cwd)
+    assert finished.returncode == 0, finished.stderr
+    return finished.stdout
+
+
+def refused(*arguments: object, cwd: Path | None = None) -> str:
+    """The one line with which ``limslam`` refuses what a user has asked for."""
+    finished = limslam(*arguments, cwd=cwd)
+    assert finished.returncode == 2, finished
+    assert finished.stderr.startswith("limslam: ")
+    assert finished.stderr.count("\n") == 1, finished.stderr
+    return finished.stderr.removeprefix("limslam: ")[:-1]
+
+
+def _called(main: Callable[[], None], arguments: tuple[object, ...], cwd: Path | None) -> Finished:
     out, err, code = StringIO(), StringIO(), None
     # The handlers of signals stay those of pytest.
     with (
@@ -40,14 +66,3 @@ def call(main: Callable[[], None], *arguments: object, cwd: Path | None = None) 
             code = ended.code
     assert isinstance(code, int), f"the command ended with {code!r} instead of an exit code"
     return Finished(code, out.getvalue(), err.getvalue())
-
-
-def invoke(command: Callable[..., Any], *arguments: object) -> str:
-    """Call one command; what it prints. Its errors are raised."""
-    app = typer.Typer()
-    app.command()(command)
-    result = CliRunner().invoke(app, [str(argument) for argument in arguments])
-    if result.exception is not None and not isinstance(result.exception, SystemExit):
-        raise result.exception
-    assert result.exit_code == 0, result.output
-    return result.stdout

@@ -1,4 +1,4 @@
-"""What tests of recorded logs share: where the recordings lie, which are no part of the project, and a refusal."""
+"""Where recorded data lie, which are no part of the project, the worlds that ship, and how a log is refused."""
 
 import os
 from collections.abc import Callable
@@ -6,9 +6,10 @@ from pathlib import Path
 
 import pytest
 
+import limslam_env
 from limslam_agent import read_log
-from limslam_agent.logs.recorded_log import LogError
 
+SHIPPED_WORLDS = sorted(path.stem for path in Path(limslam_env.__file__).with_name("worlds").glob("*.toml"))
 DEFAULT_FOLDER = Path(__file__).resolve().parents[3] / "shared" / "data"
 
 
@@ -22,7 +23,7 @@ def data_folder() -> Path:
 
 def refusal(path: Path, *arguments: object, read: Callable[..., object] = read_log, **options: object) -> str:
     """Why a file is refused: one line that begins with its name."""
-    with pytest.raises(LogError) as caught:
+    with pytest.raises(ValueError) as caught:
         read(path, *arguments, **options)
     message = str(caught.value)
     assert message.startswith(f"{path}: ")

@@ -9,9 +9,7 @@ import numpy as np
 from limslam_agent import AgentConfig, LineSlam
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_env import LimSlamEnv, NoiseConfig, Observation, RobotSpec, load_world
-from limslam_env.geometry import FloatArray, IntArray
-from limslam_env.geometry.se2 import arc, compose, inverse, transform_points, wheels_to_arc, wrap_angle
-from limslam_env.geometry.segment import polygon_edges
+from limslam_env.geometry import FloatArray, IntArray, se2, segment
 from limslam_env.interface import beams_on_rim
 
 ROBOT = RobotSpec()
@@ -23,17 +21,17 @@ STEP = 0.025
 
 def placed(walls: FloatArray, start: FloatArray) -> FloatArray:
     """Walls (n, 4) given about the start, in the world."""
-    return transform_points(start, walls.reshape(-1, 2)).reshape(-1, 4)
+    return se2.transform_points(start, walls.reshape(-1, 2)).reshape(-1, 4)
 
 
 def local(points: FloatArray, start: FloatArray) -> FloatArray:
     """Points (n, 2) of the world as seen from the start."""
-    return transform_points(inverse(start), points)
+    return se2.transform_points(se2.inverse(start), points)
 
 
 def ranges_at(pose: FloatArray, walls: FloatArray, robot: RobotSpec = ROBOT) -> FloatArray:
     """Exact readings (n_beams,): where each beam first crosses a wall."""
-    origins = transform_points(pose, robot.beam_origins)[:, None]
+    origins = se2.transform_points(pose, robot.beam_origins)[:, None]
     headings = pose[2] + robot.beam_angles
     rays = np.column_stack((np.cos(headings), np.sin(headings)))[:, None]
     spans, to_wall = walls[:, 2:] - walls[:, :2], walls[:, :2] - origins
@@ -58,7 +56,7 @@ def drive(
     generator = np.random.default_rng(seed)
     pose, poses, observations = start, [], []
     for travel in [(0.0, 0.0), *wheels]:
-        pose = compose(pose, arc(*wheels_to_arc(np.array(travel), robot.axle)))
+        pose = se2.compose(pose, se2.arc(*se2.wheels_to_arc(np.array(travel), robot.axle)))
         poses.append(pose)
         ranges = ranges_at(pose, walls, robot)
         seen = ranges < robot.too_far
@@ -87,7 +85,7 @@ def along(
     wheels: list[tuple[float, float]] = []
     for (x1, y1), (x2, y2) in pairwise(places):
         towards = math.atan2(y2 - y1, x2 - x1)
-        change = math.degrees(wrap_angle(towards - heading))
+        change = math.degrees(se2.wrap_angle(towards - heading))
         wheels += [*(turn(change, robot) if abs(change) > 1e-6 else []), *straight(math.hypot(x2 - x1, y2 - y1))]
         heading = towards
     return wheels
@@ -155,7 +153,7 @@ def laps_of_square(
 
 def _towards(pose: FloatArray, goal: list[float], robot: RobotSpec) -> tuple[float, float]:
     """Wheel speeds that bring a true pose to a point."""
-    error = wrap_angle(math.atan2(goal[1] - pose[1], goal[0] - pose[0]) - float(pose[2]))
+    error = se2.wrap_angle(math.atan2(goal[1] - pose[1], goal[0] - pose[0]) - float(pose[2]))
     most = 2.0 * (robot.max_wheel_speed - SPEED) / robot.axle
     difference = 0.5 * robot.axle * min(max(2.0 * error, -most), most)
     return (SPEED - difference) / robot.max_wheel_speed, (SPEED + difference) / robot.max_wheel_speed
@@ -163,4 +161,4 @@ def _towards(pose: FloatArray, goal: list[float], robot: RobotSpec) -> tuple[flo
 
 def room(low_x: float, low_y: float, high_x: float, high_y: float) -> FloatArray:
     """Four walls (4, 4)."""
-    return polygon_edges(np.array([[low_x, low_y], [high_x, low_y], [high_x, high_y], [low_x, high_y]]))
+    return segment.polygon_edges(np.array([[low_x, low_y], [high_x, low_y], [high_x, high_y], [low_x, high_y]]))

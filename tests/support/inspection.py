@@ -8,23 +8,21 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from support.command_line import Finished, call
-
-from limslam_agent.cli import main as cli
+from support.command_line import Finished, limslam
 
 SHORT = ("--world", "square", "--noise", 0.02, "--until", "seen", "--max-time", 25)
 
 
 def short_run(folder: Path, *options: object) -> Path:
     """The folder of a short run."""
-    done = call(cli.main, "run", *SHORT, *options, "--out", folder)
+    done = limslam("run", *SHORT, *options, "--out", folder)
     assert done.returncode == 0, done.stderr
     return folder
 
 
 def inspected(source: Path, out: Path, *options: object) -> Finished:
     """``limslam inspect`` of a folder or a log."""
-    return call(cli.main, "inspect", source, "--out", out, *options)
+    return limslam("inspect", source, "--out", out, *options)
 
 
 def data_in(page: Path) -> str:

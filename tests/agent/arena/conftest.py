@@ -1,13 +1,11 @@
 """Entries on short plans."""
 
-from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from support.arena import MANIFEST, made_entry
+from support.arena import short_plans as plans_of_two_seconds
 from support.markdown import ROOT
-
-from limslam_agent.arena.tracks import plans_of
 
 
 @pytest.fixture
@@ -20,8 +18,7 @@ def examples() -> Path:
 
 @pytest.fixture
 def short_plans():
-    """Plans of two seconds."""
-    return [replace(plan, max_time=2.0) for plan in plans_of()[:3]]
+    return plans_of_two_seconds()
 
 
 @pytest.fixture

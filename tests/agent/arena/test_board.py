@@ -3,12 +3,11 @@
 import pytest
 from support.arena import MANIFEST, made_entry, made_results
 from support.browser import CHROMIUM, browser
-from support.command_line import call
+from support.command_line import limslam
 
 from limslam_agent.arena.leaderboard import board
 from limslam_agent.arena.page import INSPECTOR, write_board
 from limslam_agent.arena.results import RUNS
-from limslam_agent.cli.main import main
 
 TIMES = {
     "Slow": dict.fromkeys(range(8), 200.0),
@@ -74,11 +73,11 @@ def test_results_that_cannot_be_compared_are_refused(folders, tmp_path, seed, ti
 
 def test_the_command_writes_the_page_and_a_table(folders, tmp_path):
     words = ("arena", "page", *folders, "--out", tmp_path / "board.html")
-    finished = call(main, *words)
+    finished = limslam(*words)
     assert finished.returncode == 0, finished.stderr
     assert "1      Fast" in finished.stdout
-    assert call(main, *words).returncode == 2
-    assert call(main, *words, "--force").returncode == 0
+    assert limslam(*words).returncode == 2
+    assert limslam(*words, "--force").returncode == 0
 
 
 @pytest.fixture(scope="module")

@@ -4,18 +4,15 @@ import json
 import os
 import subprocess
 import sys
-from functools import partial
+from pathlib import Path
 
 import numpy as np
 import pytest
 from support.bags import odometry, scan, write_bag
-from support.command_line import call
+from support.command_line import limslam
 
-from limslam_agent.cli.main import main
-from limslam_agent.cli.settings import ReplayOptions, RunOptions
-from limslam_agent.config import DEFAULT_PRESET
-from limslam_agent.config.presets import AgentConfig, preset
-from limslam_agent.runs.run_config import RunConfig
+from limslam_agent.cli import warmup as warmup_module
+from limslam_env import load_world
 
 RUN_FILES = {
     "log.npz", "result.json", "trajectory_true.tum", "trajectory_est.tum", "map.json", "map.pgm", "map.yaml", "map.png",
@@ -24,9 +21,6 @@ RUN_FILES = {
 
 # One beam a quarter turn apart would do; 180 beams, one a degree from -90 on.
 SCAN = "FLASER 180 " + " ".join(["2.00"] * 180)
-
-
-limslam = partial(call, main)
 
 
 def carmen_line(x, time):
@@ -108,11 +102,6 @@ def test_a_runs_log_replays_to_the_same_trajectory(short_run, tmp_path):
     assert {name: metrics[name] for name in shared} == {name: told[name] for name in shared}
 
 
-def test_runs_and_replays_share_one_default_preset():
-    assert RunOptions().preset == ReplayOptions().preset == RunConfig().preset == AgentConfig().preset == DEFAULT_PRESET
-    assert AgentConfig() == preset(DEFAULT_PRESET)
-
-
 def test_results_are_only_replaced_by_force(tmp_path):
     folder = tmp_path / "copy"
     folder.mkdir()
@@ -149,6 +138,15 @@ def test_laps_drive_round_the_square(tmp_path):
         (("run", "--max-time", "0"), "--max-time must be a number from 0.001 to 1e+06, not 0.0"),
         (("run", "--policy", "magic"), "no policy is called 'magic'"),
         (("run", "--policy", "tour", "--robots", "2"), "for one robot"),
+        (("run", "--policy", "random", "--laps", "2"), "not with 'random'"),
+        (("run", "--kidnap-at", "0"), "not at 0 s"),
+        (("run", "--kidnap-at", "5", "--robots", "2"), "one of several robots cannot be kidnapped"),
+        (("run", "--unknown-starts", "--robots", "3"), "unknown starts are for two robots, not 3"),
+        (("run", "--unknown-starts", "--robots", "2", "--preset", "paper"), "with the preset graph"),
+        (
+            ("run", "--unknown-starts", "--robots", "2", "--policy", "random"),
+            "unknown starts are for the policy frontier",
+        ),
         (("fly",), "fly"),
         (("replay", "missing.log"), "missing.log"),
         (("replay", "{log}", "--beams", "90,120"), "120"),
@@ -157,6 +155,7 @@ def test_laps_drive_round_the_square(tmp_path):
         (("replay", "{log}", "--odometry-bias", "1,0"), "--odometry-bias"),
         (("replay", "{log}", "--calibrate", "{log}", "--odometry-bias", "1"), "--odometry-bias and --calibrate"),
         (("replay", "{log}", "--topics", "/odom"), "is not a ROS bag"),
+        (("replay", "{log}", "--noise", "20"), "--noise 20 m is more than the longest range of 3 m: is it in metres?"),
     ],
 )
 def test_bad_arguments_get_one_line_and_leave_nothing(arguments, words, carmen_log, tmp_path):
@@ -258,7 +257,7 @@ def assert_refused(result, words):
 
 def test_importing_the_command_line_is_light():
     heavy = "{'pymunk', 'numba', 'filterpy', 'cv2', 'matplotlib', 'rosbags', 'numpy', 'tomli_w'}"
-    loaded = f"import sys, limslam_agent.cli.main; print(sorted({heavy} & set(sys.modules)))"
+    loaded = f"import sys, limslam_agent.__main__; print(sorted({heavy} & set(sys.modules)))"
     result = subprocess.run([sys.executable, "-c", loaded], capture_output=True, text=True, check=True)
     assert result.stdout.strip() == "[]"
 
@@ -294,7 +293,73 @@ def test_ctrl_c_says_that_the_command_was_stopped(monkeypatch):
     assert (result.returncode, result.stdout, result.stderr) == (130, "", "limslam: stopped\n")
 
 
-def test_a_noise_beyond_the_longest_range_is_refused(carmen_log):
-    result = limslam("replay", carmen_log, "--noise", "20")
-    assert (result.returncode, result.stderr.count("\n")) == (2, 1)
-    assert "--noise 20 m is more than the longest range of 3 m: is it in metres?" in result.stderr
+SCRIPT = Path(sys.executable).with_name("limslam")
+
+
+@pytest.mark.parametrize("command", [[SCRIPT], [sys.executable, "-m", "limslam_agent"]], ids=["script", "module"])
+def test_a_bad_argument_ends_the_command_with_2_and_one_line(command, tmp_path):
+    result = subprocess.run(
+        [*command, "run", "--noise", "-1"], capture_output=True, text=True, check=False, cwd=tmp_path
+    )
+    assert (result.returncode, result.stdout, result.stderr.count("\n")) == (2, "", 1)
+    assert result.stderr.startswith("limslam: ")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("name", ["random:x", "random:-1", "random:" + "9" * 5000])
+def test_what_names_no_floor_plan_is_refused_in_a_short_line(name):
+    with pytest.raises(ValueError, match="a seed is needed, as in random:17") as refusal:
+        load_world(name)
+    assert len(str(refusal.value)) < 200
+
+
+def test_a_floor_plan_is_run_by_its_seed(tmp_path):
+    code, out, _ = limslam("run", "--world", "random:17", "--max-time", 1, "--out", tmp_path / "run")
+    assert code == 0
+    assert "stopped" in out
+    assert 'world = "random:17"' in (tmp_path / "run" / "run.toml").read_text()
+
+
+def test_warming_up_says_what_it_does_and_ends_each_line(monkeypatch):
+    done = []
+    steps = {name: (seconds, lambda name=name: done.append(name)) for name, (seconds, _) in warmup_module.STEPS.items()}
+    monkeypatch.setattr(warmup_module, "STEPS", steps)
+    monkeypatch.setattr(warmup_module, "LAST", "no step")
+    monkeypatch.setenv("LIMSLAM_QUIET", "")
+    code, out, error = limslam("warmup")
+    assert (code, error) == (0, "")
+    assert done == ["simulator", "batch", "smoothers", "BatchSlam"]
+    assert [line.split()[0] for line in out.splitlines()] == done
+    assert all("up to about" in line and "done after" in line for line in out.splitlines())
+
+
+@pytest.mark.parametrize("name", ["simulator", "batch", "smoothers", "BatchSlam"])
+def test_each_step_of_the_warm_up_runs(name):
+    warmup_module.STEPS[name][1]()
+
+
+SLOW = """
+from limslam_env import compilation
+compilation._SECONDS["slow"] = 7
+import kernels
+print(kernels.slow(1), kernels.slow(2))
+"""
+KERNELS = """
+from limslam_env.compilation import entry
+@entry
+def slow(x):
+    return x + 1
+"""
+
+
+@pytest.mark.parametrize(("quiet", "first"), [("", "limslam: compiling 'slow', once, about 7 s\n"), ("1", "")])
+def test_a_kernel_says_that_it_is_compiled_once_and_never_again(tmp_path, quiet, first):
+    (tmp_path / "kernels.py").write_text(KERNELS)
+    (tmp_path / "slow.py").write_text(SLOW)
+    paths = os.pathsep.join([str(tmp_path), *filter(None, sys.path)])
+    environment = {**os.environ, "LIMSLAM_QUIET": quiet, "NUMBA_CACHE_DIR": str(tmp_path / "kept"), "PYTHONPATH": paths}
+    for expected in (first, ""):
+        result = subprocess.run(
+            [sys.executable, str(tmp_path / "slow.py")], env=environment, capture_output=True, text=True, check=True
+        )
+        assert (result.stdout, result.stderr) == ("2 3\n", expected)

@@ -3,8 +3,10 @@
 import sys
 
 import pytest
+from support.command_line import limslam
+from support.data import SHIPPED_WORLDS
 
-from limslam_env.worlds.formats.loading import load_world, shipped_worlds
+from limslam_env import load_world
 
 GOOD = """
 name = "closet"
@@ -30,11 +32,11 @@ def assert_refused(result, words):
     assert words in error
 
 
-def test_the_list_names_every_shipped_world_and_its_id(limslam):
+def test_the_list_names_every_shipped_world_and_its_id():
     code, out, error = limslam("worlds")
     assert (code, error) == (0, "")
     heading, *rows = out.splitlines()
-    assert [row.split()[0] for row in rows] == shipped_worlds()
+    assert [row.split()[0] for row in rows] == SHIPPED_WORLDS
     assert heading.split() == ["name", "size,", "m", "walls", "obstacles", "doors", "starts", "loop", "id"]
     env1 = next(row for row in rows if row.startswith("env1 "))
     assert env1.split() == ["env1", "7", "x", "7", "12", "1", "0", "2", "yes", "LimSlam-Env1-v0"]
@@ -42,7 +44,7 @@ def test_the_list_names_every_shipped_world_and_its_id(limslam):
     assert square.split()[-1] == "yes"
 
 
-def test_a_good_file_is_summed_up_in_a_line(limslam, good):
+def test_a_good_file_is_summed_up_in_a_line(good):
     code, out, error = limslam("worlds", "check", good)
     assert (code, error) == (0, "")
     assert out.startswith("closet: 2 x 1.5 m, 4 walls, 1 obstacle, 0 doors, 1 start, ")
@@ -51,7 +53,7 @@ def test_a_good_file_is_summed_up_in_a_line(limslam, good):
     assert float(out.split(", ")[-1].split(" m^2")[0]) == pytest.approx(2.95, abs=0.1)
 
 
-def test_a_world_that_a_robot_could_leave_is_refused_with_the_file(limslam, tmp_path):
+def test_a_world_that_a_robot_could_leave_is_refused_with_the_file(tmp_path):
     path = tmp_path / "hall.toml"
     walls = "[[0, 0, 6, 0], [6, 0, 6, 4], [6, 4, 4, 4], [3, 4, 0, 4], [0, 4, 0, 0]]"
     path.write_text(f'name = "hall"\nsize = [6.0, 4.0]\nwalls = {walls}\nstarts = [[1.0, 1.0, 0.0]]\n')
@@ -61,8 +63,8 @@ def test_a_world_that_a_robot_could_leave_is_refused_with_the_file(limslam, tmp_
     assert error.count("\n") == 1
 
 
-@pytest.mark.parametrize("name", shipped_worlds())
-def test_every_shipped_world_passes_its_check(limslam, name):
+@pytest.mark.parametrize("name", SHIPPED_WORLDS)
+def test_every_shipped_world_passes_its_check(name):
     assert limslam("worlds", "check", name)[0] == 0
 
 
@@ -75,7 +77,7 @@ def test_every_shipped_world_passes_its_check(limslam, name):
         (lambda _: "", "missing"),
     ],
 )
-def test_a_bad_file_is_refused_with_the_reason(limslam, good, damage, words):
+def test_a_bad_file_is_refused_with_the_reason(good, damage, words):
     good.write_text(damage(good.read_text()))
     result = limslam("worlds", "check", good)
     assert_refused(result, words)
@@ -90,13 +92,13 @@ def test_a_bad_file_is_refused_with_the_reason(limslam, good, damage, words):
         (("worlds", "check", "env1", "--radius", "0"), "--radius"),
     ],
 )
-def test_bad_arguments_get_one_line(limslam, arguments, words, tmp_path, monkeypatch):
+def test_bad_arguments_get_one_line(arguments, words, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert_refused(limslam(*arguments), words)
     assert not list(tmp_path.iterdir())
 
 
-def test_a_converted_world_is_the_same_world(limslam, tmp_path):
+def test_a_converted_world_is_the_same_world(tmp_path):
     target = tmp_path / "copy.toml"
     code, out, error = limslam("worlds", "convert", "env1", target)
     assert (code, error) == (0, "")
@@ -104,7 +106,7 @@ def test_a_converted_world_is_the_same_world(limslam, tmp_path):
     assert load_world(target) == load_world("env1")
 
 
-def test_play_without_pygame_or_a_display_says_so(limslam, monkeypatch):
+def test_play_without_pygame_or_a_display_says_so(monkeypatch):
     for name in ("SDL_VIDEODRIVER", "DISPLAY", "WAYLAND_DISPLAY"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(sys, "platform", "linux")

@@ -5,12 +5,11 @@ import http.client
 import numpy as np
 import pytest
 from support.browser import CHROMIUM, browser
-from support.command_line import call
+from support.command_line import limslam
 from support.drives import FOUR_BEAMS, laps_of_square
 from support.inspection import SHORT, short_run, unpacked
 
 from limslam_agent import Mapper, preset
-from limslam_agent.cli import main as cli
 from limslam_agent.inspect import live_page as module
 from limslam_agent.inspect.live_page import Follower, live_page
 from limslam_env import NominalNoise
@@ -86,7 +85,7 @@ def test_a_run_is_not_changed_by_watching_it(tmp_path, run_folder):
 
 
 def test_the_address_is_printed(tmp_path):
-    done = call(cli.main, "run", *SHORT, "--max-time", 3, "--robots", 2, "--watch", "--out", tmp_path / "run")
+    done = limslam("run", *SHORT, "--max-time", 3, "--robots", 2, "--watch", "--out", tmp_path / "run")
     assert done.returncode == 0
     assert "watch       http://127.0.0.1:" in done.stderr
 

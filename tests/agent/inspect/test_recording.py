@@ -4,13 +4,17 @@ import shutil
 
 import numpy as np
 import pytest
-from support.command_line import call
+from hypothesis import given
+from hypothesis import strategies as st
+from support.command_line import limslam
 from support.inspection import data_in, inspected, short_run, unpacked
 
-from limslam_agent.cli import main as cli
+from limslam_agent.grid.occupancy import GridView
 from limslam_agent.inspect import recorder
+from limslam_agent.inspect.columns import packed
+from limslam_agent.inspect.grid import FREE, OCCUPIED, UNKNOWN, GridChanges
 from limslam_agent.output.finished_run import read_run
-from limslam_env.geometry.se2 import wrap_angle
+from limslam_env.geometry import se2
 
 DECISIONS = {"new", "again", "waits"}
 
@@ -36,7 +40,7 @@ def test_nees_is_that_of_the_run(run_folder, recording):
     run, (arrays, _) = read_run(run_folder), recording
     row = 150
     error = run.estimated[0][row] - run.true[0][row]
-    error[2] = wrap_angle(error[2])
+    error[2] = se2.wrap_angle(error[2])
     expected = error @ np.linalg.solve(run.covariances[0][row], error) / 3.0
     assert arrays["nees"][row, 0] == pytest.approx(expected, rel=0.02)
     assert np.isnan(arrays["nees"][0, 0])  # the start is known
@@ -100,7 +104,7 @@ def test_other_runs(tmp_path, options):
 
 def test_replays_and_logs(tmp_path, run_folder):
     replayed = tmp_path / "replay"
-    assert call(cli.main, "replay", run_folder / "log.npz", "--preset", "consistent", "--out", replayed).returncode == 0
+    assert limslam("replay", run_folder / "log.npz", "--preset", "consistent", "--out", replayed).returncode == 0
     done = inspected(replayed, tmp_path / "replay.html")
     assert "The poses equal" in done.stdout
     arrays, meta = unpacked(data_in(tmp_path / "replay.html"))
@@ -162,3 +166,41 @@ def test_targets_that_cannot_be_written_are_refused(tmp_path, run_folder, page):
     assert "there is no such folder" in inspected(tmp_path / "nothing", tmp_path / "page.html").stderr
     (tmp_path / "text.csv").write_text("nothing\n", encoding="utf-8")
     assert inspected(tmp_path / "text.csv", tmp_path / "page.html").returncode == 2
+
+
+def test_what_is_packed_comes_out_again():
+    arrays = {
+        "odd": np.arange(3, dtype=np.uint8), "times": np.linspace(0.0, 1.0, 5), "empty": np.zeros((0, 2), np.int16),
+        "strided": np.arange(12, dtype=np.float32).reshape(3, 4).T, "big": np.arange(2, dtype=">i4"),
+    }  # fmt: skip
+    found, meta = unpacked(packed(arrays, {"title": "Ü, <b> & </script>", "none": None}))
+    assert meta == {"title": "Ü, <b> & </script>", "none": None}
+    assert list(found) == list(arrays)
+    for name, array in arrays.items():
+        assert np.array_equal(found[name], array), name
+
+
+def restored(changes, cells):
+    """The kinds of cells after some changes, as the page restores them."""
+    for row, column, length, kind in changes.tolist():
+        for place in range(column, column + length):
+            cells[row, place] = kind
+    return {place: kind for place, kind in cells.items() if kind != UNKNOWN}
+
+
+def kinds_of(view):
+    column, row = np.rint(view.low / view.cell).astype(int).tolist()
+    found = np.where(view.values > 0, FREE, np.where(view.values < 0, OCCUPIED, UNKNOWN))
+    return {(row + r, column + c): int(kind) for (r, c), kind in np.ndenumerate(found) if kind != UNKNOWN}
+
+
+@given(st.integers(0, 10_000))
+def test_the_changes_of_a_growing_and_moving_grid_restore_it(seed):
+    draws, changes, cells = np.random.default_rng(seed), GridChanges(), {}
+    for _ in range(4):
+        low = 0.1 * draws.integers(-5, 5, 2)
+        values = draws.integers(-2, 3, draws.integers(1, 6, 2)).astype(np.int16)
+        view = GridView(low, 0.1, values)
+        cells = restored(changes.since_last(view), cells)
+        assert cells == kinds_of(view)
+    assert not len(changes.since_last(view))

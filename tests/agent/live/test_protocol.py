@@ -1,10 +1,17 @@
-"""Messages become lines and come back, and no line but a message is read as one."""
+"""The line protocol of live robots: its lines, and the C code for firmware beside the Python of the host."""
+
+import ctypes
+import random
+import shutil
+import subprocess
 
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from support.markdown import ROOT, blocks
 
+from limslam_agent.cli.settings import robot_named
+from limslam_agent.live.firmware import Firmware
 from limslam_agent.live.protocol import (
     LONGEST_LINE,
     MAX_BEAMS,
@@ -23,6 +30,7 @@ from limslam_agent.live.protocol import (
     encode,
 )
 from limslam_agent.live.transports import LineBuffer
+from limslam_env.robots import e_puck
 
 U32, I32, I16 = st.integers(0, 2**32 - 1), st.integers(-(2**31), 2**31 - 1), st.integers(-(2**15), 2**15 - 1)
 AMOUNT = st.integers(1, 65535)
@@ -116,3 +124,240 @@ def test_lines_do_not_depend_on_how_their_bytes_arrive(parts, size):
     found = [line for start in range(0, len(text), size) for line in piecewise.add(text[start : start + size])]
     assert found == at_once.add(text)
     assert all(b"\n" not in line and line for line in found)
+
+
+SOURCES = ROOT / "examples" / "live"
+FLAGS = ["-std=c99", "-pedantic", "-Wall", "-Wextra", "-Wconversion", "-Werror"]
+NO_READING = NOTHING_SEEN + 1
+
+
+class CHello(ctypes.Structure):
+    _fields_ = [
+        ("boot", ctypes.c_uint32), ("name", ctypes.c_char_p), ("beams", ctypes.c_uint8),
+        ("nm_per_tick", ctypes.c_uint32), ("period_ms", ctypes.c_uint16), ("watchdog_ms", ctypes.c_uint16),
+    ]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory):
+    compiler = shutil.which("gcc") or shutil.which("cc")
+    if compiler is None:
+        pytest.skip("there is no C compiler")
+    if not SOURCES.is_dir():
+        pytest.skip("the examples do not travel with the tests: run them in a checkout")
+    path = tmp_path_factory.mktemp("c") / "link.so"
+    subprocess.run([compiler, *FLAGS, "-shared", "-fPIC", "-o", path, SOURCES / "limslam_link.c"], check=True)
+    loaded = ctypes.CDLL(str(path))
+    loaded.limslam_collect.restype = ctypes.c_char_p
+    loaded.limslam_collect.argtypes = [ctypes.c_void_p, ctypes.c_char]
+    loaded.limslam_say.restype = ctypes.c_size_t
+    loaded.limslam_say.argtypes = [
+        ctypes.c_void_p, ctypes.c_uint32, ctypes.c_int32, ctypes.c_int32, ctypes.c_void_p, ctypes.c_char_p,
+        ctypes.c_size_t,
+    ]  # fmt: skip
+    loaded.limslam_hear.argtypes = [ctypes.c_void_p, ctypes.c_char_p, ctypes.c_uint32]
+    loaded.limslam_speeds.argtypes = [ctypes.c_void_p, ctypes.c_uint32, ctypes.c_void_p, ctypes.c_void_p]
+    loaded.limslam_start.argtypes = [ctypes.c_void_p, ctypes.c_void_p]
+    loaded.limslam_checksum.restype = ctypes.c_uint16
+    loaded.limslam_checksum.argtypes = [ctypes.c_char_p, ctypes.c_size_t]
+    return loaded
+
+
+class Robot:
+    """The C code with the methods of the Python firmware."""
+
+    def __init__(self, library, hello):
+        self._library = library
+        self._hello = CHello(hello.boot, hello.name.encode(), hello.beams, *(
+            getattr(hello, name) for name in ("nm_per_tick", "period_ms", "watchdog_ms")
+        ))  # fmt: skip
+        self._link = ctypes.create_string_buffer(256)
+        library.limslam_start(self._link, ctypes.byref(self._hello))
+
+    def hear(self, line, now):
+        return bool(self._library.limslam_hear(self._link, line.rstrip(b"\n"), now))
+
+    def speeds(self, now):
+        left, right = ctypes.c_int16(), ctypes.c_int16()
+        self._library.limslam_speeds(self._link, now, ctypes.byref(left), ctypes.byref(right))
+        return left.value, right.value
+
+    def say(self, now, ticks, ranges, size=640):
+        listed = (ctypes.c_uint32 * len(ranges))(*(NO_READING if each is None else each for each in ranges))
+        text = ctypes.create_string_buffer(b"?" * size, size + 1)
+        length = self._library.limslam_say(self._link, now, *ticks, listed, text, size)
+        assert text.raw[size:] == b"\0"  # nothing was written behind the end
+        assert len(text.value) == length
+        return text.value.splitlines(keepends=True)
+
+
+def hello_of(generator):
+    name = "".join(generator.choice("abcXYZ0129_.-") for _ in range(generator.randint(1, 24)))
+    return Hello(
+        VERSION, generator.getrandbits(32), name, generator.randint(1, MAX_BEAMS), generator.randint(1, 2**32 - 1),
+        generator.randint(1, 200), generator.randint(1, 2000),
+    )  # fmt: skip
+
+
+def some_line(generator, seq):
+    """A line that a host may send, often damaged."""
+    command = generator.choice([
+        Speeds(seq, generator.getrandbits(32), generator.randint(-32768, 32767), generator.randint(-300, 300)),
+        Speeds(seq, seq, 100, 120), Heartbeat(seq), Stop(seq), Greeting(1, seq),
+        Hello(1, 2, "a", 3, 4, 5, 6), Telemetry(1, 2, 3, 4, 5, 0, (6,)),
+    ])  # fmt: skip
+    line = bytearray(encode(command))
+    kind = generator.random()
+    if kind < 0.2:
+        line[generator.randrange(len(line) - 1)] ^= 1 << generator.randrange(8)
+    elif kind < 0.3:
+        del line[generator.randrange(len(line) - 1)]
+    elif kind < 0.4:
+        body = bytes(generator.choice(b"QVPXHS,0123456789-+ .") for _ in range(generator.randint(0, 40)))
+        line = bytearray(b"%s*%04X\n" % (body, checksum(body)))
+    elif kind < 0.5:  # a number of a right line is another one, with a right checksum
+        words = bytes(line).partition(b"*")[0].split(b",")
+        strange = [b"", b"-0", b"007", b"4294967296", b"-32769", b"99999999999", b"1e3", b"-", b"2147483648"]
+        words[generator.randrange(1, len(words))] = generator.choice(strange)
+        body = b",".join(words)
+        line = bytearray(b"%s*%04X\n" % (body, checksum(body)))
+    return bytes(line).replace(b"\0", b"\1")
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_both_say_the_same_and_turn_the_wheels_alike_whatever_they_hear(library, seed):
+    generator = random.Random(seed)  # noqa: S311 (no secret)
+    hello = hello_of(generator)
+    robots = Firmware(hello), Robot(library, hello)
+    now, seq, heard = generator.choice([0, 2**32 - 3000]), generator.getrandbits(32), 0
+    for _ in range(400):
+        now = (now + generator.choice([1, 20, 100, 100, 700, 4000])) % 2**32
+        for _ in range(generator.randrange(3)):
+            seq = (seq + generator.choice([1, 1, 1, 2, -3])) % 2**32
+            line = some_line(generator, seq)
+            answers = [robot.hear(line, now) for robot in robots]
+            assert answers[0] == answers[1], line
+            heard += answers[0]
+        assert robots[0].speeds(now) == robots[1].speeds(now)
+        ticks = generator.randint(-(2**31), 2**31 - 1), generator.randint(-(2**31), 2**31 - 1)
+        ranges = tuple(generator.choice([None, 0, 95, NOTHING_SEEN]) for _ in range(hello.beams))
+        said = [robot.say(now, ticks, ranges) for robot in robots]
+        assert said[0] == said[1]
+        assert all(isinstance(decode(line), Hello | Telemetry) for line in said[1])
+    assert 100 < heard < 400
+
+
+def test_a_line_for_which_there_is_no_room_is_left_out_as_a_whole(library):
+    hello = Hello(1, 1, "robot", 8, 1, 100, 500)
+    for size in range(1, 120):
+        robot = Robot(library, hello)
+        assert robot.hear(encode(Greeting(1, 5)), 0)
+        lines = robot.say(10, (1, 2), (NOTHING_SEEN,) * 8, size)
+        assert all(isinstance(decode(line), Hello | Telemetry) for line in lines)
+    assert len(lines) == 2
+
+
+def test_bytes_become_lines(library):
+    reader = ctypes.create_string_buffer(1024)
+
+    def lines_of(data):
+        found = [library.limslam_collect(reader, bytes([byte])) for byte in data]
+        return [line for line in found if line is not None]
+
+    assert lines_of(b"\n\nX,1*0000\r\nV") == [b"X,1*0000"]
+    assert lines_of(b",2\n") == [b"V,2"]
+    assert lines_of(b"x" * 5000 + b"\nP,1\n") == [b"P,1"]
+    assert lines_of(b"y" * 511 + b"\n") == [b"y" * 511]
+
+
+EXAMPLES = ROOT / "examples" / "live"
+# What the sketches use of each library, with the types of that library.
+ARDUINO = """
+#include <math.h>
+#include <stddef.h>
+#include <stdint.h>
+#define IRAM_ATTR
+enum { LOW, HIGH, INPUT, OUTPUT, CHANGE };
+template <class T> T constrain(T x, T low, T high) { return x < low ? low : x > high ? high : x; }
+int digitalRead(uint8_t); void digitalWrite(uint8_t, uint8_t); void pinMode(uint8_t, uint8_t);
+void analogWrite(uint8_t, int); uint8_t digitalPinToInterrupt(uint8_t);
+void attachInterrupt(uint8_t, void (*)(), int);
+unsigned long millis(); void delay(uint32_t); uint32_t esp_random();
+struct Port { void begin(unsigned long); int available(); int read(); size_t write(const uint8_t *, size_t); };
+extern Port Serial;
+"""
+LIBRARIES = {
+    "Arduino.h": ARDUINO,
+    "Wire.h": "struct TwoWire { bool begin(); bool setClock(uint32_t); }; extern TwoWire Wire;",
+    "VL53L0X.h": """
+        struct VL53L0X {
+            enum regAddr { RESULT_INTERRUPT_STATUS = 0x13 };
+            bool init(bool io_2v8 = true); void setAddress(uint8_t); void setTimeout(uint16_t);
+            uint8_t readReg(uint8_t);
+            bool setMeasurementTimingBudget(uint32_t); void startContinuous(uint32_t period_ms = 0);
+            uint16_t readRangeContinuousMillimeters(); bool timeoutOccurred();
+        };""",
+    "WiFi.h": """
+        struct IPAddress { IPAddress(uint8_t, uint8_t, uint8_t, uint8_t); };
+        enum wl_status_t { WL_CONNECTED = 3 };
+        struct WiFiClass { wl_status_t begin(const char *, const char *); wl_status_t status(); bool setSleep(bool); };
+        extern WiFiClass WiFi;""",
+    "WiFiUdp.h": """
+        struct WiFiUDP {
+            uint8_t begin(uint16_t); int parsePacket(); int available(); int read(); IPAddress remoteIP();
+            int beginPacket(IPAddress, uint16_t); size_t write(const uint8_t *, size_t); int endPacket();
+        };""",
+    "a_d/advance_ad_scan/e_ad_conv.h": "#define ALL_ADC 1\nvoid e_init_ad_scan(unsigned char);",
+    "a_d/advance_ad_scan/e_prox.h": """
+        void e_calibrate_ir(); int e_get_prox(unsigned int); int e_get_calibrated_prox(unsigned int);
+        int e_get_ambient_light(unsigned int);""",
+    "motor_led/advance_one_timer/e_agenda.h": """
+        void e_activate_agenda(void (*)(void), int); void e_start_agendas_processing(void);""",
+    "motor_led/advance_one_timer/e_motors.h": """
+        void e_init_motors(void); void e_set_speed_left(int); void e_set_speed_right(int);
+        int e_get_steps_left(void); int e_get_steps_right(void);""",
+    "motor_led/e_init_port.h": "void e_init_port(void);",
+    "uart/e_uart_char.h": """
+        void e_init_uart1(void); int e_ischar_uart1(void); int e_getchar_uart1(char *);
+        void e_send_uart1_char(const char *, int); int e_uart1_sending(void);""",
+}
+
+
+@pytest.fixture
+def compiles(tmp_path):
+    if not EXAMPLES.is_dir():
+        pytest.skip("the examples do not travel with the tests: run them in a checkout")
+    for name, text in LIBRARIES.items():
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(text + "\n", encoding="utf-8")
+
+    def compile_with(compiler, *options):
+        if shutil.which(compiler) is None:
+            pytest.skip(f"there is no {compiler}")
+        folders = ["-I", tmp_path, "-I", EXAMPLES]
+        return subprocess.run(
+            [compiler, "-fsyntax-only", "-Wall", "-Wextra", "-Werror", *folders, *options],
+            capture_output=True, text=True, check=False,
+        ).stderr  # fmt: skip
+
+    return compile_with
+
+
+@pytest.mark.parametrize("told", [(), ('-DUSE_WIFI="network","password"',)], ids=["serial", "wifi"])
+def test_the_sketch_for_an_esp32(compiles, told):
+    sketch = EXAMPLES / "esp32_tof" / "esp32_tof.ino"
+    assert compiles("g++", *told, "-include", "Arduino.h", "-x", "c++", sketch) == ""
+
+
+def test_the_program_for_an_e_puck(compiles):
+    told = ("-std=c99", "-pedantic", "-Wno-strict-prototypes")
+    assert compiles("gcc", *told, EXAMPLES / "epuck" / "epuck.c") == ""
+    assert len(e_puck().beams) == 8
+
+
+def test_the_description_of_the_robot_fits_its_sketch():
+    described = EXAMPLES / "esp32_tof" / "esp32_tof.toml"
+    if not described.is_file():
+        pytest.skip("the examples do not travel with the tests: run them in a checkout")
+    assert len(robot_named(str(described)).beams) == 6
+    assert "BEAMS = 6" in (EXAMPLES / "esp32_tof" / "esp32_tof.ino").read_text(encoding="utf-8")

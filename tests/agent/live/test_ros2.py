@@ -10,9 +10,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import typer
-from support.command_line import call
+from support.command_line import app, limslam
 
-from limslam_agent.cli.main import app, main
 from limslam_agent.live.link import NoRobotError
 from limslam_agent.live.protocol import NOTHING_SEEN, Heartbeat, Hello, Speeds, Stop
 from limslam_agent.live.recording import Recording
@@ -20,8 +19,9 @@ from limslam_agent.live.ros2.link import RosLink
 from limslam_agent.live.ros2.node import ODOMETRY, PACKAGES, Event, Parameters
 from limslam_agent.live.ros2.odometer import Odometer, wheel_travel
 from limslam_agent.live.ros2.sensors import RangeSensors, Reading, ScanSensors, in_mm
-from limslam_env.geometry.se2 import arc, compose, wheels_to_arc
-from limslam_env.interface import RobotSpec, beams_on_rim
+from limslam_env import RobotSpec
+from limslam_env.geometry import se2
+from limslam_env.interface import beams_on_rim
 
 ROBOT = RobotSpec()
 
@@ -74,7 +74,7 @@ class FakePorts:
 
 @pytest.mark.parametrize("wheels", [(0.1, 0.1), (0.1, 0.3), (-0.2, -0.1), (0.2, -0.2), (0.0, 0.5), (0.0, 0.0)])
 def test_the_travel_of_wheels_comes_back_from_the_pose_that_it_leads_to(wheels):
-    motion = arc(*wheels_to_arc(np.array(wheels), 0.16))
+    motion = se2.arc(*se2.wheels_to_arc(np.array(wheels), 0.16))
     np.testing.assert_allclose(wheel_travel(motion, 0.16), wheels, atol=1e-12)
 
 
@@ -82,7 +82,7 @@ def test_between_two_messages_travel_and_pose_are_interpolated_and_lost_messages
     odometer, pose, wheels = Odometer(ROBOT, 0.1), np.array([3.0, -1.0, 3.0]), np.array([0.02, 0.03])
     odometer.add_pose(10.0, pose)
     for number in range(1, 11):
-        pose = compose(pose, arc(*wheels_to_arc(wheels, ROBOT.axle)))
+        pose = se2.compose(pose, se2.arc(*se2.wheels_to_arc(wheels, ROBOT.axle)))
         if number not in {3, 4}:  # lost
             odometer.add_pose(10.0 + 0.1 * number, pose)
     end = odometer.at(11.0)
@@ -278,7 +278,7 @@ def test_without_ros_the_extra_is_named(tmp_path, monkeypatch):
     monkeypatch.setattr(
         "limslam_agent.live.ros2.node.find_spec", lambda name: None if name in PACKAGES else find_spec(name)
     )
-    finished = call(main, "live", "--ros2", "--robot", "paper", "--out", tmp_path / "room")
+    finished = limslam("live", "--ros2", "--robot", "paper", "--out", tmp_path / "room")
     assert finished.returncode == 2
     (line,) = finished.stderr.splitlines()
     assert "ROS 2 needs rclpy, " in line

@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support import ros2
-from support.command_line import call
+from support.command_line import limslam
 from support.ros2 import Listener, start, wait_for
 
-from limslam_agent.cli.main import main
+from limslam_agent import read_log
 from limslam_agent.live.ros2.node import PACKAGES
-from limslam_agent.logs.log_reader import read_log
 from limslam_agent.output.finished_run import read_run
-from limslam_env.geometry.se2 import between
+from limslam_env.geometry import se2
 
 for package in PACKAGES:
     pytest.importorskip(package, reason=f"needs ROS 2 ({package}): pip install 'limslam[ros2]'")
@@ -25,7 +24,7 @@ pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
 BEAMS = [f"beam_{number}" for number in range(6)]
 RANGES = ("-p", f"range_topics:=[{','.join(BEAMS)}]")
-LIVE = ("-m", "limslam_agent.cli.main", "live", "--ros2", "--robot", "paper", "--preset", "consistent")
+LIVE = ("-m", "limslam_agent", "live", "--ros2", "--robot", "paper", "--preset", "consistent")
 TOPICS = {
     "map": "nav_msgs/msg/OccupancyGrid", "walls": "visualization_msgs/msg/MarkerArray",
     "pose": "geometry_msgs/msg/PoseWithCovarianceStamped", "map_to_odom": "geometry_msgs/msg/TransformStamped",
@@ -154,8 +153,8 @@ def test_a_bag_that_is_played_gives_the_map_of_its_run(processes, listener, tmp_
     pytest.importorskip("rosbags", reason="needs the extra ros (rosbags)")
     run, bag, folder = tmp_path / "run", tmp_path / "bag", tmp_path / "room"
     told = ("--noise", 0.02, "--seed", 4, "--max-time", 40, "--preset", "consistent", "--out", run)
-    assert call(main, "run", *told).returncode == 0
-    assert call(main, "export", run, "--bag", "--out", tmp_path).returncode == 0
+    assert limslam("run", *told).returncode == 0
+    assert limslam("export", run, "--bag", "--out", tmp_path).returncode == 0
     processes(Path(ros2.__file__), bag, ros2.PACE)
     live = processes(*LIVE, "--patience", 5, "--out", folder, "--", "--ros-args", *RANGES, "-p", "explore:=false")
     finished(live)
@@ -172,5 +171,5 @@ def test_a_bag_that_is_played_gives_the_map_of_its_run(processes, listener, tmp_
         np.cumsum(heard.wheels, axis=0), (sums := np.cumsum(original.wheels, axis=0))[rows] - sums[first], atol=1e-4
     )
     true, estimated = original.true_pose[rows], read_run(folder).estimated[0]
-    errors = estimated - between(np.broadcast_to(true[0], true.shape), true)
+    errors = estimated - se2.between(np.broadcast_to(true[0], true.shape), true)
     assert np.sqrt(np.mean(np.sum(errors[:, :2] ** 2, axis=1))) < 0.1

@@ -1,14 +1,23 @@
-"""Sessions with an emulated robot in this process: lost, late, doubled and damaged lines, and robots that vanish."""
+"""Sessions with a live robot: in this process, and as the command with a robot in another one."""
+
+import json
+import socket
+import sys
+import threading
+import time
 
 import numpy as np
 import pytest
-from support.live import Faults, Wire, emulated, session_with
+from support.command_line import limslam
+from support.live import Faults, Wire, emulated, session_with, start_emulator
 
+from limslam_agent import read_log, replay_log
 from limslam_agent.live.link import NoRobotError
-from limslam_agent.live.protocol import Greeting, Heartbeat, Speeds, Stop, decode
+from limslam_agent.live.protocol import Greeting, Heartbeat, Speeds, Stop, checksum, decode
 from limslam_agent.live.session import BY_HAND, OUT_OF_TIME
-from limslam_agent.replay.replay import replay_log
-from limslam_env.geometry.se2 import between
+from limslam_agent.live.transports import UdpTransport
+from limslam_agent.output.finished_run import read_run
+from limslam_env.geometry import se2
 
 FIGURES = ("packets_lost", "packets_late", "packets_doubled", "packets_implausible", "lines_bad", "watchdog_stops")
 
@@ -39,7 +48,7 @@ def errors_of(session, wire):
     times = replay.log.time - replay.log.time[-1] + 1e-3 * session.recording._origin[0].time_ms  # of the robot's clock
     rows = np.searchsorted(true[:, 0], times - 1e-6)
     start = np.broadcast_to(true[rows[0], 1:], (len(rows), 3))
-    return np.hypot(*(replay.estimated - between(start, true[rows, 1:]))[:, :2].T)
+    return np.hypot(*(replay.estimated - se2.between(start, true[rows, 1:]))[:, :2].T)
 
 
 def test_a_perfect_connection_loses_nothing_and_gives_the_estimate_of_a_run():
@@ -100,7 +109,7 @@ def test_at_its_end_a_session_stops_the_wheels_whatever_the_reason():
             with pytest.raises(type(error)):
                 session.drive(60.0, 5.0)
         assert isinstance(decode(wire.sent[-1]), Stop)
-        assert wire.emulator.firmware.speeds(0) == (0, 0)
+        assert wire.emulator._firmware.speeds(0) == (0, 0)
         before = wire.emulator.pose.copy()
         wire.emulator.step()
         np.testing.assert_array_equal(wire.emulator.pose, before)
@@ -189,3 +198,216 @@ def test_a_session_ends_when_it_is_asked_to_while_the_robot_is_silent():
     assert session.drive(60.0, 30.0) == "somebody said so"
     assert wire.clock() < 6.0
     assert isinstance(decode(wire.sent[-1]), Stop)
+
+
+FILES = {
+    "log.npz", "map.json", "map.pgm", "map.yaml", "map.png", "result.json", "run.toml", "covariance_est.npz",
+    "trajectory_est.tum", "trajectory_odometry.tum",
+}  # fmt: skip
+
+
+def free_port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as found:
+        found.bind(("", 0))
+        return found.getsockname()[1]
+
+
+@pytest.fixture
+def emulator():
+    """Starts emulators, and ends them after the test."""
+    running = []
+
+    def start(*options):
+        process, name = start_emulator(*options)
+        running.append(process)
+        return process, name
+
+    yield start
+    for process in running:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+def kill_after(process, truth, seconds):
+    """Kill an emulator after some time of its own, which its file of true poses shows."""
+
+    def watch():
+        while process.poll() is None:
+            if truth.is_file() and len(truth.read_text().splitlines()) > 10 * seconds:
+                process.kill()
+            time.sleep(0.02)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def test_a_killed_robot_leaves_the_folder_of_a_session_with_its_map(emulator, tmp_path):
+    port, truth, folder = free_port(), tmp_path / "truth.txt", tmp_path / "room"
+    process, _ = emulator("--udp", port, "--truth", truth)
+    kill_after(process, truth, 20)
+    told = ("--preset", "consistent", "--patience", 5, "--out", folder)
+    finished = limslam("live", "--udp", port, *told)
+    assert finished.returncode == 0, finished.stderr
+    assert {path.name for path in folder.iterdir()} == FILES
+    assert [path.name for path in tmp_path.iterdir() if path.name.startswith((".", "room-"))] == []
+    result = json.loads((folder / "result.json").read_text())
+    metrics = result["metrics"]
+    assert metrics["stop_reason"] == "the robot has sent nothing new for 5 s"
+    log = read_log(folder / "log.npz")
+    assert (len(log), log.true_pose) == (metrics["packets"], None)
+    assert len(log) > 100
+    run = read_run(folder)
+    assert run.is_replay
+    assert run.title == "live paper, consistent"
+    assert run.true == []
+    assert len(run.segments) >= 2
+    # The true pose at the end of the log, in the frame of the start. The emulator counts its own time.
+    true = np.loadtxt(truth)
+    moved = np.flatnonzero(np.hypot(*np.diff(true[:, 1:3], axis=0).T) > 0.0)
+    assert np.hypot(*run.estimated[0][-1, :2]) == pytest.approx(np.hypot(*(true[-1] - true[moved[0]])[1:3]), abs=0.15)
+    again = limslam("replay", "--config", folder / "run.toml", "--out", tmp_path / "again")
+    assert (again.returncode, again.stderr) == (0, "")
+    assert (tmp_path / "again" / "map.json").read_text() == (folder / "map.json").read_text()
+    shown = limslam("show", folder, "--out", tmp_path / "room.png")
+    assert (shown.returncode, shown.stderr) == (0, "")
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows has no pty")
+def test_a_robot_behind_a_serial_port_is_driven_and_stopped(emulator, tmp_path):
+    pytest.importorskip("serial", reason="needs the extra live (pyserial)")
+    robot = tmp_path / "small.toml"
+    robot.write_text("radius = 0.06\naxle = 0.115\nbeams_deg = [90, 45, 0, -45, -90]\nmax_range = 2.0\n")
+    _, name = emulator("--pty", "--robot", robot)
+    folder = tmp_path / "room"
+    told = ("--preset", "consistent", "--max-time", 6, "--watch", "--out", folder)
+    finished = limslam("live", "--serial", name, "--robot", robot, *told)
+    assert finished.returncode == 0, finished.stderr
+    assert "watch       http://127.0.0.1:" in finished.stderr
+    metrics = json.loads((folder / "result.json").read_text())["metrics"]
+    assert metrics["stop_reason"] == "time: the longest time of the session is over"
+    assert metrics["packets"] >= 60
+    assert (metrics["lines_bad"], metrics["packets_implausible"]) == (0, 0)
+    assert read_log(folder / "log.npz").robot.axle == 0.115
+    inspected = limslam("inspect", folder)
+    assert inspected.returncode == 0, inspected.stderr
+    assert "The poses equal those in the folder" in inspected.stdout
+    assert (folder / "inspect.html").is_file()
+    assert "live small, consistent" in limslam("show", folder, "--out", tmp_path / "room.png").stdout
+
+
+@pytest.mark.parametrize(
+    ("told", "words"),
+    [
+        ((), "either --serial PORT, --udp PORT or --ros2 is needed"),
+        (("--udp", 9, "--serial", "x"), "--serial and --udp are different places: the robot is at one of them only"),
+        (("--udp", 0, "--policy", "tour"), "the policy 'tour' knows the truth"),
+        (("--udp", 70000), "a UDP port is a number up to 65535, not 70000"),
+        (("--serial", "/dev/there-is-none"), "there-is-none: cannot be opened"),
+        (("--udp", 0, "--patience", 0.1), "no robot has answered within 0.1 s"),
+        (("--udp", 0, "--patience", -1), "--patience must be a number from 0.1 to 3600"),
+    ],
+)
+def test_what_cannot_be_is_refused_in_one_line_and_leaves_nothing(told, words, tmp_path):
+    if "/dev/there-is-none" in told:
+        pytest.importorskip("serial", reason="needs the extra live (pyserial)")
+    finished = limslam("live", *told, "--out", tmp_path / "room", cwd=tmp_path)
+    assert finished.returncode == 2
+    # What is wrong in the command is said before the wait for a robot.
+    assert ("waiting" in finished.stderr) == ("no robot has answered" in words)
+    assert words in finished.stderr.splitlines()[-1]
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("hello", "words"),
+    [
+        (b"H,1,5,my-robot,6,100000,100,500", "no shipped robot is called 'my-robot'"),
+        (b"H,1,5,paper,5,100000,100,500", "the robot paper has 5 beams, but its description has 6"),
+        (b"H,2,5,paper,6,100000,100,500", "the robot paper speaks version 2 of the protocol"),
+    ],
+)
+def test_a_robot_that_cannot_be_driven_is_refused(hello, words, tmp_path):
+
+    port, done = free_port(), threading.Event()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as robot:
+
+        def greet():
+            while not done.wait(0.02):
+                robot.sendto(b"%s*%04X\n" % (hello, checksum(hello)), ("127.0.0.1", port))
+
+        thread = threading.Thread(target=greet)
+        thread.start()
+        try:
+            finished = limslam("live", "--udp", port, "--out", tmp_path / "room")
+        finally:
+            done.set()
+            thread.join()
+    assert finished.returncode == 2
+    assert words in finished.stderr.splitlines()[-1]
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_second_robot_does_not_take_the_place_of_the_first():
+    transport = UdpTransport(0)
+    sockets = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2)]
+    try:
+        for robot in sockets:
+            robot.settimeout(5.0)
+            robot.sendto(b"H,1\n", ("127.0.0.1", transport.port))
+        lines = []
+        while not lines:
+            lines += transport.receive(1.0)
+        assert lines == [b"H,1"]
+        transport.send(b"X,1\n")
+        assert sockets[0].recv(100) == b"X,1\n"
+        sockets[1].settimeout(0.05)
+        with pytest.raises(TimeoutError):
+            sockets[1].recv(100)
+    finally:
+        transport.close()
+        for robot in sockets:
+            robot.close()
+
+
+def test_a_policy_that_fails_stops_the_robot_and_keeps_its_log(emulator, tmp_path):
+    port, policy = free_port(), tmp_path / "mine.py"
+    policy.write_text(
+        "import numpy as np\n"
+        "class Fails:\n"
+        "    stop_reason, plan, count = None, np.zeros((0, 2)), 0\n"
+        "    def act(self, belief):\n"
+        "        self.count += 1\n"
+        "        return np.array([0.3, 0.3]) / (self.count < 30)\n"
+    )
+    emulator("--udp", port)
+    told = ("--policy", f"{policy}:Fails", "--preset", "consistent", "--out", tmp_path / "room")
+    finished = limslam("live", "--udp", port, *told)
+    assert finished.returncode == 2
+    assert "mine.py, line 6, in act" in finished.stderr.splitlines()[-1]
+    assert not (tmp_path / "room").exists()
+    assert len(read_log(tmp_path / "room-log.npz")) >= 30
+    assert "room-log.npz" in finished.stderr
+
+
+def test_ctrl_c_stops_the_robot_and_writes_the_folder(emulator, tmp_path):
+    port, policy, folder = free_port(), tmp_path / "mine.py", tmp_path / "room"
+    policy.write_text(
+        "import signal\nimport numpy as np\n"
+        "class Presses:\n"
+        "    stop_reason, plan, count = None, np.zeros((0, 2)), 0\n"
+        "    def act(self, belief):\n"
+        "        self.count += 1\n"
+        "        if self.count == 40:\n"
+        "            signal.raise_signal(signal.SIGINT)\n"
+        "        return np.array([0.3, 0.25])\n"
+    )
+    emulator("--udp", port)
+    told = ("--policy", f"{policy}:Presses", "--preset", "consistent", "--out", folder)
+    finished = limslam("live", "--udp", port, *told)
+    assert finished.returncode == 0, finished.stderr
+    assert "stopped     stopped by hand" in finished.stdout
+    log = read_log(folder / "log.npz")
+    assert len(log) >= 40
+    # The robot has obeyed the stop, and has said so, before the session ended.
+    assert np.abs(log.wheels[20:35]).min() > 0.0
+    assert log.wheels[-1].tolist() == [0.0, 0.0]

@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 import yaml
 from support.bags import odometry, scan, write_bag
-from support.command_line import call
+from support.command_line import limslam
 from support.data import refusal
 
-from limslam_agent.cli.main import main
-from limslam_agent.logs.log_reader import read_log
+from limslam_agent import read_log
 from limslam_agent.policies.learned.network import load_network
-from limslam_env.interface import RobotSpec
+from limslam_env import RobotSpec
 from limslam_env.messages import LONGEST_MESSAGE, described, one_line, printable
 
 
@@ -62,7 +61,7 @@ def test_a_pipe_is_refused_without_being_opened(tmp_path, name):
     os.mkfifo(path)
     assert "not a regular file" in refusal(path)
     for arguments in (("replay", path), ("run", "--config", path), ("replay", "--config", path)):
-        finished = call(main, *arguments, cwd=tmp_path)
+        finished = limslam(*arguments, cwd=tmp_path)
         assert finished.returncode == 2
         assert "not a regular file" in finished.stderr
     with pytest.raises(ValueError, match="not a regular file"):
@@ -80,11 +79,11 @@ def test_a_bag_whose_list_of_topics_is_damaged_is_refused_in_one_line(tmp_path, 
 
 def test_messages_are_short_printable_and_on_one_line(tmp_path):
     name = "\x1b[31mred\x07" + "x" * 200 + ".csv"
-    finished = call(main, "replay", tmp_path / name, "--topics", "y" * 20_000, cwd=tmp_path)
+    finished = limslam("replay", tmp_path / name, "--topics", "y" * 20_000, cwd=tmp_path)
     assert finished.returncode == 2
     assert "\\x1b[31mred\\x07" in finished.stderr
     assert finished.stderr.strip().isprintable()
-    long = call(main, "replay", tmp_path / "no.csv", "--beams", ",".join(["1"] * 9000 + ["b"]), cwd=tmp_path).stderr
+    long = limslam("replay", tmp_path / "no.csv", "--beams", ",".join(["1"] * 9000 + ["b"]), cwd=tmp_path).stderr
     assert len(long) < LONGEST_MESSAGE + 20
     assert long.startswith("limslam: --beams")
     assert long.rstrip().endswith("is not a list of numbers like 1,2.5")

@@ -3,12 +3,12 @@
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from limslam_agent import AgentConfig, LimSlamAgent, preset
-from limslam_agent.mapping.team import Snapshot
 from limslam_env import LimSlamEnv, NominalNoise, Observation, RobotSpec
 from limslam_env.geometry import FloatArray
 
@@ -46,43 +46,30 @@ def fresh(recording: Recording, config: AgentConfig = CONFIG) -> LimSlamAgent:
     return agent
 
 
-def test_a_recorded_list_gives_the_recorded_actions_bit_for_bit(recording: Recording) -> None:
-    one, other = (replayed(fresh(recording), recording) for _ in range(2))
-    assert one.tobytes() == other.tobytes() == recording[2].tobytes()
-    # Not because there is nothing to decide.
-    assert len(np.unique(one, axis=0)) > 50
-
-
-def test_reset_gives_the_same_actions_again_whatever_the_seed(recording: Recording) -> None:
+def test_a_recorded_list_gives_the_recorded_actions_bit_for_bit_after_each_reset(recording: Recording) -> None:
     agent = fresh(recording)
-    first = replayed(agent, recording)
+    # Not because there is nothing to decide.
+    assert len(np.unique(recording[2], axis=0)) > 50
+    for observation in recording[1]:
+        for array in observation.values():
+            array.setflags(write=False)
     for seed in (None, 0, 7):
         agent.reset(recording[0], seed=seed)
         assert len(agent.snapshot().segments) == 0
         np.testing.assert_array_equal(agent.snapshot().pose, recording[0])
-        assert replayed(agent, recording).tobytes() == first.tobytes()
-
-
-def test_an_agent_does_not_write_into_its_observations(recording: Recording) -> None:
-    agent = fresh(recording)
-    for observation, action in zip(recording[1][:60], recording[2], strict=False):
-        frozen: Observation = {"ranges": observation["ranges"].copy(), "wheels": observation["wheels"].copy()}
-        for array in frozen.values():
-            array.setflags(write=False)
-        np.testing.assert_array_equal(agent.act(frozen), action)
+        assert replayed(agent, recording).tobytes() == recording[2].tobytes()
 
 
 WITHOUT_PHYSICS = """
 import sys
 blocked = ["pymunk", "pygame", "mujoco", "Box2D", "gymnasium.envs.mujoco", "gymnasium.envs.box2d",
            "limslam_env.simulation.physics", "limslam_env.kernels.rays", "limslam_env.simulation.sensors",
-           "limslam_env.simulation.simulation",           "limslam_env.envs.env", "limslam_env.worlds.world"]
+           "limslam_env.simulation.simulation", "limslam_env.envs.env", "limslam_env.worlds.world"]
 for name in blocked:
     sys.modules[name] = None  # importing it now raises ImportError
 import numpy as np
-from limslam_agent.mapping.team import LimSlamAgent
-from limslam_agent.config.presets import preset
-from limslam_env.interface import NominalNoise, RobotSpec
+from limslam_agent import LimSlamAgent, preset
+from limslam_env import NominalNoise, RobotSpec
 
 try:
     import pymunk
@@ -117,7 +104,7 @@ def test_it_acts_where_there_is_no_physics_to_import(recording: Recording, tmp_p
     assert np.load(answer).tobytes() == actions.tobytes()
 
 
-def arrays_of(snapshot: Snapshot) -> dict[str, FloatArray]:
+def arrays_of(snapshot: Any) -> dict[str, FloatArray]:
     """Every array that a snapshot hands out."""
     arrays = {name: getattr(snapshot, name) for name in ("pose", "covariance", "segments", "plan")}
     arrays |= {"grid.values": snapshot.grid.values, "grid.low": snapshot.grid.low}
@@ -146,16 +133,6 @@ def test_writing_into_a_snapshot_is_refused_or_does_not_reach_the_agent(recordin
     assert np.array([agent.act(o) for o in recording[1][250:300]]).tobytes() == recording[2][250:300].tobytes()
 
 
-def test_a_snapshot_keeps_its_moment_while_the_agent_goes_on(recording: Recording) -> None:
-    agent = after(recording)
-    snapshot = agent.snapshot()
-    before = {name: np.array(array) for name, array in arrays_of(snapshot).items()}
-    for observation in recording[1][250:300]:
-        agent.act(observation)
-    for name, array in arrays_of(snapshot).items():
-        np.testing.assert_array_equal(array, before[name], err_msg=name)
-
-
 class Stopper:
     """A policy that wants nothing."""
 
@@ -176,28 +153,17 @@ def test_the_policy_says_when_it_is_done_and_why(recording: Recording) -> None:
     assert stopped.stop_reason == "enough"
 
 
-def enclosed(count: int) -> list[Observation]:
-    """A robot in a closet: every beam reads 0.1 m while it turns on the spot by 20 degrees a step."""
+def test_with_nowhere_to_go_it_stops_says_why_and_stands() -> None:
+    # In a closet every beam reads 0.1 m while the robot turns on the spot by 20 degrees a step.
     travel = 0.5 * ROBOT.axle * np.radians(20.0)
-    return [
-        {"ranges": np.full(6, 0.1, dtype=np.float32), "wheels": np.float32([-travel, travel])} for _ in range(count)
-    ]
-
-
-def driven_until_done() -> tuple[LimSlamAgent, FloatArray]:
-    """An agent that has nowhere to go, and its last action."""
+    seen: Observation = {"ranges": np.full(6, 0.1, dtype=np.float32), "wheels": np.float32([-travel, travel])}
     agent = LimSlamAgent(ROBOT, CONFIG)
-    for observation in enclosed(400):
-        action = agent.act(observation)
+    for _ in range(400):
+        action = agent.act(seen)
         if agent.done:
             break
-    return agent, action
-
-
-def test_with_nowhere_to_go_it_stops_says_why_and_stands() -> None:
-    agent, action = driven_until_done()
     assert agent.done
     assert agent.stop_reason is not None
     assert agent.stop_reason.startswith("explored")
     np.testing.assert_array_equal(action, [0.0, 0.0])
-    np.testing.assert_array_equal(agent.act(enclosed(1)[0]), [0.0, 0.0])
+    np.testing.assert_array_equal(agent.act(seen), [0.0, 0.0])

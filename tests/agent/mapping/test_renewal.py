@@ -6,16 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from support.drives import along, drive, room
-from support.walls import wall_along
 
 from limslam_agent import LineSlam, Mapper, preset
 from limslam_agent.config.smoother import RenewalConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.mapping.renewal import Renewal
-from limslam_agent.slam.consistent.map_state import MapState
-from limslam_agent.slam.consistent.wall_map import NEW
 from limslam_env import NominalNoise, RobotSpec
-from limslam_env.geometry.se2 import compose, wrap_angle
+from limslam_env.geometry import se2
 
 ROBOT = RobotSpec()
 NOISE = NominalNoise(0.02)
@@ -65,7 +62,7 @@ def test_a_renewed_estimate_stays_accurate_and_honest(long_drive):
     _, true, (slam, poses, covariances, renewed) = long_drive
     assert len(renewed) >= 5
     error = poses - true
-    error[:, 2] = wrap_angle(error[:, 2])
+    error[:, 2] = se2.wrap_angle(error[:, 2])
     last = slice(-200, None)
     assert np.hypot(*error[last, :2].T).max() < 0.1
     nees = np.einsum("ni,nij,nj->n", error[last], np.linalg.inv(covariances[last]), error[last]) / 3.0
@@ -125,7 +122,7 @@ def misled(told, at, off):
     for step, observation in enumerate(told):
         mapper.step(observation)
         if step == at:
-            mapper.slam.relocate(compose(mapper.slam.pose, np.array(off)), 1e-4 * np.eye(3))
+            mapper.slam.relocate(se2.compose(mapper.slam.pose, np.array(off)), 1e-4 * np.eye(3))
     return mapper, [record["event"] for record in mapper.places.records]
 
 
@@ -140,18 +137,3 @@ def test_a_robot_that_a_wrong_estimate_has_made_lost_is_renewed(monkeypatch):
     begin = mapper.places.revisions[0].begin
     revised = mapper.places.revisions[0].poses
     assert np.hypot(*(revised - true[begin : begin + len(revised)])[:, :2].T).max() < 0.15, "also the earlier poses"
-
-
-def walls(*given):
-    """A map of walls along x between -1 and 1 m: for each its y, m, and the landmark that it was recognised as."""
-    found = []
-    for _, known in given:
-        found.append(wall_along(NEW, np.linspace(-1.0, 1.0, 21), known))
-    count = len(given)
-    return MapState(
-        pose=np.zeros(3),
-        lines=np.tile([0.0, 0.5 * np.pi], (count, 1)),
-        anchors=np.array([[0.0, y] for y, _ in given]),
-        covariance=1e-4 * np.eye(3 + 2 * count),
-        walls=found,
-    )

@@ -4,65 +4,10 @@ import numpy as np
 import pytest
 
 from limslam_agent import AgentConfig, FrontierPolicy, LimSlamTeam, LineSlam, preset
-from limslam_agent.slam.core.ekf import LineEKF
 from limslam_env import LimSlamParallelEnv, NominalNoise, RobotSpec
-from limslam_env.geometry.line import to_frame
-from limslam_env.geometry.se2 import compose
 
 ROBOT = RobotSpec()
-NOISE = np.diag([1e-5, 1e-6, 1e-5])
-LINE_NOISE = np.diag([1e-4, 1e-4])
 STARTS = np.array([[1.0, 1.0, 0.3], [2.0, 0.5, -2.0]])
-
-
-def moved_pair() -> LineEKF:
-    """Two robots that have moved, and a line that the first has seen."""
-    ekf = LineEKF(STARTS)
-    for step in range(20):
-        ekf.predict(np.array([0.03, 0.0, 0.02]), NOISE, 0)
-        ekf.predict(np.array([0.02, 0.0, -0.01 * (step % 3)]), NOISE, 1)
-    ekf.augment(np.array([0.8, 1.2]), LINE_NOISE, 0)
-    return ekf
-
-
-def test_each_robot_moves_alone():
-    ekf, poses = LineEKF(STARTS), STARTS.copy()
-    for increment in (np.array([0.1, 0.0, 0.2]), np.array([0.05, 0.01, -0.1])):
-        ekf.predict(increment, NOISE, 1)
-        poses[1] = compose(poses[1], increment)
-    np.testing.assert_allclose(ekf.poses, poses)
-    joint = ekf.joint_pose_covariance
-    assert not joint[:3].any(), "the first has not moved and knows where it is"
-    assert np.linalg.eigvalsh(joint[3:, 3:]).min() > 0.0
-
-
-def test_the_filter_of_two_is_two_filters_until_they_see_one_wall():
-    together, alone = LineEKF(STARTS), [LineEKF(start) for start in STARTS]
-    for robot, ekf in enumerate(alone):
-        for turn in (0.1, -0.05, 0.2):
-            for filter_, number in ((together, robot), (ekf, 0)):
-                filter_.predict(np.array([0.05, 0.0, turn]), NOISE, number)
-        line = np.array([0.7 + 0.2 * robot, 0.4])
-        together.augment(line, LINE_NOISE, robot)
-        ekf.augment(line, LINE_NOISE)
-        together.observe_line(line + 0.01, LINE_NOISE, robot, robot)
-        ekf.observe_line(line + 0.01, LINE_NOISE, 0)
-    for robot, ekf in enumerate(alone):
-        np.testing.assert_allclose(together.poses[robot], ekf.pose, atol=1e-12)
-        part = slice(3 * robot, 3 * robot + 3)
-        np.testing.assert_allclose(together.joint_pose_covariance[part, part], ekf.joint_pose_covariance, atol=1e-12)
-        np.testing.assert_allclose(together.lines[robot], ekf.lines[0], atol=1e-12)
-    assert not together.P[:3, 3:6].any()
-
-
-def test_a_wall_that_both_see_ties_their_poses_together():
-    ekf = moved_pair()
-    seen = to_frame(ekf.lines[0], ekf.poses[1])
-    before = ekf.joint_pose_covariance
-    ekf.observe_line(seen, LINE_NOISE, 0, 1)
-    after = ekf.joint_pose_covariance
-    assert np.abs(after[:3, 3:]).max() > 0.0
-    assert np.linalg.eigvalsh(before - after).min() > -1e-12, "nobody becomes less certain by a measurement"
 
 
 def test_dropped_readings_are_neither_measured_nor_collected():

@@ -1,9 +1,10 @@
-"""map.png, for one robot and for several."""
+"""Pictures of a run, and the walls of its files."""
 
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
 from PIL import Image as Pictures
+from support.runs import run
 
 from limslam_agent.output.drawing import MapPicture, draw_map, legend, paint_map
 
@@ -75,3 +76,23 @@ def test_title_and_remark_lie_within_the_picture(tmp_path, height):
             assert np.asarray(picture.convert("L"))[:4].min() == 255
     more = size_of(tmp_path / f"map{len(remark)}.png")[1] - size_of(tmp_path / "map0.png")[1]
     assert more >= 4 * 0.2 * 160 - 1
+
+
+@pytest.fixture(scope="module")
+def explored(tmp_path_factory):
+    """A finished exploration of Env2, whose walls have doors."""
+    return run(tmp_path_factory.mktemp("runs") / "env2", "--world", "env2", "--seed", 3)
+
+
+def test_the_map_of_a_run_is_drawn_from_the_smoothed_path_and_leaves_doors_open(explored):
+    final, online = explored.content("map.json"), explored.content("map_online.json")
+    assert final["segments"] != online["segments"]
+    assert all(np.linalg.eigvalsh(mark["cov"]).min() > 0.0 for mark in final["landmarks"])
+    assert explored.metrics["doors_open"] == 1.0
+
+
+def test_the_preset_consistent_gives_the_map_of_the_filter(tmp_path, explored):
+    plain = run(tmp_path / "filter", "--world", "env2", "--seed", 3, "--preset", "consistent")
+    assert plain.content("map.json") == explored.content("map_online.json")
+    assert not (plain.path / "trajectory_smoothed.tum").exists()
+    assert "ate_smoothed_m" not in plain.metrics

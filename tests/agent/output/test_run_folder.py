@@ -5,21 +5,43 @@ import os
 import signal
 import subprocess
 import sys
-from functools import partial
 from itertools import count
 from pathlib import Path
 
 import pytest
-from support.command_line import call
-from support.kills import dies_at_call
 
-from limslam_agent.cli.main import main
 from limslam_agent.output.atomic_write import atomic_write
 from limslam_agent.output.claims import ClaimedError, OutputError, clear_up
 from limslam_agent.output.finished_run import FolderError, read_run
 from limslam_agent.output.run_folder import RESULT_FILE, new_folder
 
-limslam = partial(call, main)
+_PRELUDE = """
+import os, signal
+
+left = {number}
+def deadly(function):
+    def call(*arguments, **options):
+        global left
+        left -= 1
+        if left == 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+        return function(*arguments, **options)
+    return call
+for name in ("mkdir", "rmdir", "rename", "replace", "unlink", "fsync"):
+    setattr(os, name, deadly(getattr(os, name)))
+"""
+
+
+def dies_at_call(number: int, code: str, cwd: Path) -> bool:
+    """Run code that is killed just before its n-th change of the file system. Whether there was such a call."""
+    program = _PRELUDE.format(number=number) + code
+    ended = subprocess.run(
+        [sys.executable, "-c", program], cwd=cwd, env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert ended.returncode in {0, -9}, ended.stderr
+    return ended.returncode == -9
+
 
 FILES = ("a.txt", "b.txt", RESULT_FILE)
 

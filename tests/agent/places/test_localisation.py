@@ -1,4 +1,4 @@
-"""The place of a drive follows from its readings; places that look alike, and ground without a map, are refused."""
+"""Where a robot is by its readings: searches in a known map, and what moves with a place that is found."""
 
 from dataclasses import replace
 
@@ -6,12 +6,31 @@ import numpy as np
 import pytest
 from support.halls import HALL, PART, ROBOT, SQUARE, STD, WAY, drive, known
 
-from limslam_agent.grid.occupancy import GridView
+from limslam_agent.config.presets import GridConfig
+from limslam_agent.grid.occupancy import GridView, OccupancyGrid
+from limslam_agent.kernels.extents import add_wall, count_hits
+from limslam_agent.kernels.rays import scan_poses
+from limslam_agent.kernels.tables import LENGTH, LOW, RAY_LENGTH, RAY_REACH, RAY_TO_X, empty_walls
 from limslam_agent.places.localisation import FAR_SHARE, LEAD, KnownPlaces, agree, localise
+from limslam_agent.slam.consistent.clone_ekf import CloneEKF
+from limslam_agent.slam.consistent.map_state import MapState, lines_moved_with, poses_moved_with
+from limslam_agent.slam.consistent.wall_map import NEW, Wall, WallExtent
 from limslam_agent.slam.core.range_sensor import RangeSensor
 from limslam_agent.status.known_map import DECIDED, PlaceFit
 from limslam_agent.status.rays import have_ended, moved, rays_of
-from limslam_env.geometry.se2 import compose, inverse, transform_points, wrap_angle
+from limslam_env.geometry import FloatArray, se2
+from limslam_env.geometry import line as line_geometry
+from limslam_env.geometry import segment as segment_geometry
+
+
+def wall_along(number: int, along: FloatArray, known_as: int = NEW) -> Wall:
+    """A landmark on which beams ended at positions (n,), m along its line."""
+    walls = empty_walls(1, 4000)
+    add_wall(walls, 0)
+    count_hits(walls, 0, np.asarray(along, dtype=float))
+    low, length = walls.table[0, [LOW, LENGTH]].tolist()
+    extent = WallExtent(low, walls.counted[0, :, :length], walls.reached[0, :, :length])
+    return Wall(number, extent, 1, len(along), known_as=known_as)
 
 
 @pytest.fixture(scope="module")
@@ -23,9 +42,9 @@ def whole():
 def test_a_drive_is_placed_however_its_frame_is_turned(whole, frame):
     found = localise(whole, rays_of(drive(PART, HALL, frame), ROBOT))
     assert found.is_accepted, found.refusal
-    off = compose(inverse(np.array(frame)), found.fit.pose)
+    off = se2.compose(se2.inverse(np.array(frame)), found.fit.pose)
     assert np.hypot(*off[:2]) < 0.05
-    assert abs(wrap_angle(float(off[2]))) < 0.02
+    assert abs(se2.wrap_angle(float(off[2]))) < 0.02
     assert found.fit.contradictions == 0
     assert found.record["accepted"]
     assert found.record["evidence"] > found.record["runner_up"] + LEAD
@@ -65,7 +84,7 @@ def test_a_pose_does_not_slide_along_walls_that_are_not_quite_parallel():
     drawn = np.array([[0.0, 0.075, 20.0, -0.125], [0.0, 0.925, 20.0, 1.125]])
     place = KnownPlaces(drawn, GridView(np.zeros(2), 0.1, np.ones((4, 4), dtype=np.int16)), RangeSensor(STD))
     (found,) = place.refined(np.array([[0.0, 0.06, 0.02]]), rays)
-    middle = transform_points(found, rays[:, :2].mean(axis=0)[None])[0] - rays[:, :2].mean(axis=0)
+    middle = se2.transform_points(found, rays[:, :2].mean(axis=0)[None])[0] - rays[:, :2].mean(axis=0)
     assert abs(middle[0]) < 0.3
     assert abs(middle[1]) < 0.01
     assert abs(found[2]) < 0.01
@@ -110,10 +129,147 @@ def test_without_rays_or_walls_there_is_nothing_to_compare(whole):
 def test_readings_that_say_nothing_have_no_ray():
     steps = drive([[1.0, 0.7], [1.2, 0.7]], HALL)[:6]
     unsaid = np.array([np.nan, 0.0, *steps[0].ranges[2:]])
-    assert not len(rays_of([step._replace(ranges=np.full_like(unsaid, np.nan)) for step in steps], ROBOT))
-    assert len(rays_of([step._replace(ranges=unsaid) for step in steps], ROBOT)) < len(rays_of(steps, ROBOT))
+    assert not len(rays_of([replace(step, ranges=np.full_like(unsaid, np.nan)) for step in steps], ROBOT))
+    assert len(rays_of([replace(step, ranges=unsaid) for step in steps], ROBOT)) < len(rays_of(steps, ROBOT))
     # One reading of the longest range may be a dropout of the sensor.
-    missed = steps[2]._replace(ranges=np.array(ROBOT.max_ranges))
+    missed = replace(steps[2], ranges=np.array(ROBOT.max_ranges))
     rays = rays_of([*steps[:2], missed, *steps[3:]], ROBOT)
     assert (~have_ended(rays)).sum() <= (~have_ended(rays_of(steps, ROBOT))).sum()
     assert have_ended(rays).any()
+
+
+def test_the_rough_search_adds_up_the_cells_of_ends_and_ways():
+    cells = np.random.default_rng(7).normal(size=(2, 100, 140)).astype(np.float32)
+    fields = np.ascontiguousarray(cells.reshape(2, 50, 2, 70, 2).transpose(0, 2, 4, 1, 3))
+    rays, turns = rays_of(drive(PART, HALL), ROBOT)[:40], np.array([0.4, -2.0])
+    middle, scores = rays[:, :RAY_TO_X].mean(axis=0), np.empty((2, 50, 70), dtype=np.float32)
+    scan_poses(turns, rays, middle, fields, 0.05, np.empty(rays.shape, dtype=np.int64), scores)
+    lengths, ended = rays[:, RAY_LENGTH], rays[:, RAY_LENGTH] < rays[:, RAY_REACH]
+    inner = np.where(ended, np.maximum(lengths - 0.2, 0.0), lengths)
+    assert 0 < ended.sum() < len(rays)
+    for number, turn in enumerate(turns):
+        for place in ((30, 20), (4, 51), (45, 69)):
+            total = 0.0
+            for kind, along in ((0, lengths), (1, inner), (1, 0.5 * inner)):
+                ends = rays[:, :RAY_TO_X] - middle + along[:, None] * rays[:, RAY_TO_X:RAY_LENGTH]
+                points = se2.transform_points(np.array([0.0, 0.0, turn]), ends)
+                column, row = (2 * np.array(place)[::-1] + np.floor(points / 0.05 + 0.5)).astype(int).T
+                inside = (row >= 0) & (row < cells.shape[1]) & (column >= 0) & (column < cells.shape[2])
+                inside &= ended | (kind == 1)
+                total += cells[kind, row[inside], column[inside]].sum()
+            assert scores[(number, *place)] == pytest.approx(total, abs=1e-3)
+
+
+MATCH = np.diag([0.05, 0.05, 0.03]) ** 2
+POSE, DRIFT = np.array([2.5, 1.0, 0.4]), np.array([1.2, -0.8, 0.06])
+NEAR = np.array([[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0]], dtype=float)
+AWAY = np.array([[8, 0, 8, 3], [8, 3, 12, 3], [12, 3, 12, 0]], dtype=float)
+
+
+def walls_of(segments):
+    """Lines (m, 2) about the middles of walls, these middles, and the walls with their extents."""
+    middles, walls = 0.5 * (segments[:, :2] + segments[:, 2:]), []
+    lines = np.column_stack((np.zeros(len(segments)), np.arctan2(*(segments[:, 2:] - segments[:, :2]).T[::-1])))
+    lines[:, 1] -= 0.5 * np.pi
+    for number, (segment, line, middle) in enumerate(zip(segments, lines, middles, strict=True)):
+        walls.append(
+            wall_along(
+                number, (segment_geometry.sample(segment[None], 0.05)[0] - middle) @ line_geometry.direction(line)
+            )
+        )
+    return lines, middles, walls
+
+
+def drifted(stds, world=0.0):
+    """A room that is known, another one that was seen after a drift, and the robot, which is back in the first room.
+
+    The standard deviations (3,) of the drift are stated, and that of the direction of the whole world.
+    """
+    lines, middles, walls = walls_of(np.concatenate((NEAR, AWAY)))
+    place = POSE + DRIFT
+    by_drift = np.vstack((np.eye(3), lines_moved_with(tuple(place[:2]), lines, middles)))
+    by_drift[3 : 3 + 2 * len(NEAR)] = 0.0
+    wrong = middles.copy()
+    wrong[len(NEAR) :] = se2.transform_points(DRIFT * [0, 0, 1], middles[len(NEAR) :] - POSE[:2]) + place[:2]
+    lines[len(NEAR) :, 1] += DRIFT[2]
+    by_world = np.vstack((poses_moved_with((0.0, 0.0), place[None]), lines_moved_with((0.0, 0.0), lines, wrong)))[:, 2]
+    covariance = by_drift @ np.diag(np.square(stds)) @ by_drift.T + world**2 * np.outer(by_world, by_world)
+    return MapState(place, lines, wrong, covariance + 1e-8 * np.eye(len(covariance)), walls)
+
+
+def test_a_loop_moves_what_was_seen_since_the_robot_left():
+    state, right = drifted([1.0, 1.0, 0.1]), walls_of(AWAY)
+    after, motions = state.closed(POSE, MATCH, segment_geometry.sample(NEAR, 0.1)[0])
+    np.testing.assert_allclose(after.pose, POSE, atol=0.02)
+    np.testing.assert_allclose(after.lines[: len(NEAR)], state.lines[: len(NEAR)], atol=1e-3)
+    away = slice(len(NEAR), None)
+    np.testing.assert_allclose(after.lines[away, 1], right[0][:, 1], atol=0.01)
+    feet = after.anchors[away] + after.lines[away, :1] * line_geometry.normal(after.lines[away])
+    np.testing.assert_allclose(feet, right[1], atol=0.1)  # along the walls, too
+    np.testing.assert_allclose(motions[away, 2], -DRIFT[2], atol=0.01)
+    np.testing.assert_allclose(motions[: len(NEAR)], 0.0, atol=0.05)
+    assert np.sqrt(after.covariance[0, 0]) < 0.06
+    assert np.linalg.eigvalsh(after.covariance).min() > -1e-9
+
+
+def test_a_loop_says_nothing_of_the_direction_of_the_world():
+    state = drifted([1.0, 1.0, 0.1], world=0.2)
+    after, _ = state.closed(POSE, MATCH, segment_geometry.sample(NEAR, 0.1)[0])
+    assert np.sqrt(after.covariance[4, 4]) == pytest.approx(0.2, rel=0.01)
+    assert np.sqrt(after.covariance[2, 2]) == pytest.approx(np.hypot(0.2, 0.03), rel=0.02)
+
+
+def test_a_pose_that_the_covariance_does_not_explain_closes_no_loop():
+    assert drifted([0.2, 0.2, 0.02]).closed(POSE, MATCH, segment_geometry.sample(NEAR, 0.1)[0]) is None
+    assert drifted([1.0, 1.0, 0.1]).closed(POSE, MATCH, segment_geometry.sample(NEAR[:1], 0.1)[0][5:-5]) is None, (
+        "one wall determines no pose"
+    )
+
+
+def test_cells_move_with_the_nearest_wall():
+    values = np.zeros((20, 60), dtype=np.int16)
+    values[5, 10], values[5, 50] = -3, 7
+    grid = OccupancyGrid.of(GridView(np.zeros(2), 0.1, values), GridConfig())
+    grid.bend(np.array([[1.0, 0.5], [5.0, 0.5]]), np.array([[0.0, 0.0, 0.0], [0.3, -0.2, 0.0]]))
+    found = grid.view.values_at(np.array([[1.05, 0.55], [5.05, 0.55], [5.35, 0.35]]))
+    np.testing.assert_array_equal(found, [-3, 0, 7])
+
+
+ROOM = np.array([[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0]], dtype=float)
+LINES = np.array([[0.0, 0.5 * np.pi], [4.0, 0.0], [3.0, 0.5 * np.pi], [0.0, 0.0]])
+WORLD = np.diag([0.8, 0.6, 0.0]) ** 2  # covariance of the whole room in the world
+
+
+def room_in_an_uncertain_world(count):
+    """A filter, and its map of the first walls of a room."""
+    ekf, walls = CloneEKF(np.array([9.0, 9.0, 0.0]), np.diag([0.01] * 3)), []
+    for number, (segment, line) in enumerate(zip(ROOM[:count], LINES, strict=False)):
+        points, _ = segment_geometry.sample(segment[None], 0.05)
+        middle = points.mean(axis=0)
+        ekf.add_known_line(line, 1e-8 * np.eye(2), middle)
+        walls.append(wall_along(number, (points - middle) @ line_geometry.direction(line)))
+    by_world = lines_moved_with((0.0, 0.0), ekf.anchored, ekf.anchors)
+    ekf.P[3:, 3:] += by_world @ WORLD @ by_world.T
+    return ekf, MapState(ekf.pose, ekf.anchored, ekf.anchors, ekf.marginal(), walls)
+
+
+def ends(count):
+    return segment_geometry.sample(ROOM[:count], 0.1)[0] + 0.02
+
+
+def test_a_placed_robot_moves_with_the_walls_that_it_was_matched_with():
+    ekf, state = room_in_an_uncertain_world(4)
+    by_lines = state.by_walls(POSE, ends(4))
+    with_all = by_lines @ lines_moved_with((2.5, 1.0), state.lines, state.anchors)
+    np.testing.assert_allclose(with_all, np.eye(3), atol=1e-12)
+    ekf.relocate(POSE, MATCH, by_lines=by_lines)
+    np.testing.assert_array_equal(ekf.pose, POSE)
+    np.testing.assert_allclose(ekf.joint_pose_covariance, WORLD + MATCH, atol=1e-5)
+    # A later correction moves the right wall by 0.5 m. The robot follows, and is known as well as its match then.
+    gain = ekf.P[:, 5] / (ekf.P[5, 5] + 1e-8)
+    ekf.x[:] += 0.5 * gain
+    ekf.P[:] -= np.outer(gain, ekf.P[5])
+    np.testing.assert_allclose(ekf.pose, POSE + np.array([0.5, 0.0, 0.0]), atol=1e-3)
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(ekf.joint_pose_covariance)), [0.05, np.hypot(0.6, 0.05), 0.03], atol=1e-3
+    )

@@ -2,22 +2,19 @@
 
 import numpy as np
 import pytest
-from support.command_line import call
+from support.command_line import limslam
 
 from limslam_agent import Mapper, preset
-from limslam_agent.cli.main import main
 from limslam_agent.grid.occupancy import GridView
 from limslam_agent.output.export import write_map
 from limslam_agent.output.summary import record_summary, run_summary
 from limslam_agent.places.saved_map import SavedMap, SavedMapError, read_saved_map
-from limslam_agent.runs.episode import run_episode, told_starts
+from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import score
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.slam.core.line_map import Landmark
-from limslam_env.geometry.se2 import inverse, transform_points, wrap_angle
-from limslam_env.geometry.segment import distances
-from limslam_env.interface import NominalNoise, RobotSpec
-from limslam_env.worlds.formats.loading import load_world
+from limslam_env import NominalNoise, RobotSpec, load_world
+from limslam_env.geometry import se2, segment
 
 NOISE = 0.02
 
@@ -28,7 +25,7 @@ def map_of(world):
     for number, (x1, y1, x2, y2) in enumerate(segments):
         theta = np.arctan2(x1 - x2, y2 - y1)
         r = x1 * np.cos(theta) + y1 * np.sin(theta)
-        r, theta = (r, theta) if r >= 0.0 else (-r, float(wrap_angle(theta + np.pi)))
+        r, theta = (r, theta) if r >= 0.0 else (-r, float(se2.wrap_angle(theta + np.pi)))
         ends = np.array([[x1, y1], [x2, y2]])
         marks.append(Landmark(float(r), float(theta), np.diag([1e-4, 1e-5]), ends, 9, number, (number,)))
     low, high = np.floor(segments.reshape(-1, 2).min(axis=0) / 0.1), np.ceil(segments.reshape(-1, 2).max(axis=0) / 0.1)
@@ -37,7 +34,7 @@ def map_of(world):
     reached = world.free_space(0.1)
     spaces = reached.centres(reached.region_of(world.starts[0][:2]))
     free = np.array([np.hypot(*(spaces - centre).T).min() < 0.2 for centre in centres])
-    wall = distances(centres, segments).min(axis=1) < 0.05
+    wall = segment.distances(centres, segments).min(axis=1) < 0.05
     values = np.where(wall, -4, np.where(free, 4, 0)).reshape(rows, columns).astype(np.int16)
     return SavedMap(segments, marks, GridView(0.1 * low, 0.1, values))
 
@@ -64,14 +61,6 @@ def test_a_map_is_read_as_it_was_written(folder):
     ]
 
 
-def test_nobody_is_told_an_unknown_start(folder):
-    true = np.array([[1.0, 2.0, 3.0], [4.0, 5.0, -1.0]])
-    np.testing.assert_array_equal(told_starts(RunConfig(robots=2), true), true)
-    np.testing.assert_array_equal(told_starts(RunConfig(robots=2, unknown_starts=True), true), [true[0], np.zeros(3)])
-    np.testing.assert_array_equal(told_starts(RunConfig("env3", prior_map=folder), true[:1]), np.zeros((1, 3)))
-    assert true.all()
-
-
 def test_a_run_finds_itself_in_an_earlier_map(episode):
     assert episode.in_prior_map
     (event, *_) = episode.places.records
@@ -90,7 +79,7 @@ def test_the_walls_of_both_runs_are_one_map(episode):
     found = episode.final_map.segments
     assert np.hypot(*(found[:, 2:] - found[:, :2]).T).sum() > 0.9 * lengths.sum()
     middles = 0.5 * (found[:, :2] + found[:, 2:])
-    assert np.median(distances(middles, edges).min(axis=1)) < 0.05
+    assert np.median(segment.distances(middles, edges).min(axis=1)) < 0.05
 
 
 def test_another_building_does_not_fit(folder):
@@ -101,7 +90,7 @@ def test_another_building_does_not_fit(folder):
     assert not episode.in_prior_map
     (event,) = episode.places.records
     assert (event["event"], bool(event["reason"])) == ("not found in the saved map", True)
-    own = transform_points(inverse(episode.true[0, 0]), episode.true[:, 0, :2])
+    own = se2.transform_points(se2.inverse(episode.true[0, 0]), episode.true[:, 0, :2])
     assert np.hypot(*(episode.estimated[:, 0, :2] - own).T).max() < 0.3
     scores = score(episode)
     in_two_frames = ("ate_m", "anees", "ate_smoothed_m", "wall_f1", "wall_recall_online", "coverage_correct")
@@ -149,7 +138,7 @@ def test_damaged_maps_are_refused_in_one_line(tmp_path, change, words):
     with pytest.raises(SavedMapError, match=words) as caught:
         read_saved_map(tmp_path)
     assert "\n" not in str(caught.value)
-    answer = call(main, "run", "--map", tmp_path, "--out", tmp_path / "out")
+    answer = limslam("run", "--map", tmp_path, "--out", tmp_path / "out")
     assert answer.returncode == 2
     assert len(answer.stderr.splitlines()) == 1
     assert not (tmp_path / "out").exists()

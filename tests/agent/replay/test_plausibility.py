@@ -4,17 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from support.command_line import call
+from support.command_line import limslam
 from support.corridors import SIX_BEAMS, corridor_log
 from support.drives import ROBOT, along, drive, room
 
-from limslam_agent.cli.main import main
-from limslam_agent.config.presets import preset
-from limslam_agent.logs.log_reader import read_log
+from limslam_agent import preset, read_log, replay_log
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.table_options import TableOptions
 from limslam_agent.replay.plausibility import log_warnings, map_warnings
-from limslam_agent.replay.replay import replay_log
 
 
 def written(tmp_path, right="0.8", left="2.9", period=0.1, step=0.025, count=60, beams=(-90, 90)):
@@ -88,7 +85,7 @@ def test_a_map_without_walls_is_explained(tmp_path, changes, words):
 
 
 def test_the_command_warns_on_standard_error_and_succeeds(tmp_path):
-    finished = call(main, "replay", written(tmp_path, "800", "2900"), "--out", tmp_path / "out")
+    finished = limslam("replay", written(tmp_path, "800", "2900"), "--out", tmp_path / "out")
     assert finished.returncode == 0
     warnings = finished.stderr.splitlines()
     assert [line.startswith("limslam: warning: ") for line in warnings] == [True, True]

@@ -5,21 +5,25 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from gymnasium import spaces
+from support.runs import run
 
-from limslam_agent import LimSlamAgent, LimSlamTeam, evaluate, medians, preset
-from limslam_agent.policies.frontier_policy import FrontierPolicy
-from limslam_agent.policies.learned.learned import LearnedPolicy
-from limslam_agent.policies.simple_policies import RandomPolicy, WallFollower
-from limslam_agent.runs.episode import run_episode
-from limslam_agent.runs.results import score
-from limslam_agent.runs.run_config import RunConfig
-from limslam_agent.wrappers.single import SlamObservation
-from limslam_env import NominalNoise, RobotSpec
-from limslam_env.envs.env import LimSlamEnv
-from limslam_env.worlds.world import World
+from limslam_agent import (
+    FrontierPolicy,
+    LearnedPolicy,
+    LimSlamAgent,
+    LimSlamTeam,
+    RandomPolicy,
+    SlamObservation,
+    WallFollower,
+    evaluate,
+    medians,
+    preset,
+)
+from limslam_env import LimSlamEnv, NominalNoise, RobotSpec, World
 
 ROBOT = RobotSpec()
 TOLD = preset("paper", NominalNoise(0.02))
+IN_ENV2 = ("--world", "env2", "--noise", 0.02, "--seed", 3)
 FAST = replace(ROBOT, max_wheel_speed=0.4)
 FLAT = spaces.Box(-1.0, 1.0, (8,))
 DRIVE = {"path_m", "coverage_true", "time_to_50_s", "time_to_90_s", "time_to_95_s", "exploration_time_s", "collisions"}
@@ -58,16 +62,16 @@ class Trained:
         return observation["pose"][:2], None
 
 
-def test_the_agent_gets_the_metrics_of_a_run():
-    expected = score(run_episode(RunConfig("env2", 0.02, "paper", seed=3, max_time=25.0)))
+def test_the_agent_gets_the_metrics_of_a_run(tmp_path):
+    expected = run(tmp_path / "run", *IN_ENV2, "--preset", "paper", "--max-time", 25).metrics
     (result,) = evaluate(LimSlamAgent(ROBOT, TOLD), "LimSlam-Env2-v0", [3], max_time=25.0, sensor_noise=0.02)
     assert result.pop("seed") == 3
     assert {"ate_m", "odometry_ate_m", "anees", "wall_f1", "doors_open", "coverage_correct"} <= set(result)
     assert {name: expected[name] for name in result} == result
 
 
-def test_a_team_gets_the_metrics_of_a_run():
-    expected = score(run_episode(RunConfig("env2", 0.02, "paper", seed=3, max_time=15.0, robots=2)))
+def test_a_team_gets_the_metrics_of_a_run(tmp_path):
+    expected = run(tmp_path / "run", *IN_ENV2, "--preset", "paper", "--max-time", 15, "--robots", 2).metrics
     (result,) = evaluate(LimSlamTeam(ROBOT, TOLD), "limslam/Env2-v0", [3], max_time=15.0, sensor_noise=0.02)
     assert result.pop("seed") == 3
     assert {"ate_m", "wall_f1"} <= set(result)
@@ -217,11 +221,6 @@ class Ambiguous(TurnFromWalls):
         pass
 
 
-class Uncopied(TurnFromWalls):
-    def __deepcopy__(self, memo):
-        raise TypeError("no copies")
-
-
 @pytest.mark.parametrize(
     ("policy", "env_id", "words"),
     [
@@ -244,8 +243,9 @@ def test_the_policies_of_the_package_need_no_arguments(policy):
 
 
 @pytest.mark.parametrize("name", ["frontier_fast", "learned"])
-def test_a_name_stands_for_the_policy_of_a_run(name):
-    expected = score(run_episode(RunConfig("env2", 0.02, "consistent", seed=3, max_time=5.0, policy=name)))
+def test_a_name_stands_for_the_policy_of_a_run(name, tmp_path):
+    options = ("--preset", "consistent", "--max-time", 5, "--policy", name)
+    expected = run(tmp_path / "run", *IN_ENV2, *options).metrics
     (result,) = evaluate(name, "LimSlam-Env2-v0", [3], max_time=5.0, sensor_noise=0.02)
     assert result.pop("seed") == 3
     assert {each: expected[each] for each in result} == result

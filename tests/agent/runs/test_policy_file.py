@@ -5,9 +5,7 @@ import tomllib
 from pathlib import Path
 
 import pytest
-from support.command_line import call
-
-from limslam_agent.cli.main import main
+from support.command_line import limslam
 
 GOOD = '''
 import dataclasses
@@ -69,22 +67,22 @@ def folder(tmp_path, monkeypatch):
 
 
 def test_a_policy_of_a_file_gets_everything_that_a_run_gets(folder):
-    done = call(main, "run", "--policy", "mine.py:Ahead", "--out", "first", "--video", "first.gif", "--seed", "4")
+    done = limslam("run", "--policy", "mine.py:Ahead", "--out", "first", "--video", "first.gif", "--seed", "4")
     assert done.returncode == 0, done.stderr
     assert "stopped     enough" in done.stdout
     assert (folder / "first" / "map.png").is_file()
     assert (folder / "first.gif").is_file()
     result = json.loads((folder / "first" / "result.json").read_text())
     assert (result["config"]["policy"], result["record"]["steps"]) == ("mine.py:Ahead", 8)
-    assert "mine.py:Ahead" in call(main, "show", "first", "--out", "sheet.png").stdout.splitlines()[0]
+    assert "mine.py:Ahead" in limslam("show", "first", "--out", "sheet.png").stdout.splitlines()[0]
 
 
 def test_the_folder_of_such_a_run_repeats_it_elsewhere(folder):
-    assert call(main, "run", "--policy", folder / "mine.py:random_ahead", "--out", "first").returncode == 0
+    assert limslam("run", "--policy", folder / "mine.py:random_ahead", "--out", "first").returncode == 0
     (folder / "mine.py").unlink()
     (folder / "first").rename(folder / "handed out")
     assert tomllib.loads((folder / "handed out" / "run.toml").read_text())["policy"] == "mine.py:random_ahead"
-    again = call(main, "run", "--config", folder / "handed out" / "run.toml", "--out", "second")
+    again = limslam("run", "--config", folder / "handed out" / "run.toml", "--out", "second")
     assert again.returncode == 0, again.stderr
     one, other = (Path(name, "trajectory_true.tum").read_bytes() for name in ("handed out", "second"))
     assert one == other
@@ -103,7 +101,7 @@ def test_the_folder_of_such_a_run_repeats_it_elsewhere(folder):
     ],
 )
 def test_what_cannot_drive_is_refused_in_one_line(policy, words, folder):
-    done = call(main, "run", "--policy", policy, "--max-time", "2", "--out", "out")
+    done = limslam("run", "--policy", policy, "--max-time", "2", "--out", "out")
     assert done.returncode == 2
     last = done.stderr.splitlines()[-1]
     assert last.startswith(f"limslam: {words}")
@@ -113,6 +111,6 @@ def test_what_cannot_drive_is_refused_in_one_line(policy, words, folder):
 def test_the_example_drives(tmp_path):
     if not EXAMPLE.is_file():
         pytest.skip("the examples do not travel with the tests: run them in a checkout")
-    done = call(main, "run", "--policy", f"{EXAMPLE}:TurnFromWalls", "--max-time", "5", cwd=tmp_path)
+    done = limslam("run", "--policy", f"{EXAMPLE}:TurnFromWalls", "--max-time", "5", cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert len(list((tmp_path / "runs").glob("*TurnFromWalls/map.png"))) == 1

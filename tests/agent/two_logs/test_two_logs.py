@@ -2,30 +2,25 @@
 
 import json
 from dataclasses import replace
-from functools import partial
 
 import numpy as np
 import pytest
-from support.command_line import call
+from support.command_line import limslam
 from support.corridors import FOUR_BEAMS, SIX_BEAMS, corridor_log, later_part, plain_walls, uneven_walls
 from support.drives import ROBOT, along, drive, room
 
-from limslam_agent import preset
-from limslam_agent.cli.main import main
+from limslam_agent import preset, replay_log
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import Relations
 from limslam_agent.output.finished_run import FolderError, read_run
-from limslam_agent.replay.replay import replay_log
 from limslam_agent.two_logs.joining import check_logs, joined
 from limslam_agent.two_logs.output import LOG_FOLDERS, relation_scores
+from limslam_env import NominalNoise
 from limslam_env.geometry import se2
-from limslam_env.interface import NominalNoise
 
 CONFIG = preset("graph", NominalNoise(0.01))
 CORNERS = [(1.0, 1.0), (11.0, 1.0), (11.0, 8.0), (1.0, 8.0)]
 LATER = 170  # events: the second log begins on another side of the corridor
-
-limslam = partial(call, main)
 
 
 def silent(_):

@@ -11,11 +11,11 @@ from gymnasium.utils.env_checker import check_env
 
 import limslam_env  # noqa: F401 (registers the ids)
 from limslam_agent import AgentConfig, SlamObservation, preset
-from limslam_agent.wrappers.single import FREE, OCCUPIED, UNKNOWN
 from limslam_env import LimSlamEnv, NominalNoise
 from limslam_env.envs.wrappers import NormalizedObservation
-from limslam_env.geometry.se2 import between
+from limslam_env.geometry import se2
 
+UNKNOWN, FREE, OCCUPIED = 0, 127, 255
 ACTIONS = [*[(0.6, 0.6)] * 25, *[(-0.4, 0.4)] * 10, *[(0.5, 0.6)] * 25]
 
 
@@ -51,7 +51,7 @@ def test_the_pose_is_told_as_seen_from_the_start() -> None:
     env = SlamObservation(LimSlamEnv("env1"), preset("paper"))
     observations, infos = driven(env)
     np.testing.assert_array_equal(observations[0]["pose"], np.zeros(3))
-    true = np.array([between(infos[0]["pose"], info["pose"]) for info in infos])
+    true = np.array([se2.between(infos[0]["pose"], info["pose"]) for info in infos])
     told = np.array([observation["pose"] for observation in observations])
     assert np.hypot(*true[-1, :2]) > 0.5
     # Believed, so near the truth, and not the truth.

@@ -13,14 +13,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 from support import benchmark_work
-from support.command_line import call
+from support.command_line import benchmarks
 
-from benchmarks.__main__ import main
 from benchmarks.analysis import tables
-from benchmarks.suite.jobs import Job, Suite
+from benchmarks.suite.jobs import Job
 from benchmarks.suite.runner import ONE_THREAD, run_suite
 from benchmarks.suite.store import STAMP, read_rows
-from benchmarks.suite.suite import load_suite
+from benchmarks.suite.suite import Suite, load_suite
 from limslam_agent.measurements.processes import Failure, Processes
 from limslam_agent.measurements.store import RESULTS
 from limslam_agent.output.provenance import commit
@@ -121,12 +120,6 @@ def test_rows_hold_metrics_and_what_made_them(rows, tiny):
     assert len({row.config for row in rows.values()}) == 6, "one for each world, noise and preset"
 
 
-def test_any_number_of_workers_gives_the_same_to_the_bit(rows, tiny, tmp_path):
-    summary = run_suite(tiny, tmp_path, Processes(2, GUARD))
-    assert summary.failures == ()
-    assert comparable(tmp_path) == rows
-
-
 def test_killed_at_random_moments_and_resumed_the_rows_are_the_same(rows, tmp_path):
     draw = np.random.default_rng(SEED)
     suite, out = tmp_path / "tiny.toml", tmp_path / "out"
@@ -189,7 +182,7 @@ def test_workers_end_when_the_caller_stops_listening():
 def test_a_failed_job_ends_the_command_with_1_and_its_reason(tmp_path):
     (tmp_path / "hasty.toml").write_text(HASTY)
     out = tmp_path / "out"
-    done = call(main, "run", "--suite", tmp_path / "hasty.toml", "--out", out, "--workers", "2", "--timeout", "0.01")
+    done = benchmarks("run", "--suite", tmp_path / "hasty.toml", "--out", out, "--workers", "2", "--timeout", "0.01")
     assert done.returncode == 1
     assert "failed: env1, 0 cm, paper, frontier, seed 0: time-out: not done after 0.01 s" in done.stderr
     assert "2 of 2 jobs done, 2 failed" in done.stdout
@@ -205,5 +198,21 @@ def results(tmp_path):
 
 
 def test_the_command_tabulates(results):
-    shown = call(main, "table", results)
+    shown = benchmarks("table", results)
     assert (shown.returncode, shown.stdout) == (0, tables.table(read_rows(results)))
+
+
+JOBS = tuple(Job("env1", 0.02, seed=seed) for seed in range(2))
+
+
+class Here:
+    """Jobs are done in this process."""
+
+    def run(self, jobs, work):
+        yield from ((job, work(job)) for job in jobs)
+
+
+@pytest.fixture
+def folder(tmp_path):
+    run_suite(Suite("tiny", "", JOBS, "d1"), tmp_path / "out", Here(), work=benchmark_work.outcome)
+    return tmp_path / "out"

@@ -29,7 +29,6 @@ from limslam_env import (
     load_world,
 )
 from limslam_env.interface import beams_on_rim
-from limslam_env.worlds.world import WorldError
 
 ID = "LimSlam-Env1-v0"
 IDS = {
@@ -242,11 +241,11 @@ def test_plans_too_narrow_for_the_robot_are_refused_at_once():
     [
         ({"begin": (1, 1, 0)}, ValueError, "unknown reset option 'begin'"),
         ({"start": (1.0, 1.0)}, ValueError, "start"),
-        ({"start": (3.5, 3.5, 0.0)}, WorldError, "inside an obstacle"),
-        ({"start": (0.01, 3.0, 0.0)}, WorldError, "from a wall"),
-        ({"start": (float("nan"), 3.0, 0.0)}, WorldError, "finite"),
-        ({"start": (20.0, 20.0, 0.0)}, WorldError, "outside|closed"),
-        ({"world": "nowhere"}, WorldError, "no world is called"),
+        ({"start": (3.5, 3.5, 0.0)}, ValueError, "inside an obstacle"),
+        ({"start": (0.01, 3.0, 0.0)}, ValueError, "from a wall"),
+        ({"start": (float("nan"), 3.0, 0.0)}, ValueError, "finite"),
+        ({"start": (20.0, 20.0, 0.0)}, ValueError, "outside|closed"),
+        ({"world": "nowhere"}, ValueError, "no world is called"),
     ],
 )
 def test_a_refused_reset_leaves_the_episode_as_it_was(options, error, reason):
@@ -294,14 +293,6 @@ def test_space_bounds_are_finite_and_those_of_the_robot():
     np.testing.assert_allclose([wheels.low, wheels.high], [[-0.1, -0.1], [0.1, 0.1]])
     env.reset(seed=0)
     assert env.step(AHEAD)[0]["ranges"].shape == (2,)
-
-
-def test_a_seed_gives_the_same_episode_again():
-    env = gym.make(ID, sensor_noise=0.04)
-    first, second = (follow(env, random_actions(100), seed=8) for _ in range(2))
-    np.testing.assert_array_equal(first, second)
-    np.testing.assert_array_equal(first, follow(gym.make(ID, sensor_noise=0.04), random_actions(100), seed=8))
-    assert (np.array(first) != np.array(follow(env, random_actions(100), seed=9))).any()
 
 
 def test_an_episode_is_the_same_in_another_process_to_the_last_bit():

@@ -1,10 +1,8 @@
 """Several robots in one building: PettingZoo's checkers, the contract, refusals, and bodies that meet."""
 
-import copy
 import hashlib
 import importlib
 import math
-import pickle
 import subprocess
 import sys
 import warnings
@@ -17,18 +15,8 @@ import pytest
 from support.episodes import EVERYTHING, bits, held_actions
 
 import limslam_env
-from limslam_env import (
-    FloorPlanConfig,
-    LimSlamEnv,
-    LimSlamParallelEnv,
-    RewardConfig,
-    RobotSpec,
-    World,
-    load_world,
-)
-from limslam_env.envs.arguments import MAX_ROBOTS
+from limslam_env import LimSlamEnv, LimSlamParallelEnv, RewardConfig, RobotSpec, World, load_world
 from limslam_env.interface import beams_on_rim
-from limslam_env.worlds.world import WorldError
 
 with warnings.catch_warnings():
     # The import brings PettingZoo's own example environments, which use what pygame calls outdated.
@@ -121,20 +109,6 @@ def test_the_package_makes_environments_by_name():
         _ = limslam_env.parallel_universe
 
 
-def test_spaces_are_the_same_objects_at_each_call_and_those_of_the_single_environment():
-    env, single = LimSlamParallelEnv("env1", num_robots=3, robot=FRONT), LimSlamEnv("env1", robot=FRONT)
-    before = {name: (env.observation_space(name), env.action_space(name)) for name in env.possible_agents}
-    env.reset(seed=0)
-    env.step(all_alike(env))
-    for name, (observations, actions) in before.items():
-        assert env.observation_space(name) is observations
-        assert env.action_space(name) is actions
-        assert observations == single.observation_space
-        assert actions == single.action_space
-    # Each has its own, so that sampling for one does not shift another.
-    assert len({id(space) for pair in before.values() for space in pair}) == 6
-
-
 def test_observations_and_info_are_what_the_contract_says():
     env = LimSlamParallelEnv("env1", num_robots=3, noise=EVERYTHING)
     observations, infos = env.reset(seed=0)
@@ -191,36 +165,6 @@ def test_another_process_gives_the_same_bits_too():
     there = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=True)
     assert there.stdout.split() == [episode_digest(3, 5, 1000), episode_digest(3, 5, 100, "random")]
     assert episode_digest(3, 6, 100, "random") != episode_digest(3, 5, 100, "random")
-
-
-def test_episodes_without_a_new_seed_differ_but_follow_from_the_first():
-    runs = []
-    for _ in range(2):
-        env = LimSlamParallelEnv("env1", sensor_noise=0.04)
-        runs.append([bits(env.reset(seed=1)), bits(env.reset()), bits(env.reset())])
-    assert runs[0] == runs[1]
-    assert len(set(runs[0])) == 3
-
-
-@pytest.mark.parametrize("clone", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"])  # noqa: S301 (our own bytes)
-def test_an_episode_goes_on_in_a_copy_to_the_last_bit(clone):
-    env = LimSlamParallelEnv("env3", num_robots=3, noise=EVERYTHING, max_cycles=650)
-    env.reset(seed=2)
-    actions = named_actions(3, 650, seed=1)
-    for action in actions[:100]:
-        env.step(action)
-    copied, touched = clone(env), False
-    for number, action in enumerate(actions[100:600]):
-        # A chain of copies: each must hold all that counts.
-        copied = clone(copied) if number % 100 == 99 else copied
-        result = env.step(action)
-        assert bits(copied.step(action)) == bits(result)
-        touched |= any(info["collision"] for info in result[4].values())
-    assert touched
-    for action in actions[600:]:
-        assert env.step(action)[3] == copied.step(action)[3]
-    assert env.agents == copied.agents == []
-    assert bits(env.reset()) == bits(copied.reset())
 
 
 @pytest.mark.parametrize("world", ["env1", "env2", hall(), "random"], ids=["env1", "env2", "no starts", "random"])
@@ -344,16 +288,6 @@ def test_actions_must_be_those_of_the_robots_that_are_there(change):
     assert bits(env.step(all_alike(env))) == bits(plain.step(all_alike(plain)))
 
 
-@pytest.mark.parametrize(("name", "action"), [("robot_0", [np.nan, 0.0]), ("robot_1", [0.0]), ("robot_1", "go")])
-def test_an_action_that_is_not_two_finite_numbers_is_refused(name, action):
-    env, plain = LimSlamParallelEnv("env1"), LimSlamParallelEnv("env1")
-    for one in (env, plain):
-        one.reset(seed=0)
-    with pytest.raises(ValueError, match="two finite numbers"):
-        env.step({**all_alike(env), name: action})
-    assert bits(env.step(all_alike(env))) == bits(plain.step(all_alike(plain)))
-
-
 def test_a_step_before_reset_and_after_the_end_is_refused():
     env = LimSlamParallelEnv("env1", max_cycles=2)
     actions = dict.fromkeys(env.possible_agents, AHEAD)
@@ -391,8 +325,8 @@ def test_reset_takes_starts_for_one_or_several():
         ([(5.0, 1.9, 0.0)] * 3, ValueError, "up to 2 rows"),
         ([], ValueError, "up to 2 rows"),
         ("corner", ValueError, "up to 2 rows"),
-        ([(5.0, 1.9, 0.0), (5.1, 1.9, 0.0)], WorldError, "two robots are to start in one place"),
-        ([(5.0, 1.9, 0.0), (3.5, 3.5, 0.0)], WorldError, "inside an obstacle"),
+        ([(5.0, 1.9, 0.0), (5.1, 1.9, 0.0)], ValueError, "two robots are to start in one place"),
+        ([(5.0, 1.9, 0.0), (3.5, 3.5, 0.0)], ValueError, "inside an obstacle"),
     ],
 )
 def test_starts_that_cannot_be_are_refused_and_leave_the_episode_as_it_was(start, error, reason):
@@ -402,16 +336,6 @@ def test_starts_that_cannot_be_are_refused_and_leave_the_episode_as_it_was(start
     with pytest.raises(error, match=reason):
         env.reset(options={"start": start})
     assert bits(env.step(all_alike(env))) == bits(plain.step(all_alike(plain)))
-
-
-def test_reset_takes_another_world_for_one_episode():
-    env = LimSlamParallelEnv("env1")
-    env.reset(seed=0, options={"world": "square"})
-    assert env.world.name == "square"
-    env.reset(options={"world": FloorPlanConfig()})
-    assert env.world.name.startswith("random-")
-    env.reset()
-    assert env.world.name == "env1"
 
 
 def test_options_that_nobody_knows_are_ignored():
@@ -424,13 +348,13 @@ def test_more_robots_than_have_room_are_refused():
     side = 0.7
     walls = side * np.array([[0, 0, 1, 0], [1, 0, 1, 1], [1, 1, 0, 1], [0, 1, 0, 0]])
     env = LimSlamParallelEnv(World("closet", (side, side), walls), num_robots=8)
-    with pytest.raises(WorldError, match="no room for 8 robots"):
+    with pytest.raises(ValueError, match="no room for 8 robots"):
         env.reset(seed=0)
 
 
 @pytest.mark.parametrize("robots", [0, 9, -1])
 def test_a_number_of_robots_that_cannot_be_is_refused(robots):
-    with pytest.raises(ValueError, match=f"there can be 1 to {MAX_ROBOTS} robots, not {robots}"):
+    with pytest.raises(ValueError, match=f"there can be 1 to 8 robots, not {robots}"):
         LimSlamParallelEnv("env1", num_robots=robots)
 
 

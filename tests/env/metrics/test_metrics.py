@@ -8,9 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from limslam_env import World, load_world
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import compose, transform_points
-from limslam_env.geometry.segment import distances
+from limslam_env.geometry import FloatArray, se2, segment
 from limslam_env.metrics import (
     AssociationEvent,
     WallSamples,
@@ -41,7 +39,7 @@ def segments(*rows: tuple[float, float, float, float]) -> FloatArray:
 
 
 def moved(edges: FloatArray, pose: FloatArray) -> FloatArray:
-    return transform_points(pose, edges.reshape(-1, 2)).reshape(-1, 4)
+    return se2.transform_points(pose, edges.reshape(-1, 2)).reshape(-1, 4)
 
 
 def level_samples(edges: FloatArray) -> WallSamples:
@@ -64,8 +62,8 @@ def random_walk(seed: int, steps: int = 400) -> tuple[FloatArray, FloatArray]:
     true, estimated = [np.array([1.0, -2.0, 0.3])], [np.array([1.0, -2.0, 0.3])]
     for _ in range(steps):
         motion = np.array([generator.uniform(0.0, 0.09), 0.0, generator.normal(0.0, 0.2)])
-        true.append(compose(true[-1], motion))
-        estimated.append(compose(estimated[-1], motion * 1.1 + generator.normal(0.0, 0.01, 3)))
+        true.append(se2.compose(true[-1], motion))
+        estimated.append(se2.compose(estimated[-1], motion * 1.1 + generator.normal(0.0, 0.01, 3)))
     return np.array(true), np.array(estimated)
 
 
@@ -182,7 +180,7 @@ class TestVisibleSamples:
         # 28 m of outer wall, four hooks of 1.3 + 0.8 m, 8 m of block: 44.4 m at 5 cm.
         assert len(points) == round(44.4 / 0.05)
         np.testing.assert_array_equal(np.bincount(owner), [140] * 4 + [26, 16] * 4 + [40] * 4)
-        assert distances(points, world.edges)[np.arange(len(points)), owner].max() < 1e-12
+        assert segment.distances(points, world.edges)[np.arange(len(points)), owner].max() < 1e-12
         upright = world.edges[owner, 0] == world.edges[owner, 2]
         np.testing.assert_allclose(np.abs(np.cos(directions)), np.where(upright, 0.0, 1.0), atol=1e-12)
 
@@ -294,7 +292,7 @@ class TestWalls:
         world = load_world(name)
         true = random_walk(seed, steps=30)[0]
         wrong = np.array(pose)
-        alignment = rigid_alignment(true[:, :2], transform_points(wrong, true[:, :2]))
+        alignment = rigid_alignment(true[:, :2], se2.transform_points(wrong, true[:, :2]))
         visible = visible_samples(world, 0.10, 1.5, spacing=0.25)
         metrics = wall_metrics(visible, world.edges, moved(world.edges, wrong), alignment)
         assert metrics["wall_f1_aligned"] == 1.0

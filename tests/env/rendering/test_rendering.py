@@ -1,12 +1,23 @@
-"""Pictures: their format, walls where walls are, and a robot that moves."""
+"""Pictures of one environment and of a batch: their format, walls where walls are, robots that move, and overlays."""
 
 import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from support.episodes import held_actions
 
-from limslam_env import LimSlamEnv, Overlay, RobotSpec, SensorSpec, World, load_world
+from limslam_env import (
+    FloorPlanConfig,
+    LimSlamEnv,
+    LimSlamVectorEnv,
+    NoiseConfig,
+    Overlay,
+    RobotSpec,
+    SensorSpec,
+    World,
+    load_world,
+)
 from limslam_env.rendering import rendering
 from limslam_env.rendering.rendering import RenderState, render
 
@@ -28,16 +39,6 @@ def wall_box(picture: np.ndarray) -> tuple[int, int, int, int]:
     rows = np.nonzero(dark.mean(axis=1) > 0.5)[0]
     columns = np.nonzero(dark.mean(axis=0) > 0.5)[0]
     return rows[0], rows[-1], columns[0], columns[-1]
-
-
-@pytest.mark.parametrize("world", ["env1", "square"])
-def test_a_picture_is_rgb_with_even_sides(world):
-    picture = picture_of((1.2, 2.0, 0.0) if world == "env1" else (1.0, 1.0, 0.0), world=world)
-    assert picture.dtype == np.uint8
-    assert picture.ndim == 3
-    assert picture.shape[2] == 3
-    # Video codecs refuse odd sides.
-    assert picture.shape[0] % 2 == picture.shape[1] % 2 == 0
 
 
 @pytest.mark.parametrize("size", [(5.03, 3.17), (3.3, 5.0), (30.0, 2.0)])
@@ -65,14 +66,6 @@ def test_walls_are_dark_where_they_stand_and_the_floor_is_light():
             assert darkest_near(x1 + fraction * (x2 - x1), y1 + fraction * (y2 - y1)) < 110
     for x, y in ((6.3, 3.5), (3.5, 6.0), (0.6, 6.3), (3.5, 3.5)):
         assert darkest_near(x, y) > 180
-
-
-def test_y_points_up():
-    low, high = (picture_of((1.0, y, 0.0)).astype(int) for y in (2.0, 3.5))
-    empty = picture_of((6.0, 5.5, 0.0)).astype(int)
-    left = np.s_[:, : empty.shape[1] // 3]
-    rows = [np.nonzero(np.abs(picture - empty)[left].sum(axis=(1, 2)) > 600)[0].mean() for picture in (low, high)]
-    assert rows[0] > rows[1] + 50
 
 
 def test_the_picture_follows_the_robot_and_draws_its_path():
@@ -241,11 +234,6 @@ def test_the_ellipse_holds_95_percent(turned):
         assert not shows(picture, *(tip + 0.06 * axis), rendering._BELIEF)
 
 
-def test_a_pose_that_is_certain_has_an_ellipse_of_no_size():
-    certain = Overlay(np.array([1.0, 3.5, 0.0]), np.diag([0.0, -1e-20, 0.0]))
-    assert render(state_of(overlay=[certain])).dtype == np.uint8
-
-
 @pytest.mark.parametrize("far", [1e12])
 def test_a_belief_that_is_far_off_is_drawn_as_far_as_it_can_be_seen(far):
     lost = Overlay(
@@ -276,3 +264,149 @@ def test_the_outside_of_a_building_is_no_floor():
     assert tuple(picture[int(0.3 * height), int(0.7 * width)]) == rendering._PAPER
     assert tuple(picture[int(0.7 * height), int(0.7 * width)]) == rendering._UNSEEN
     assert tuple(picture[int(0.3 * height), int(0.25 * width)]) == rendering._UNSEEN
+
+
+QUIET = NoiseConfig(wheel_variance=0.0)
+WORLDS = ["env1", "env2", "env3"]
+SMALL = FloorPlanConfig(width=4.0, height=(4.0, 6.0))
+
+
+def drawing(world=WORLDS, count: int = 3, **arguments) -> LimSlamVectorEnv:
+    return LimSlamVectorEnv(world, count, noise=QUIET, render_mode="rgb_array", **arguments)
+
+
+def single(world: str) -> LimSlamEnv:
+    return LimSlamEnv(world, noise=QUIET, render_mode="rgb_array")
+
+
+def square(env: LimSlamEnv):
+    """The picture of a single environment, as wide as high."""
+    plain = rendering.render
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            rendering, "render", lambda state: plain(state, background=rendering.square_background(state.world))
+        )
+        return env.render()
+
+
+def test_they_are_those_of_the_single_environment_and_all_of_one_size():
+    batch, singles = drawing(), [single(world) for world in WORLDS]
+    batch.reset(seed=0)
+    for env in singles:
+        env.reset(seed=0)
+    for actions in held_actions(40, 3):
+        observations, _, _, _, infos = batch.step(actions)
+        for action, env in zip(actions, singles, strict=True):
+            env.step(action)
+    # What the caller does with the arrays does not change the pictures.
+    observations["ranges"][:], infos["pose"][:] = 0.3, 1.0
+    pictures = batch.render()
+    assert [picture.shape for picture in pictures] == [(640, 640, 3)] * 3
+    for picture, env in zip(pictures, singles, strict=True):
+        # Rays of the batch may differ by less than a hundredth of a pixel.
+        assert (picture != square(env)).any(axis=2).mean() < 1e-3
+
+
+@pytest.mark.parametrize(
+    ("world", "arguments", "options"),
+    [
+        (WORLDS, {}, {}),
+        (WORLDS, {}, {"start": np.array([[1.0, 1.0, 0.0], [0.5, 0.5, 1.0], [1.0, 1.5, 2.0]])}),
+        (SMALL, {}, {}),
+        (SMALL, {"plans": 2}, {}),
+    ],
+    ids=["worlds", "starts", "a new plan at each reset", "plans"],
+)
+def test_each_environment_is_drawn_in_its_own_world(world, arguments, options):
+    batch, looked_at = drawing(world, **arguments), 0
+    for seed in (1, None):
+        observations, infos = batch.reset(seed=seed, options=options)
+        for number in range(3):
+            edges = batch._simulation.world(number).edges
+            x, y, theta = infos["pose"][number]
+            # A wall that is nearer than the shortest range is not where the reading ends.
+            seen = np.flatnonzero((infos["wall_seen"][number] >= 0) & (observations["ranges"][number] > 0.051))
+            looked_at += len(seen)
+            angles = theta + np.array([beam.angle for beam in batch.robot.beams])[seen]
+            reach = batch.robot.radius + observations["ranges"][number, seen]
+            ends = np.column_stack((x + reach * np.cos(angles), y + reach * np.sin(angles)))
+            for (x1, y1, x2, y2), (u, v) in zip(edges[infos["wall_seen"][number, seen]], ends, strict=True):
+                off = abs((x2 - x1) * (v - y1) - (y2 - y1) * (u - x1)) / np.hypot(x2 - x1, y2 - y1)
+                assert off < 1e-5
+    assert looked_at > 6
+
+
+@pytest.mark.parametrize("arguments", [{}, {"plans": 9}], ids=["a new plan at each reset", "plans"])
+def test_a_reset_with_a_seed_of_some_leaves_the_others_in_their_worlds(arguments):
+    batch = drawing(SMALL, autoreset_mode="Disabled", **arguments)
+    batch.reset(seed=0)
+    worlds, pictures = [batch._simulation.world(number) for number in range(3)], batch.render()
+    batch.reset(seed=5, options={"reset_mask": np.array([True, False, False])})
+    assert [batch._simulation.world(number) == worlds[number] for number in range(3)] == [False, True, True]
+    after = batch.render()
+    assert [np.array_equal(after[number], pictures[number]) for number in range(3)] == [False, True, True]
+
+
+def test_a_new_episode_begins_a_new_trail():
+    batch, fresh = drawing(["env1"] * 2, 2, max_episode_steps=5), drawing(["env1"] * 2, 2)
+    batch.reset(seed=0)
+    for _ in range(6):
+        batch.step(np.full((2, 2), 0.5))
+    fresh.reset(seed=0)
+    for picture, other in zip(batch.render(), fresh.render(), strict=True):
+        np.testing.assert_array_equal(picture, other)
+
+
+def test_without_a_render_mode_or_before_the_first_reset_there_are_none():
+    assert drawing().render() is None
+    plain = LimSlamVectorEnv("env1", 2)
+    plain.reset(seed=0)
+    assert plain.render() is None
+
+
+POSE = np.array([1.0, 2.0, 0.5])
+
+
+def test_empty_lists_are_no_rows():
+    overlay = Overlay(segments=[], frontier=[], plan=[])
+    assert (overlay.segments.shape, overlay.frontier.shape, overlay.plan.shape) == ((0, 4), (0, 2), (0, 2))
+
+
+def test_lists_and_other_number_types_will_do():
+    overlay = Overlay((1, 2, 0), np.eye(3, dtype=np.float32), [[0, 0, 1, 1]], [[1, 2], [3, 4]], [[5, 6]])
+    for name in ("pose", "covariance", "segments", "frontier", "plan"):
+        assert getattr(overlay, name).dtype == float
+    np.testing.assert_array_equal(overlay.frontier, [[1.0, 2.0], [3.0, 4.0]])
+
+
+def test_arrays_are_copies_that_nobody_can_write_to():
+    given = {
+        "pose": POSE.copy(), "covariance": np.eye(3), "segments": np.ones((2, 4)), "frontier": np.ones((3, 2)),
+        "plan": np.ones((4, 2)),
+    }  # fmt: skip
+    before = {name: array.copy() for name, array in given.items()}
+    overlay = Overlay(**given)
+    for name, array in given.items():
+        array[:] = -7.0
+        np.testing.assert_array_equal(getattr(overlay, name), before[name])
+        with pytest.raises(ValueError, match="read-only"):
+            getattr(overlay, name)[:] = 0.0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"pose": [1.0, 2.0]}, r"pose must have shape \(3\), not \(2,\)"),
+        ({"pose": POSE, "covariance": np.eye(2)}, r"covariance must have shape \(3, 3\)"),
+        ({"covariance": np.eye(3)}, "needs a pose"),
+        ({"segments": np.zeros((2, 5))}, r"segments must have shape \(n, 4\), not \(2, 5\)"),
+        ({"frontier": np.zeros((2, 3))}, "frontier must have shape"),
+        ({"plan": [[0.0, 1.0], [2.0]]}, "plan must be an array of numbers"),
+        ({"pose": [np.nan, 0.0, 0.0]}, "pose holds a number that is not finite"),
+        ({"pose": POSE, "covariance": np.full((3, 3), np.inf)}, "covariance holds a number that is not finite"),
+    ],
+)
+def test_what_cannot_be_drawn_is_refused_in_one_line(arguments, words):
+    with pytest.raises(ValueError, match=words) as refusal:
+        Overlay(**arguments)
+    assert "\n" not in str(refusal.value)

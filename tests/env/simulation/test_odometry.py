@@ -5,12 +5,8 @@ import math
 import numpy as np
 import pytest
 
-from limslam_env import NoiseConfig, RobotSpec, World
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.se2 import arc, compose, wheels_to_arc, wrap_angle
-from limslam_env.kernels.readings import reported_travel, way_over_ground
-from limslam_env.simulation.sensors import noise_table
-from limslam_env.simulation.simulation import Readings, Simulation, Truth
+from limslam_env import LimSlamEnv, LimSlamParallelEnv, NoiseConfig, RobotSpec, World
+from limslam_env.geometry import FloatArray, se2
 
 ROBOT = RobotSpec()
 SIDE = 60.0
@@ -20,60 +16,32 @@ MIDDLE = np.array([0.5 * SIDE, 0.5 * SIDE, 0.3])
 TOP = ROBOT.max_wheel_speed * ROBOT.control_period
 
 
-def reports(travel: FloatArray, noise: NoiseConfig, seed: int = 0, limit: float = 0.06) -> FloatArray:
-    """What the encoders say to a list of wheel travels (n, 2)."""
-    table, generator = noise_table(vars(noise), ROBOT)[6:11], np.random.default_rng(seed)
-    table[4] = limit
-    told, untold = np.zeros(travel.shape), [0.0, 0.0]
-    for row, normals in enumerate(generator.standard_normal(travel.shape)):
-        for side in range(2):
-            told[row, side], untold[side] = reported_travel(
-                travel[row, side], untold[side], table[side], table[2], table[3], table[4], normals[side]
-            )
-    return told
-
-
 def drive(
     noise: NoiseConfig, actions: list[tuple[float, float]], seed: int = 0, start: FloatArray = MIDDLE
-) -> tuple[list[Readings], list[Truth]]:
-    simulation = Simulation(HALL, ROBOT)
-    results = [simulation.reset(np.random.SeedSequence(seed), noise, start)]
-    results += [simulation.step([action]) for action in actions]
-    readings, truths = zip(*results, strict=True)
-    return list(readings), list(truths)
-
-
-def wheels_of(readings: list[Readings]) -> FloatArray:
-    return np.array([reading.wheels[0] for reading in readings[1:]], dtype=float)
-
-
-def poses_of(truths: list[Truth]) -> FloatArray:
-    return np.array([truth.poses[0] for truth in truths])
+) -> tuple[FloatArray, FloatArray, bool]:
+    """What the wheels report (n, 2), the true poses (n + 1, 3), and whether the robot touches a wall at the end."""
+    env = LimSlamEnv(HALL, noise=noise, coverage_goal=None)
+    poses, wheels = [env.reset(seed=seed, options={"start": start})[1]["pose"]], []
+    for action in actions:
+        observation, *_, info = env.step(np.array(action))
+        wheels.append(observation["wheels"])
+        poses.append(info["pose"])
+    return np.array(wheels, dtype=float), np.array(poses), info["collision"]
 
 
 def travel_of(poses: FloatArray, axle: float) -> FloatArray:
     """The wheel travel (n, 2) of wheels ``axle`` apart that leads from each pose to the next."""
-    turn = wrap_angle(np.diff(poses[:, 2]))
+    turn = se2.wrap_angle(np.diff(poses[:, 2]))
     chord = np.hypot(*np.diff(poses[:, :2], axis=0).T)
     ahead = chord * 0.5 * turn / np.sin(np.where(turn == 0.0, 1.0, 0.5 * turn))
     ahead = np.where(turn == 0.0, chord, ahead)
     return np.column_stack((ahead - 0.5 * turn * axle, ahead + 0.5 * turn * axle))
 
 
-@pytest.mark.parametrize("travel", [0.002, 0.01, 0.03, -0.02])
-def test_wheel_variance_is_proportional_to_travel(travel):
-    count, per_metre = 20_000, 2e-5
-    errors = reports(np.full((count, 2), travel), NoiseConfig(wheel_variance=per_metre), limit=1.0) - travel
-    # The noise of one report must not be taken back by the next.
-    variance = errors.var(axis=0) / (per_metre * abs(travel))
-    np.testing.assert_allclose(variance, 1.0, atol=5.0 * math.sqrt(2.0 / count))
-    assert np.abs(errors.mean(axis=0)).max() < 5.0 * math.sqrt(per_metre * abs(travel) / count)
-
-
 def test_the_simulation_s_wheels_err_apart_and_step_by_step():
     count = 10_000
-    readings, _ = drive(NoiseConfig(wheel_variance=2e-5), [(0.3, -0.3)] * count)
-    errors = wheels_of(readings) - 0.3 * TOP * np.array([1.0, -1.0])
+    wheels, _, _ = drive(NoiseConfig(wheel_variance=2e-5), [(0.3, -0.3)] * count)
+    errors = wheels - 0.3 * TOP * np.array([1.0, -1.0])
     variance = errors.var(axis=0) / (2e-5 * 0.3 * TOP)
     np.testing.assert_allclose(variance, 1.0, atol=5.0 * math.sqrt(2.0 / count))
     bound = 5.0 / math.sqrt(count)
@@ -82,28 +50,20 @@ def test_the_simulation_s_wheels_err_apart_and_step_by_step():
         assert abs(np.corrcoef(errors[:-1, side], errors[1:, side])[0, 1]) < bound
 
 
-def test_ticks_of_an_encoder_stay_at_their_places_on_the_wheel():
-    resolution, actions = 0.004, [(0.11, -0.47)] * 250 + [(-0.13, 0.2)] * 250
-    readings, _ = drive(NoiseConfig(wheel_variance=0.0, encoder_resolution=resolution), actions)
-    told = wheels_of(readings)
+def test_the_simulation_carries_what_its_encoders_left_out():
+    resolution, actions = 0.004, [(0.11, -0.47)] * 500
+    told, _, _ = drive(NoiseConfig(wheel_variance=0.0, encoder_resolution=resolution), actions)
     assert (told[:, 0] == 0.0).any(), "some steps are too small to be told"
     np.testing.assert_allclose(told / resolution, np.round(told / resolution), atol=1e-4)
-    unreported = np.cumsum(TOP * np.array(actions) - told, axis=0)
-    assert unreported.min() >= -1e-5
-    assert unreported.max() <= resolution + 1e-5
+    assert np.abs(np.cumsum(told - TOP * np.array(actions), axis=0)).max() <= resolution + 1e-5
 
 
 def test_unequal_wheels_drive_as_before_and_only_report_otherwise():
     actions = [(0.5, 0.8)] * 30
-    plain, true = drive(NoiseConfig(wheel_variance=0.0), actions)
-    uneven, also_true = drive(NoiseConfig(wheel_variance=0.0, wheel_mismatch=-0.03), actions)
-    np.testing.assert_array_equal(poses_of(true), poses_of(also_true))
-    np.testing.assert_allclose(wheels_of(uneven), wheels_of(plain) * [0.97, 1.03], rtol=1e-6)
-
-
-def test_a_report_is_clipped_to_the_limit_and_the_rest_comes_later():
-    found = reports(np.array([[0.1, -0.1], [0.01, 0.0], [0.0, 0.0]]), NoiseConfig(wheel_variance=0.0), limit=0.06)
-    np.testing.assert_allclose(found, [[0.06, -0.06], [0.05, -0.04], [0.0, 0.0]], atol=1e-12)
+    plain, true, _ = drive(NoiseConfig(wheel_variance=0.0), actions)
+    uneven, also_true, _ = drive(NoiseConfig(wheel_variance=0.0, wheel_mismatch=-0.03), actions)
+    np.testing.assert_array_equal(true, also_true)
+    np.testing.assert_allclose(uneven, plain * [0.97, 1.03], rtol=1e-6)
 
 
 def test_the_encoders_draw_alike_whatever_the_noise():
@@ -116,39 +76,25 @@ def test_the_encoders_draw_alike_whatever_the_noise():
             NoiseConfig(wheel_variance=1e-5, slip_rate=5.0, axle_mismatch=0.02),
         )
     )
-    np.testing.assert_array_equal(wheels_of(plain), wheels_of(odd))
+    np.testing.assert_array_equal(plain, odd)
 
 
 def test_in_contact_the_encoders_go_on_reporting_the_wheels():
     start = np.array([SIDE - 0.15, 0.5 * SIDE, 0.0])
-    readings, truths = drive(NoiseConfig(wheel_variance=0.0), [(1.0, 1.0)] * 10, start=start)
-    assert truths[-1].contact[0]
-    np.testing.assert_allclose(wheels_of(readings)[-1], TOP, atol=1e-7)
-    assert truths[-1].poses[0, 0] == pytest.approx(SIDE - ROBOT.radius, abs=1e-3)
-
-
-@pytest.mark.parametrize(("rate", "travel"), [(1.0, 0.03), (10.0, 0.03), (30.0, -0.01), (1e6, 0.001)])
-def test_a_wheel_slips_as_often_per_metre_as_asked(rate, travel):
-    count = 50_000
-    uniforms = np.random.default_rng(0).random(2 * count).tolist()
-    carried = np.array([way_over_ground(travel, rate, 0.25, uniform) for uniform in uniforms]).reshape(count, 2)
-    slips = carried != travel
-    # At least one event of a Poisson process along the way.
-    chance = 1.0 - math.exp(-rate * abs(travel))
-    np.testing.assert_allclose(
-        slips.mean(axis=0), chance, atol=5.0 * math.sqrt(chance * (1.0 - chance) / count) + 1e-12
-    )
-    np.testing.assert_allclose(carried[slips], 0.75 * travel, rtol=1e-12)
+    wheels, poses, touches = drive(NoiseConfig(wheel_variance=0.0), [(1.0, 1.0)] * 10, start=start)
+    assert touches
+    np.testing.assert_allclose(wheels[-1], TOP, atol=1e-7)
+    assert poses[-1, 0] == pytest.approx(SIDE - ROBOT.radius, abs=1e-3)
 
 
 def test_a_slipping_robot_gets_less_far_and_reports_the_way_in_full():
     share, count = 0.4, 400
-    readings, truths = drive(
+    wheels, poses, _ = drive(
         NoiseConfig(wheel_variance=0.0, slip_rate=8.0, slip_share=share), [(1.0, 0.8)] * count, seed=3
     )
     asked = TOP * np.array([1.0, 0.8])
-    np.testing.assert_allclose(wheels_of(readings), np.tile(asked, (count, 1)), atol=1e-8)
-    driven = travel_of(poses_of(truths), ROBOT.axle)
+    np.testing.assert_allclose(wheels, np.tile(asked, (count, 1)), atol=1e-8)
+    driven = travel_of(poses, ROBOT.axle)
     slips = driven < asked * (1.0 - 0.5 * share)
     np.testing.assert_allclose(driven, np.where(slips, asked * (1.0 - share), asked), atol=1e-9)
     chances = 1.0 - np.exp(-8.0 * asked)
@@ -157,14 +103,14 @@ def test_a_slipping_robot_gets_less_far_and_reports_the_way_in_full():
 
 
 def test_each_robot_slips_on_its_own():
-    simulation = Simulation(HALL, ROBOT, 2)
-    starts = np.array([[20.0, 20.0, 0.0], [40.0, 40.0, 0.0]])
-    simulation.reset(np.random.SeedSequence(0), NoiseConfig(slip_rate=10.0, slip_share=1.0), starts)
+    env = LimSlamParallelEnv(HALL, num_robots=2, noise=NoiseConfig(slip_rate=10.0, slip_share=1.0), coverage_goal=None)
+    _, infos = env.reset(seed=0, options={"start": [(20.0, 20.0, 0.0), (40.0, 40.0, 0.0)]})
     moved = []
     for _ in range(200):
-        before = starts
-        starts = simulation.step([(1.0, 1.0)] * 2)[1].poses
-        moved.append(np.hypot(*(starts - before)[:, :2].T) > 0.0299)
+        before = [infos[name]["pose"] for name in env.agents]
+        *_, infos = env.step(dict.fromkeys(env.agents, np.ones(2)))
+        off = np.subtract([infos[name]["pose"] for name in env.agents], before)
+        moved.append(np.hypot(*off[:, :2].T) > 0.0299)
     moved = np.array(moved)
     assert (moved[:, 0] & ~moved[:, 1]).any()
     assert (moved[:, 1] & ~moved[:, 0]).any()
@@ -172,9 +118,9 @@ def test_each_robot_slips_on_its_own():
 
 def test_an_axle_mismatch_is_the_arc_of_the_true_axle():
     actions = np.random.default_rng(4).uniform(-1.0, 1.0, (100, 2))
-    _, truths = drive(NoiseConfig(axle_mismatch=0.08), [tuple(action) for action in actions.tolist()])
+    _, poses, _ = drive(NoiseConfig(axle_mismatch=0.08), [tuple(action) for action in actions.tolist()])
     expected = MIDDLE
-    for action, pose in zip(actions, poses_of(truths)[1:], strict=True):
-        expected = compose(expected, arc(*wheels_to_arc(TOP * action, 1.08 * ROBOT.axle)))
+    for action, pose in zip(actions, poses[1:], strict=True):
+        expected = se2.compose(expected, se2.arc(*se2.wheels_to_arc(TOP * action, 1.08 * ROBOT.axle)))
         np.testing.assert_allclose(pose[:2], expected[:2], atol=1e-9)
-        assert abs(wrap_angle(pose[2] - expected[2])) < 1e-9
+        assert abs(se2.wrap_angle(pose[2] - expected[2])) < 1e-9

@@ -20,9 +20,8 @@ from limslam_agent.slam.consistent.pending_readings import places_of
 from limslam_agent.slam.core.encoder_ticks import jitter_of
 from limslam_agent.slam.core.motion import Motion
 from limslam_env import RobotSpec
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.line import direction, nearest_form, normal, normalise
-from limslam_env.geometry.se2 import compose, compose_jacobians
+from limslam_env.geometry import FloatArray, se2
+from limslam_env.geometry import line as line_geometry
 
 ROBOT = RobotSpec()  # beams on the rim at 90, 45, 15, -15, -45, -90 deg
 LEFT = [0, 1]  # the beams at 90 and 45 deg
@@ -30,7 +29,6 @@ MOTION = np.diag([2e-6, 5e-7, 4e-5])
 STEP = np.array([0.05, 0.002, 0.02])
 STD = 0.02
 places = st.floats(-4.0, 4.0)
-angles = st.floats(-math.pi, math.pi)
 
 
 def spread(size: int, seed: int, scale: float = 1e-4) -> FloatArray:
@@ -195,7 +193,7 @@ def test_a_clone_and_the_reported_pose_have_the_jitter_of_the_encoders() -> None
     jitter, before = jitter_of(np.array([0.01, 0.02]), 0.16), ekf.P.copy()
     ekf.predict(Motion(np.zeros(3), np.zeros((3, 3)), jitter=jitter))
     ekf.clone()
-    by_jitter = compose_jacobians(ekf.pose, np.zeros(3))[1]
+    by_jitter = se2.compose_jacobians(ekf.pose, np.zeros(3))[1]
     np.testing.assert_allclose(ekf.P[-3:, :-3], before[:3], atol=1e-15)
     np.testing.assert_allclose(ekf.P[-3:, -3:] - before[:3, :3], by_jitter @ jitter @ by_jitter.T, atol=1e-15)
     np.testing.assert_array_equal(ekf.P[:-3, :-3], before)
@@ -210,7 +208,7 @@ def test_one_iteration_without_huber_equals_the_dense_filter(heading: float) -> 
     start = np.array([0.4, -0.2, heading])
     ekf, readings = driven(4, pose=start)
     wall = np.array([0.03, heading + 1.65])
-    index = with_line(ekf, wall, compose(start, np.array([0.3, 0.7, 0.0]))[:2], 3)
+    index = with_line(ekf, wall, se2.compose(start, np.array([0.3, 0.7, 0.0]))[:2], 3)
     with_line(ekf, np.array([0.2, -1.0]), np.array([2.0, 2.0]), 8)
     seen = measured(ekf, readings, index, 6)
     state, covariance = ekf.x.copy(), ekf.P.copy()
@@ -262,7 +260,9 @@ def test_readings_teach_nothing_of_how_the_whole_world_lies_and_is_turned(headin
     ekf, readings = driven(4, pose=start)
     ekf.P[:] *= 10.0
     for seed, bearing in enumerate((1.65, 1.5)):
-        with_line(ekf, np.array([0.03, heading + bearing]), compose(start, np.array([0.3, 0.7, 0.0]))[:2], seed, 1e-2)
+        with_line(
+            ekf, np.array([0.03, heading + bearing]), se2.compose(start, np.array([0.3, 0.7, 0.0]))[:2], seed, 1e-2
+        )
     known = known_of_the_world(ekf)
     moved = ekf.x.copy()
     for seed in range(6):
@@ -300,7 +300,7 @@ def test_lines_in_the_world_and_their_covariance_follow_from_the_anchored_ones(
     def of_world(line: FloatArray) -> FloatArray:
         """Through two points of the anchored line, not by its formula."""
         foot = anchor + line[0] * np.array([math.cos(line[1]), math.sin(line[1])])
-        return np.array([foot @ normal(line), line[1]])
+        return np.array([foot @ line_geometry.normal(line), line[1]])
 
     line = np.array([offset, theta])
     wanted = of_world(line)
@@ -309,10 +309,11 @@ def test_lines_in_the_world_and_their_covariance_follow_from_the_anchored_ones(
     assert -math.pi < found[1] <= math.pi
     # Through the origin itself the sign of r, and of its correlation, is a matter of taste.
     assume(abs(wanted[0]) > 1e-3)
-    np.testing.assert_allclose(nearest_form(found, wanted), wanted, atol=1e-12)
+    np.testing.assert_allclose(line_geometry.nearest_form(found, wanted), wanted, atol=1e-12)
     step = 1e-6
     columns = [
-        nearest_form(normalise(of_world(line + unit)), found) - nearest_form(normalise(of_world(line - unit)), found)
+        line_geometry.nearest_form(line_geometry.normalise(of_world(line + unit)), found)
+        - line_geometry.nearest_form(line_geometry.normalise(of_world(line - unit)), found)
         for unit in step * np.eye(2)
     ]
     jacobian = np.column_stack(columns) / (2.0 * step)
@@ -393,9 +394,6 @@ def test_an_iterated_merge_teaches_nothing_of_how_the_whole_world_lies_and_is_tu
     assert gained[1] < 0.1 * gained[0]
 
 
-# Several robots.
-
-
 # Many steps.
 
 ROOM = np.array([[1.5, 0.0], [1.2, 0.5 * math.pi], [1.5, math.pi], [1.2, -0.5 * math.pi]])
@@ -426,7 +424,7 @@ class _Wanderer:
 
     def predict(self) -> None:
         increment = np.array([0.03, 0.0, 0.05])
-        self.truth = compose(self.truth, increment)
+        self.truth = se2.compose(self.truth, increment)
         self.ekf.predict(Motion(increment + self.generator.normal(size=3) * np.sqrt(np.diag(MOTION)), MOTION))
 
     def clone(self) -> None:
@@ -446,12 +444,12 @@ class _Wanderer:
         readings = self._readings(wall)
         # As the estimator does it: not before they say which way it runs, to three degrees.
         points = hit_points(np.array([self.clones[number] for number in readings.clones]).reshape(-1, 3), readings)
-        along = points @ direction(ROOM[wall])
+        along = points @ line_geometry.direction(ROOM[wall])
         if len(along) and math.radians(3.0) * np.linalg.norm(along - along.mean()) > STD:
             self.walls.append(wall)
             self.born += 1
             theta = float(ROOM[wall, 1] + self.generator.normal(0.0, 0.05))
-            anchor = ROOM[wall, 0] * normal(ROOM[wall]) + self.generator.normal(0.0, 0.1)
+            anchor = ROOM[wall, 0] * line_geometry.normal(ROOM[wall]) + self.generator.normal(0.0, 0.1)
             self._read(self.ekf.add_line(theta, anchor), iterations=4)
 
     def merge(self) -> None:
@@ -503,7 +501,7 @@ def test_the_covariance_stays_symmetric_and_positive_over_random_operations(coun
     # And it is still a filter: it knows where it is, and its walls.
     assert np.hypot(*(ekf.pose - wanderer.truth)[:2]) < 0.1
     true = ROOM[wanderer.walls]
-    np.testing.assert_allclose(nearest_form(ekf.lines, true), true, atol=0.1)
+    np.testing.assert_allclose(line_geometry.nearest_form(ekf.lines, true), true, atol=0.1)
 
 
 def test_what_odometry_is_wrong_by_spreads_to_the_pose_as_the_dense_filter_has_it() -> None:
@@ -515,9 +513,9 @@ def test_what_odometry_is_wrong_by_spreads_to_the_pose_as_the_dense_filter_has_i
     by_calibration = spread(3, 3, scale=1.0)
     covariance, before = ekf.P.copy(), ekf.x.copy()
     ekf.predict(Motion(STEP, MOTION, by_calibration), 1)
-    by_pose, by_increment = compose_jacobians(before[3:6], STEP)
+    by_pose, by_increment = se2.compose_jacobians(before[3:6], STEP)
     dense, noise = np.eye(len(covariance)), np.zeros_like(covariance)
     dense[3:6, 3:6], dense[3:6, 9:12] = by_pose, by_increment @ by_calibration
     noise[3:6, 3:6] = by_increment @ MOTION @ by_increment.T
     np.testing.assert_allclose(ekf.P, dense @ covariance @ dense.T + noise, atol=1e-12)
-    np.testing.assert_allclose(ekf.poses[1], compose(before[3:6], STEP))
+    np.testing.assert_allclose(ekf.poses[1], se2.compose(before[3:6], STEP))

@@ -24,10 +24,9 @@ from limslam_agent import LimSlamTeam, LineSlam, preset
 from limslam_agent.slam.core.diagnostics import AssociationRecord
 from limslam_agent.slam.core.line_map import Landmark
 from limslam_env import LimSlamParallelEnv, NominalNoise, Observation, RobotSpec
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.line import nearest_form, through
-from limslam_env.geometry.se2 import compose, inverse, wrap_angle
-from limslam_env.geometry.segment import distances, lengths, polygon_edges
+from limslam_env.geometry import FloatArray, se2
+from limslam_env.geometry import line as line_geometry
+from limslam_env.geometry import segment as segment_geometry
 from limslam_env.metrics import AssociationEvent, association_metrics, closure_metrics
 from limslam_env.robots import four_beam_drone, ring
 
@@ -44,9 +43,9 @@ ROOM = np.vstack((room(-0.5, -0.5, 3.5, 2.5), room(0.5, 0.5, 2.5, 1.5)))
 
 def off_line(mark: Landmark, wall: FloatArray) -> FloatArray:
     """How far a landmark's line is from a wall's (2,), m and rad."""
-    line = through(wall[:2], wall[2:])
-    off = nearest_form(np.array([mark.r, mark.theta]), line) - line
-    off[1] = wrap_angle(float(off[1]))
+    line = line_geometry.through(wall[:2], wall[2:])
+    off = line_geometry.nearest_form(np.array([mark.r, mark.theta]), line) - line
+    off[1] = se2.wrap_angle(float(off[1]))
     return off
 
 
@@ -62,7 +61,7 @@ def check_covariance(slam: LineSlam) -> None:
 def check_pose(slam: LineSlam, true: FloatArray, metres: float, degrees: float) -> None:
     """The pose is right so far, and no more wrong than it is believed to be (chi-square, 99.9 %)."""
     off = slam.pose - true
-    off[2] = wrap_angle(float(off[2]))
+    off[2] = se2.wrap_angle(float(off[2]))
     assert math.hypot(*off[:2]) < metres
     assert abs(math.degrees(off[2])) < degrees
     assert off @ np.linalg.solve(slam.covariance, off) < 16.3
@@ -158,7 +157,7 @@ def test_a_corner_gives_two_walls_at_its_angle(degrees: float, yaw: float) -> No
     for mark, wall in zip(slam.landmarks, walls, strict=True):
         assert np.abs(off_line(mark, wall)).max() < 0.01
         # Neither goes on past the corner.
-        assert distances(mark.ends, wall[None]).max() < 0.03
+        assert segment_geometry.distances(mark.ends, wall[None]).max() < 0.03
     check_pose(slam, poses[-1], 0.01, 0.5)
 
 
@@ -166,7 +165,7 @@ def test_a_corner_gives_two_walls_at_its_angle(degrees: float, yaw: float) -> No
 def test_a_rounded_obstacle_is_not_one_wall(radius: float, noise: float) -> None:
     around = np.linspace(0.0, 2.0 * math.pi, 40, endpoint=False)
     middle = np.array([2.0, 0.4 + radius])
-    circle = polygon_edges(middle + radius * np.column_stack((np.cos(around), np.sin(around))))
+    circle = segment_geometry.polygon_edges(middle + radius * np.column_stack((np.cos(around), np.sin(around))))
     walls = np.vstack((circle, CORRIDOR[1:]))
     observations, poses = drive(walls, np.zeros(3), straight(4.0), noise=noise)
     slam, _ = slam_after(observations, preset("consistent", NominalNoise(noise)), np.zeros(3))
@@ -175,7 +174,7 @@ def test_a_rounded_obstacle_is_not_one_wall(radius: float, noise: float) -> None
     for x1, y1, x2, y2 in of_circle:
         points = np.column_stack((np.linspace(x1, x2, 20), np.linspace(y1, y2, 20)))
         assert np.abs(np.linalg.norm(points - middle, axis=1) - radius).max() < 0.05 + 2.0 * noise
-    assert (lengths(of_circle) < 1.2 * radius + 0.1).all()
+    assert (segment_geometry.lengths(of_circle) < 1.2 * radius + 0.1).all()
     check_pose(slam, poses[-1], 0.10, 3.0)
 
 
@@ -295,7 +294,7 @@ def test_the_map_of_one_robot_helps_the_other() -> None:
     for each in lying:
         team.step(still, each)
     team.finish()
-    errors = [abs(wrap_angle(float(pose[2] - poses[-1, 2]))) for pose in (alone.pose, team.poses[1])]
+    errors = [abs(se2.wrap_angle(float(pose[2] - poses[-1, 2]))) for pose in (alone.pose, team.poses[1])]
     assert errors[0] > math.radians(1.5)
     assert errors[1] < math.radians(0.3)
     assert len(team.landmarks) == 2
@@ -373,7 +372,7 @@ def test_odometry_poses_serve_in_place_of_wheels() -> None:
     observations, poses = drive(walls, start, along(LOOP), noise=0.02)
     logged, before = list[Observation](), poses[0]
     for observation, pose in zip(observations, poses, strict=True):
-        logged.append(Observation(ranges=observation["ranges"], odometry=compose(inverse(before), pose)))
+        logged.append(Observation(ranges=observation["ranges"], odometry=se2.compose(se2.inverse(before), pose)))
         before = pose
     # The heading of this odometry drifts by 0.2 degrees a metre.
     for each in logged:

@@ -10,14 +10,12 @@ from hypothesis import strategies as st
 from scipy.stats import chi2
 
 from limslam_agent.slam.core.ekf import LineEKF
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.line import nearest_form, to_frame
-from limslam_env.geometry.se2 import compose, wrap_angle
+from limslam_env.geometry import FloatArray, se2
+from limslam_env.geometry import line as line_geometry
 
 MOTION = np.diag([2e-6, 5e-7, 4e-5])
 SEEN = np.array([[1e-4, 3e-5], [3e-5, 2e-4]])
 LINES = np.array([(2.0, 0.3), (1.5, 1.9), (3.0, -2.8), (0.8, -1.2)])
-angles = st.floats(-math.pi, math.pi)
 
 
 def spread(size: int, seed: int, scale: float = 1e-3) -> FloatArray:
@@ -30,7 +28,7 @@ def filter_with(lines: FloatArray, pose: FloatArray, covariance: FloatArray) -> 
     """A filter with given lines and a given covariance of everything."""
     ekf = LineEKF(pose, covariance[:3, :3])
     for line in lines:
-        ekf.augment(to_frame(line, ekf.pose), SEEN)
+        ekf.augment(line_geometry.to_frame(line, ekf.pose), SEEN)
     ekf.x = np.concatenate((pose, lines.ravel()))
     ekf.P = np.array(covariance)
     return ekf
@@ -54,7 +52,7 @@ def dense_predict(dense: ExtendedKalmanFilter, increment: FloatArray, covariance
     dense.Q = np.zeros((size, size))
     dense.Q[:3, :3] = turned @ covariance @ turned.T
     moved = [x + cos * increment[0] - sin * increment[1], y + sin * increment[0] + cos * increment[1]]
-    state = np.concatenate((moved, [wrap_angle(theta + increment[2])], dense.x[3:]))
+    state = np.concatenate((moved, [se2.wrap_angle(theta + increment[2])], dense.x[3:]))
     dense.predict()
     dense.x = state
 
@@ -79,18 +77,18 @@ def dense_observe(dense: ExtendedKalmanFilter, z: FloatArray, covariance: FloatA
         return full
 
     def residual(one: FloatArray, other: FloatArray) -> FloatArray:
-        return np.array([one[0] - other[0], wrap_angle(one[1] - other[1])])
+        return np.array([one[0] - other[0], se2.wrap_angle(one[1] - other[1])])
 
     dense.update(z, jacobian, predicted, covariance, residual=residual)
     dense.x = np.array(dense.x)
-    dense.x[2] = wrap_angle(dense.x[2])
+    dense.x[2] = se2.wrap_angle(dense.x[2])
     for row in range(3, len(dense.x), 2):
         if dense.x[row] < 0.0:
             flip = np.eye(len(dense.x))
             flip[row, row] = -1.0
             dense.x[row], dense.x[row + 1] = -dense.x[row], dense.x[row + 1] + math.pi
             dense.P = flip @ dense.P @ flip
-        dense.x[row + 1] = wrap_angle(dense.x[row + 1])
+        dense.x[row + 1] = se2.wrap_angle(dense.x[row + 1])
 
 
 def dense_augment(dense: ExtendedKalmanFilter, z: FloatArray, covariance: FloatArray) -> ExtendedKalmanFilter:
@@ -103,7 +101,7 @@ def dense_augment(dense: ExtendedKalmanFilter, z: FloatArray, covariance: FloatA
     by_state = np.vstack((np.eye(size), np.hstack((by_pose, np.zeros((2, size - 3))))))
     by_z = np.vstack((np.zeros((size, 2)), [[sign, by_angle], [0.0, 1.0]]))
     grown = ExtendedKalmanFilter(dim_x=size + 2, dim_z=2)
-    line = np.array([abs(r), wrap_angle(theta + (math.pi if r < 0.0 else 0.0))])
+    line = np.array([abs(r), se2.wrap_angle(theta + (math.pi if r < 0.0 else 0.0))])
     grown.x = np.concatenate((dense.x, line))
     grown.P = by_state @ dense.P @ by_state.T + by_z @ covariance @ by_z.T
     return grown
@@ -121,7 +119,7 @@ def test_a_hundred_random_steps_equal_filterpys_dense_filter(seed: int) -> None:
     dense = ExtendedKalmanFilter(dim_x=3, dim_z=2)
     dense.x, dense.P = ekf.pose, ekf.joint_pose_covariance
     for line in random_lines(20, generator):
-        seen = to_frame(line, ekf.pose) + generator.multivariate_normal(np.zeros(2), SEEN)
+        seen = line_geometry.to_frame(line, ekf.pose) + generator.multivariate_normal(np.zeros(2), SEEN)
         ekf.augment(seen, SEEN)
         dense = dense_augment(dense, seen, SEEN)
         assert_equal_filters(ekf, dense)
@@ -131,8 +129,8 @@ def test_a_hundred_random_steps_equal_filterpys_dense_filter(seed: int) -> None:
         dense_predict(dense, increment, MOTION)
         assert_equal_filters(ekf, dense)
         index = int(generator.integers(20))
-        predicted = to_frame(ekf.lines[index], ekf.pose)
-        seen = nearest_form(predicted + generator.multivariate_normal(np.zeros(2), SEEN), predicted)
+        predicted = line_geometry.to_frame(ekf.lines[index], ekf.pose)
+        seen = line_geometry.nearest_form(predicted + generator.multivariate_normal(np.zeros(2), SEEN), predicted)
         ekf.observe_line(seen, SEEN, index)
         dense_observe(dense, seen, SEEN, index)
         assert_equal_filters(ekf, dense)
@@ -150,18 +148,18 @@ def test_errors_stay_inside_their_chi_square_band_where_the_model_is_nearly_line
         ekf = LineEKF(start, first)
         for step in range(steps):
             increment = np.array([0.1, 0.0, 0.2 * math.sin(step)])
-            truth = compose(truth, increment)
+            truth = se2.compose(truth, increment)
             ekf.predict(increment + generator.multivariate_normal(np.zeros(3), motion), motion)
             for index, line in enumerate(LINES):
-                observed = to_frame(line, truth) + generator.multivariate_normal(np.zeros(2), seen)
+                observed = line_geometry.to_frame(line, truth) + generator.multivariate_normal(np.zeros(2), seen)
                 if step == 0:
                     ekf.augment(observed, seen)
                     continue
                 difference, covariance = ekf.innovation(observed, seen, index)
                 innovations[run] += difference @ np.linalg.solve(covariance, difference)
                 ekf.observe_line(observed, seen, index)
-        error = np.concatenate((ekf.pose - truth, (nearest_form(ekf.lines, LINES) - LINES).ravel()))
-        error[2] = wrap_angle(float(error[2]))
+        error = np.concatenate((ekf.pose - truth, (line_geometry.nearest_form(ekf.lines, LINES) - LINES).ravel()))
+        error[2] = se2.wrap_angle(float(error[2]))
         pose_nees[run] = error[:3] @ np.linalg.solve(ekf.joint_pose_covariance, error[:3])
         state_nees[run] = error @ np.linalg.solve(ekf.P, error)
     for values, freedom in ((pose_nees, 3), (state_nees, 11), (innovations, 2 * len(LINES) * (steps - 1))):
@@ -179,8 +177,53 @@ def test_angles_and_distances_keep_to_their_ranges(seed: int) -> None:
     for _ in range(10):
         ekf.predict(generator.normal(0.0, 0.1, 3), MOTION)
         index = int(generator.integers(4))
-        observed = to_frame(ekf.lines[index], ekf.pose) + generator.normal(0.0, 0.03, 2)
+        observed = line_geometry.to_frame(ekf.lines[index], ekf.pose) + generator.normal(0.0, 0.03, 2)
         ekf.observe_line(observed, SEEN, index)
         assert (ekf.lines[:, 0] >= 0.0).all()
         assert (np.abs(np.append(ekf.lines[:, 1], ekf.pose[2])) <= math.pi).all()
         assert np.append(ekf.lines[:, 1], ekf.pose[2]).min() > -math.pi
+
+
+# Several robots.
+
+STARTS = np.array([[1.0, 1.0, 0.3], [2.0, 0.5, -2.0]])
+LINE_NOISE = np.diag([1e-4, 1e-4])
+
+
+def moved_pair() -> LineEKF:
+    """Two robots that have moved, and a line that the first has seen."""
+    ekf = LineEKF(STARTS)
+    for step in range(20):
+        ekf.predict(np.array([0.03, 0.0, 0.02]), MOTION, 0)
+        ekf.predict(np.array([0.02, 0.0, -0.01 * (step % 3)]), MOTION, 1)
+    ekf.augment(np.array([0.8, 1.2]), LINE_NOISE, 0)
+    return ekf
+
+
+def test_the_filter_of_two_is_two_filters_until_they_see_one_wall() -> None:
+    together, alone = LineEKF(STARTS), [LineEKF(start) for start in STARTS]
+    for robot, ekf in enumerate(alone):
+        for turn in (0.1, -0.05, 0.2):
+            for filter_, number in ((together, robot), (ekf, 0)):
+                filter_.predict(np.array([0.05, 0.0, turn]), MOTION, number)
+        line = np.array([0.7 + 0.2 * robot, 0.4])
+        together.augment(line, LINE_NOISE, robot)
+        ekf.augment(line, LINE_NOISE)
+        together.observe_line(line + 0.01, LINE_NOISE, robot, robot)
+        ekf.observe_line(line + 0.01, LINE_NOISE, 0)
+    for robot, ekf in enumerate(alone):
+        np.testing.assert_allclose(together.poses[robot], ekf.pose, atol=1e-12)
+        part = slice(3 * robot, 3 * robot + 3)
+        np.testing.assert_allclose(together.joint_pose_covariance[part, part], ekf.joint_pose_covariance, atol=1e-12)
+        np.testing.assert_allclose(together.lines[robot], ekf.lines[0], atol=1e-12)
+    assert not together.P[:3, 3:6].any()
+
+
+def test_a_wall_that_both_see_ties_their_poses_together() -> None:
+    ekf = moved_pair()
+    seen = line_geometry.to_frame(ekf.lines[0], ekf.poses[1])
+    before = ekf.joint_pose_covariance
+    ekf.observe_line(seen, LINE_NOISE, 0, 1)
+    after = ekf.joint_pose_covariance
+    assert np.abs(after[:3, 3:]).max() > 0.0
+    assert np.linalg.eigvalsh(before - after).min() > -1e-12, "nobody becomes less certain by a measurement"

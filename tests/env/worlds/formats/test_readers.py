@@ -13,13 +13,7 @@ from hypothesis import strategies as st
 from support.data import data_folder
 
 from limslam_env import World, load_world
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.segment import distances, inside_polygon, lengths
-from limslam_env.worlds.formats import tables
-from limslam_env.worlds.formats.map_server import read_map_server
-from limslam_env.worlds.formats.tables import read_json
-from limslam_env.worlds.free_space import cell_for, free_space
-from limslam_env.worlds.world import WorldError
+from limslam_env.geometry import FloatArray, segment
 
 RADIUS = 0.10
 PLAN = {"id": "plan", "wall_thickness": 0.1, "walls": [[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0]]}
@@ -94,7 +88,7 @@ def obstacle_edges(world: World) -> FloatArray:
 
 class TestMapServer:
     def test_a_room_with_a_pillar_is_where_it_stands(self, tmp_path):
-        world = read_map_server(write_map(tmp_path, ROOM))
+        world = load_world(write_map(tmp_path, ROOM))
         # 10 x 6 cells of 0.5 m from (1, 2). Outlines run a quarter of a cell, 0.125 m, inside the occupied cells.
         assert (world.name, world.size) == ("map", (5.0, 3.0))
         assert segment_set(world.walls) == box(1.125, 2.125, 5.875, 4.875) | box(1.375, 2.375, 5.625, 4.625)
@@ -102,10 +96,9 @@ class TestMapServer:
         assert segment_set(obstacle_edges(world)) == box(2.625, 3.125, 3.875, 3.875)
         assert len(world.obstacles) == 1
         world.check(RADIUS)
-        assert load_world(tmp_path / "map.yaml") == world
 
     def test_the_origins_yaw_turns_the_map_round_its_lower_left_corner(self, tmp_path):
-        world = read_map_server(write_map(tmp_path, ROOM, origin=[1.0, 2.0, math.pi / 2]))
+        world = load_world(write_map(tmp_path, ROOM, origin=[1.0, 2.0, math.pi / 2]))
         # (u, v) of the picture becomes (1 - v, 2 + u).
         np.testing.assert_allclose(world.size, (3.0, 5.0))
         assert segment_set(world.walls) == box(0.875, 2.125, -1.875, 6.875) | box(0.625, 2.375, -1.625, 6.625)
@@ -129,53 +122,48 @@ class TestMapServer:
         ids=["P2", "3 bits", "P2, 16 bits", "100", "1000", "byte order", "comments", "between", "within", "trailing"],
     )
     def test_every_kind_of_pgm_shows_the_same_world(self, tmp_path, pgm):
-        expected = read_map_server(write_map(tmp_path, ROOM))
-        assert read_map_server(write_map(tmp_path, pgm)) == expected
+        expected = load_world(write_map(tmp_path, ROOM))
+        assert load_world(write_map(tmp_path, pgm)) == expected
 
     def test_a_negated_map_has_white_walls(self, tmp_path):
-        expected = read_map_server(write_map(tmp_path, ROOM))
+        expected = load_world(write_map(tmp_path, ROOM))
         negative = binary_pgm(255 - levels(ROOM))
-        assert read_map_server(write_map(tmp_path, negative, negate=1)) == expected
-        assert read_map_server(write_map(tmp_path, negative, negate=True)) == expected
-        assert read_map_server(write_map(tmp_path, negative)) != expected
+        assert load_world(write_map(tmp_path, negative, negate=1)) == expected
+        assert load_world(write_map(tmp_path, negative, negate=True)) == expected
+        assert load_world(write_map(tmp_path, negative)) != expected
 
     def test_only_cells_above_the_threshold_are_walls(self, tmp_path):
         pgm = plain_pgm(np.array([[4, 4, 4, 4], [4, 1, 1, 4], [4, 2, 2, 4]]), 4)
         # Shades of 3/4 and 2/4 are above 0.4; 3/4 alone is above 0.5, which 2/4 is not.
-        both = read_map_server(write_map(tmp_path, pgm, occupied_thresh=0.4))
-        upper = read_map_server(write_map(tmp_path, pgm, occupied_thresh=0.5))
+        both = load_world(write_map(tmp_path, pgm, occupied_thresh=0.4))
+        upper = load_world(write_map(tmp_path, pgm, occupied_thresh=0.5))
         assert segment_set(both.edges) == box(1.625, 2.125, 2.375, 2.875)
         assert upper.edges[:, [1, 3]].min() > 2.5
 
-    def test_unknown_cells_are_no_walls(self, tmp_path):
-        assert read_map_server(write_map(tmp_path, ROOM.replace(".", "?"))) == read_map_server(
-            write_map(tmp_path, ROOM)
-        )
-
     @pytest.mark.parametrize("changes", [{"mode": "trinary"}, {"mode": "scale"}, {"resolution": "5e-1"}, {"extra": 1}])
     def test_what_changes_no_wall_is_read_alike(self, tmp_path, changes):
-        expected = read_map_server(write_map(tmp_path, ROOM))
+        expected = load_world(write_map(tmp_path, ROOM))
         path = write_map(tmp_path, ROOM, **changes)
         path.write_text(path.read_text(encoding="utf-8").replace("'5e-1'", "5e-1"), encoding="utf-8")
-        assert read_map_server(path) == expected
+        assert load_world(path) == expected
 
     def test_the_image_may_lie_in_another_folder(self, tmp_path):
-        expected = read_map_server(write_map(tmp_path, ROOM))
+        expected = load_world(write_map(tmp_path, ROOM))
         (tmp_path / "images").mkdir()
         path = write_map(tmp_path, ROOM, image="images/big.PGM")
         (tmp_path / "map.pgm").rename(tmp_path / "images" / "big.PGM")
-        assert read_map_server(path) == expected
+        assert load_world(path) == expected
         path.write_bytes(codecs.BOM_UTF8 + path.read_bytes().replace(b"\n", b"\r\n"))
-        assert read_map_server(path) == expected
+        assert load_world(path) == expected
 
     def test_a_slanting_staircase_becomes_straight(self, tmp_path):
         cells = np.full((60, 120), 254)
         column = np.arange(5, 115)
         for thickness in range(4):
             cells[column // 3 + 10 + thickness, column] = 0
-        world = read_map_server(write_map(tmp_path, binary_pgm(cells)))
+        world = load_world(write_map(tmp_path, binary_pgm(cells)))
         assert len(world.edges) == 4
-        assert np.sort(lengths(world.edges))[2:] == pytest.approx(0.5 * math.hypot(109, 36), abs=0.75)
+        assert np.sort(segment.lengths(world.edges))[2:] == pytest.approx(0.5 * math.hypot(109, 36), abs=0.75)
 
 
 def yaml_with(line: str) -> str:
@@ -188,8 +176,8 @@ def yaml_with(line: str) -> str:
 class TestMapsRefused:
     @pytest.mark.parametrize("key", list(MAP))
     def test_every_key_is_needed(self, tmp_path, key):
-        with pytest.raises(WorldError, match=rf"map\.yaml: the key '{key}' is missing"):
-            read_map_server(write_map(tmp_path, ROOM, **{key: None}))
+        with pytest.raises(ValueError, match=rf"map\.yaml: the key '{key}' is missing"):
+            load_world(write_map(tmp_path, ROOM, **{key: None}))
 
     @pytest.mark.parametrize(
         ("text", "reason"),
@@ -222,8 +210,8 @@ class TestMapsRefused:
     def test_yaml_that_describes_no_map_is_refused(self, tmp_path, text, reason):
         path = write_map(tmp_path, ROOM)
         path.write_text(text, encoding="utf-8")
-        with pytest.raises(WorldError, match=rf"^[^\n]*map\.yaml: [^\n]*(?:{reason})[^\n]*$"):
-            read_map_server(path)
+        with pytest.raises(ValueError, match=rf"^[^\n]*map\.yaml: [^\n]*(?:{reason})[^\n]*$"):
+            load_world(path)
 
     @pytest.mark.parametrize(
         ("pgm", "reason"),
@@ -240,32 +228,31 @@ class TestMapsRefused:
         ],
     )
     def test_a_picture_that_is_no_map_is_refused(self, tmp_path, pgm, reason):
-        with pytest.raises(WorldError, match=rf"^[^\n]*map\.yaml: [^\n]*(?:{reason})[^\n]*$"):
-            read_map_server(write_map(tmp_path, pgm))
+        with pytest.raises(ValueError, match=rf"^[^\n]*map\.yaml: [^\n]*(?:{reason})[^\n]*$"):
+            load_world(write_map(tmp_path, pgm))
 
     def test_a_map_wider_than_a_world_is_refused(self, tmp_path):
         cells = np.full((4, 60), 254)
         cells[1] = 0
-        with pytest.raises(WorldError, match=r"map\.yaml: size must be two lengths up to 500 m"):
-            read_map_server(write_map(tmp_path, binary_pgm(cells), resolution=10.0))
+        with pytest.raises(ValueError, match=r"map\.yaml: size must be two lengths up to 500 m"):
+            load_world(write_map(tmp_path, binary_pgm(cells), resolution=10.0))
 
     def test_noise_is_refused_before_it_takes_minutes(self, tmp_path):
         cells = np.random.default_rng(0).integers(0, 2, (2000, 2000)) * 254
-        with pytest.raises(WorldError, match="more than 1000000 corners"):
-            read_map_server(write_map(tmp_path, binary_pgm(cells), resolution=0.05))
+        with pytest.raises(ValueError, match="more than 1000000 corners"):
+            load_world(write_map(tmp_path, binary_pgm(cells), resolution=0.05))
         dots = np.full((400, 600), 254)
         dots[::3, ::3] = 0
-        with pytest.raises(WorldError, match="26800 separate outlines"):
-            read_map_server(write_map(tmp_path, binary_pgm(dots), resolution=0.05))
+        with pytest.raises(ValueError, match="26800 separate outlines"):
+            load_world(write_map(tmp_path, binary_pgm(dots), resolution=0.05))
 
 
 class TestPlans:
     def test_a_wall_list_is_its_walls(self, tmp_path):
-        world = read_json(write_json(tmp_path, PLAN))
+        world = load_world(write_json(tmp_path, PLAN))
         assert (world.name, world.size, world.obstacles) == ("plan", (4.0, 3.0), ())
         np.testing.assert_array_equal(world.walls, PLAN["walls"])
         world.check(RADIUS)
-        assert load_world(tmp_path / "plan.json") == read_json(tmp_path / "plan.json") == world
 
     def test_json_with_the_keys_of_toml_is_the_same_world(self, tmp_path):
         world = load_world("env2")
@@ -280,20 +267,19 @@ class TestPlans:
 
     def test_walls_without_length_are_dropped(self, tmp_path):
         walls = [*PLAN["walls"][:2], [1, 1, 1, 1], *PLAN["walls"][2:], [2, 2, 2 + 1e-7, 2]]
-        assert read_json(write_json(tmp_path, {**PLAN, "walls": walls})) == read_json(write_json(tmp_path, PLAN))
+        assert load_world(write_json(tmp_path, {**PLAN, "walls": walls})) == load_world(write_json(tmp_path, PLAN))
 
     def test_a_house_is_its_closed_outline(self, tmp_path):
-        world = read_json(write_json(tmp_path, HOUSE))
+        world = load_world(write_json(tmp_path, HOUSE))
         assert (world.name, world.size) == ("house", (4.0, 3.0))
         assert segment_set(world.walls) == box(0.0, 0.0, 4.0, 3.0)
         assert len(world.walls) == 4
         world.check(RADIUS)
-        assert load_world(tmp_path / "plan.json") == read_json(tmp_path / "plan.json") == world
 
     def test_what_is_not_used_may_be_missing_or_anything(self, tmp_path):
-        expected = read_json(write_json(tmp_path, PLAN))
-        assert read_json(write_json(tmp_path, {**PLAN, "wall_thickness": [None]})) == expected
-        assert read_json(write_json(tmp_path, {"id": "plan", "walls": PLAN["walls"]})) == expected
+        expected = load_world(write_json(tmp_path, PLAN))
+        assert load_world(write_json(tmp_path, {**PLAN, "wall_thickness": [None]})) == expected
+        assert load_world(write_json(tmp_path, {"id": "plan", "walls": PLAN["walls"]})) == expected
 
     @pytest.mark.parametrize(
         ("content", "reason"),
@@ -322,26 +308,17 @@ class TestPlans:
     def test_json_that_is_no_plan_is_refused(self, tmp_path, content, reason):
         path = tmp_path / "plan.json"
         path.write_bytes(content)
-        with pytest.raises(WorldError, match=rf"^[^\n]*plan\.json: [^\n]*{reason}[^\n]*$"):
+        with pytest.raises(ValueError, match=rf"^[^\n]*plan\.json: [^\n]*{reason}[^\n]*$"):
             load_world(path)
 
-    @pytest.mark.parametrize("read", [read_json, read_map_server])
-    def test_a_file_that_is_not_there_is_named(self, tmp_path, read):
-        for name in ("missing.json", "", "nul\0", "x" * 5000):
-            with pytest.raises(WorldError, match=r"no such file|cannot be read"):
-                read(tmp_path / name)
-
-    def test_more_bytes_or_walls_than_can_be_used_are_refused(self, tmp_path, monkeypatch):
+    def test_more_walls_than_can_be_used_are_refused(self, tmp_path):
         path = write_json(tmp_path, {"id": "n", "walls": [[0, 0, 1, 1]] * 100_001})
-        with pytest.raises(WorldError, match=r"plan\.json: 100001 walls and obstacle edges"):
-            load_world(path)
-        monkeypatch.setattr(tables, "MAX_FILE_BYTES", 100)
-        with pytest.raises(WorldError, match=r"plan\.json: larger than 0\.0001 MB"):
+        with pytest.raises(ValueError, match=r"plan\.json: 100001 walls and obstacle edges"):
             load_world(path)
 
     @pytest.mark.parametrize("name", ["map.png", "plan"])
     def test_other_files_are_refused_with_those_that_can_be_read(self, tmp_path, name):
-        with pytest.raises(WorldError, match=rf"{name}: not a world file that can be read \(\.toml, \.yaml, \.json\)"):
+        with pytest.raises(ValueError, match=rf"{name}: not a world file that can be read \(\.toml, \.yaml, \.json\)"):
             load_world(write_json(tmp_path, PLAN, name))
 
 
@@ -372,11 +349,11 @@ class TestRealPlans:
             (walls.reshape(-1, 2) @ rotation).reshape(-1, 4),
             tuple(polygon @ rotation for polygon in polygons),
         )
-        space = free_space(world.edges, radius, cell_for(world.edges, radius), world.obstacles)
+        space = world.free_space(radius)
         centres = space.centres(np.ones_like(space.free))
-        expected = (distances(centres, world.edges) >= radius).all(axis=1)
+        expected = (segment.distances(centres, world.edges) >= radius).all(axis=1)
         for polygon in world.obstacles:
-            expected &= ~inside_polygon(centres, polygon)
+            expected &= ~segment.inside_polygon(centres, polygon)
         np.testing.assert_array_equal(space.free.ravel(), expected)
         np.testing.assert_array_equal(space.first_centre(space.free), space.centres(space.free)[0])
 
@@ -414,7 +391,7 @@ def outcome(path, content: bytes) -> None:
     path.write_bytes(content)
     try:
         world = load_world(path)
-    except WorldError as error:
+    except ValueError as error:
         assert path.name in str(error)  # noqa: PT017 - a world is as good an outcome
         assert "\n" not in str(error)  # noqa: PT017
         return

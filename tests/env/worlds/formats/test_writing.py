@@ -1,6 +1,9 @@
-"""Files out: TOML that reads back as the same world, maps that show it; and copies that are as unchangeable."""
+"""Files of worlds: TOML and maps that read back as the same world, and pictures as they are read."""
 
+import io
 import stat
+import struct
+import zlib
 
 import cv2
 import numpy as np
@@ -8,12 +11,13 @@ import pytest
 import yaml
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from PIL import Image
 
 from limslam_env import World, load_world
-from limslam_env.geometry.segment import distances, sample
+from limslam_env.geometry import segment
 from limslam_env.worlds.formats.loading import write_world
+from limslam_env.worlds.formats.map_server import read_levels
 from limslam_env.worlds.formats.tables import parse_world, world_toml
-from limslam_env.worlds.world import WorldError
 
 BOX = np.array([[0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 1.0, 1.0], [1.0, 1.0, 0.0, 1.0], [0.0, 1.0, 0.0, 0.0]])
 
@@ -42,7 +46,7 @@ def worlds(draw) -> World:
             starts=draw(rows(3, ANY, max_size=3)),
             loop=draw(rows(2, ANY, max_size=3)),
         )
-    except WorldError:  # nothing that stops a beam, or an edge without length
+    except ValueError:  # nothing that stops a beam, or an edge without length
         assume(condition=False)
         raise
 
@@ -131,8 +135,8 @@ class TestMaps:
         write_world(world, tmp_path / "map.yaml", resolution)
         again = load_world(tmp_path / "map.yaml")
         for first, second in ((world, again), (again, world)):
-            points, _ = sample(first.edges, 0.5 * resolution)
-            assert distances(points, second.edges).min(axis=1).max() <= 1.5 * resolution
+            points, _ = segment.sample(first.edges, 0.5 * resolution)
+            assert segment.distances(points, second.edges).min(axis=1).max() <= 1.5 * resolution
         again.check(0.10)
         # Straight walls are single ones, and the block in the middle is still a block.
         assert len(again.edges) <= 2 * len(world.edges)
@@ -148,27 +152,27 @@ class TestMaps:
 class TestRefused:
     @pytest.mark.parametrize("name", ["w.json", "w.pgm", "w", ".toml"])
     def test_an_unknown_suffix(self, tmp_path, name):
-        with pytest.raises(WorldError, match=rf"{name}: a world is written as \.toml or \.yaml"):
+        with pytest.raises(ValueError, match=rf"{name}: a world is written as \.toml or \.yaml"):
             write_world(box_world(), tmp_path / name)
         assert not list(tmp_path.iterdir())
 
     @pytest.mark.parametrize("resolution", [0.0009, 10.1, float("nan")])
     def test_a_resolution_that_no_map_has(self, tmp_path, resolution):
-        with pytest.raises(WorldError, match=r"m\.yaml: cells must measure 0\.001 to 10 m"):
+        with pytest.raises(ValueError, match=r"m\.yaml: cells must measure 0\.001 to 10 m"):
             write_world(box_world(), tmp_path / "m.yaml", resolution)
 
     def test_more_cells_than_can_be_read(self, tmp_path):
         large = box_world(size=(500.0, 500.0), walls=BOX * 500.0)
-        with pytest.raises(WorldError, match=r"m\.yaml: 500009 x 500009 cells of 0\.001 m; a map has up to"):
+        with pytest.raises(ValueError, match=r"m\.yaml: 500009 x 500009 cells of 0\.001 m; a map has up to"):
             write_world(large, tmp_path / "m.yaml", 0.001)
 
     @pytest.mark.parametrize("name", ["w.toml", "w.yaml"])
     def test_a_place_where_nothing_can_be_written(self, tmp_path, name):
-        with pytest.raises(WorldError, match=rf"{name[0]}\.\w+: cannot be written"):
+        with pytest.raises(ValueError, match=rf"{name[0]}\.\w+: cannot be written"):
             write_world(box_world(), tmp_path / "missing" / name)
         (tmp_path / name).mkdir()
         (tmp_path / "w.pgm").mkdir()
-        with pytest.raises(WorldError, match="cannot be written"):
+        with pytest.raises(ValueError, match="cannot be written"):
             write_world(box_world(), tmp_path / name)
         assert {path.name for path in tmp_path.iterdir()} == {name, "w.pgm"}
 
@@ -180,3 +184,82 @@ class TestRefused:
         assert load_world(path) == box_world()
         assert stat.S_IMODE(path.stat().st_mode) == stat.S_IMODE(other.stat().st_mode)
         assert {found.name for found in tmp_path.iterdir()} == {"w.toml", "other"}
+
+
+ABOUT = "image: {}\nresolution: 0.1\norigin: [0.0, 0.0, 0.0]\nnegate: {}\noccupied_thresh: 0.65\nfree_thresh: 0.196\n"
+
+
+def levels():
+    """A room with a pillar; unknown cells around it."""
+    cells = np.full((60, 80), 205, dtype=np.uint8)
+    cells[5:55, 5:75] = 0
+    cells[7:53, 7:73] = 254
+    cells[20:25, 30:36] = 0
+    return cells
+
+
+def write_map(folder, name, negate=0):
+    path = folder / "some.yaml"
+    path.write_text(ABOUT.format(name, negate))
+    return path
+
+
+@pytest.fixture
+def as_pgm(tmp_path):
+    (tmp_path / "some.pgm").write_bytes(b"P5\n80 60\n255\n" + levels().tobytes())
+    return load_world(write_map(tmp_path, "some.pgm"))
+
+
+@pytest.mark.parametrize("mode", ["L", "RGB", "RGBA", "LA", "P", "I;16", "1"])
+def test_a_png_makes_the_same_world_as_a_pgm(tmp_path, as_pgm, mode):
+    picture = Image.fromarray(levels())
+    if mode == "I;16":
+        picture = Image.fromarray(levels().astype(np.uint16) * 257)
+    elif mode == "1":
+        picture = Image.fromarray(levels() > 0)
+    elif mode != "L":
+        picture = picture.convert(mode)
+    picture.save(tmp_path / "some.PNG")
+    assert load_world(write_map(tmp_path, "some.PNG")) == as_pgm
+
+
+def test_negate_inverts_a_png_too(tmp_path, as_pgm):
+    Image.fromarray(255 - levels()).convert("RGB").save(tmp_path / "some.png")
+    assert load_world(write_map(tmp_path, "some.png", negate=1)) == as_pgm
+
+
+def refusal(tmp_path, content):
+    (tmp_path / "some.png").write_bytes(content)
+    with pytest.raises(ValueError) as caught:
+        load_world(write_map(tmp_path, "some.png"))
+    assert "image 'some.png': " in str(caught.value)
+    return str(caught.value)
+
+
+def huge_png(side):
+    """A few hundred bytes whose header promises side x side pixels."""
+
+    def chunk(kind, data):
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    header = struct.pack(">IIBBBBB", side, side, 8, 0, 0, 0, 0)
+    return (
+        b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(bytes(1000))) + chunk(b"IEND", b"")
+    )
+
+
+@pytest.mark.parametrize("side", [6001, 2_000_000])
+def test_a_picture_with_too_many_pixels_is_refused_before_it_is_unpacked(tmp_path, side):
+    message = refusal(tmp_path, huge_png(side))
+    assert "pixels" in message
+
+
+def test_damaged_pictures_are_refused(tmp_path):
+    file = io.BytesIO()
+    Image.fromarray(levels()).save(file, "PNG")
+    whole = file.getvalue()
+    assert "no PNG file" in refusal(tmp_path, b"P5\n80 60\n255\n" + levels().tobytes())
+    for cut in (0, 5, 20, 40, len(whole) // 2):
+        assert "cannot be read" in refusal(tmp_path, whole[:cut])
+    with pytest.raises(ValueError):
+        read_levels(tmp_path / "missing.png")

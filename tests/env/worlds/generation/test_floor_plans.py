@@ -1,17 +1,13 @@
 """Random floor plans: closed, all of one piece, as the settings say, and the same everywhere."""
 
 import math
-import re
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from limslam_env import FloorPlanConfig, World
-from limslam_env.geometry import FloatArray
-from limslam_env.geometry.segment import distances, inside_polygon, lengths, polygon_edges, sample
+from limslam_env.geometry import FloatArray, segment
 from limslam_env.worlds.generation.floor_plans import SPARE, floor_plan
 from limslam_env.worlds.generation.room_layout import (
     Measures,
@@ -20,7 +16,6 @@ from limslam_env.worlds.generation.room_layout import (
 
 RADIUS = 0.10
 DEFAULT = FloorPlanConfig()
-BARE = FloorPlanConfig(slanted=0.0, obstacles=0.0)
 TINY = FloorPlanConfig(width=3.0, height=3.0)
 FULL = FloorPlanConfig(loops=1.0, slanted=1.0, obstacles=20.0, corridor=1.0)
 # Every setting at its ends, and the settings that press hardest on one another. (config, radius, seeds)
@@ -64,7 +59,7 @@ def is_slanted(segments: FloatArray) -> np.ndarray:
 
 def apart(first: FloatArray, second: FloatArray) -> float:
     """Least distance (m) of two sets of segments that do not cross."""
-    ends = distances(first.reshape(-1, 2), second).min(), distances(second.reshape(-1, 2), first).min()
+    ends = segment.distances(first.reshape(-1, 2), second).min(), segment.distances(second.reshape(-1, 2), first).min()
     return float(min(ends))
 
 
@@ -84,12 +79,14 @@ def test_doors_are_truly_open_and_of_the_asked_width(name):
     narrowest, widest = np.broadcast_to(config.door_width, 2)
     for seed in range(min(seeds, 20)):
         world = plan(seed, config, radius)
-        assert ((lengths(world.doors) >= narrowest - 1e-9) & (lengths(world.doors) <= widest + 1e-9)).all()
+        assert (
+            (segment.lengths(world.doors) >= narrowest - 1e-9) & (segment.lengths(world.doors) <= widest + 1e-9)
+        ).all()
         assert not is_slanted(world.doors).any()
         for door in world.doors:
-            points, _ = sample(door[None], 0.02)
+            points, _ = segment.sample(door[None], 0.02)
             to_jambs = np.linalg.norm(points[:, None] - door.reshape(2, 2), axis=-1).min(axis=1)
-            nearest = distances(points, world.edges).min(axis=1)
+            nearest = segment.distances(points, world.edges).min(axis=1)
             # Nothing but the jambs is near, and both are there: the ends of two walls on the door's line.
             np.testing.assert_allclose(nearest, np.minimum(to_jambs, nearest.max()), atol=1e-9)
             assert nearest[0] < 1e-9
@@ -102,15 +99,8 @@ def test_without_loops_the_doors_are_a_tree(seed):
     assert len(world.doors) == room_count(world, RADIUS) - 1 > 0
 
 
-@pytest.mark.parametrize("seed", range(6))
-def test_more_loops_open_more_doors(seed):
-    counts = [len(plan(seed, replace(BARE, loops=loops)).doors) for loops in (0.0, 0.5, 1.0)]
-    assert counts[0] < counts[1] < counts[2]
-    assert counts[1] - counts[0] == round(0.5 * (counts[2] - counts[0]))
-
-
 def measures(corridor: float) -> Measures:
-    return Measures(1800, (1000, 1400), corridor, 450, 0.0, 0.0, (300, 1000))
+    return Measures(min_room=1800, corridor_width=(1000, 1400), corridor=corridor)
 
 
 def test_corridors_are_there_as_often_as_asked():
@@ -126,14 +116,6 @@ def test_corridors_are_there_as_often_as_asked():
 def test_without_slants_walls_are_parallel_to_the_axes():
     for seed in range(40):
         assert not is_slanted(plan(seed, FloorPlanConfig(slanted=0.0)).walls).any()
-
-
-def test_more_slant_is_more_slanted_walls():
-    def count(slanted: float) -> int:
-        return sum(is_slanted(plan(seed, FloorPlanConfig(slanted=slanted)).walls).sum() for seed in range(40))
-
-    assert 0 < count(0.1) < count(0.5) < count(1.0)
-    assert all(is_slanted(plan(seed, FloorPlanConfig(slanted=1.0)).walls).sum() >= 4 for seed in range(40))
 
 
 def test_without_obstacles_there_are_none():
@@ -169,15 +151,15 @@ def test_obstacles_keep_their_distance_from_all_but_one_wall(radius, size):
     for seed in range(10):
         world = plan(seed, replace(FULL, width=7.0, height=6.0, min_room=6.0, obstacle_size=size), radius)
         for number, polygon in enumerate(world.obstacles):
-            edges = polygon_edges(polygon)
+            edges = segment.polygon_edges(polygon)
             to_walls = np.array([apart(edges, wall[None]) for wall in world.walls])
             at_walls += (to_walls < 1e-9).sum()
             assert (to_walls < 1e-9).sum() <= 1
             assert (to_walls[to_walls > 1e-9] >= clearance).all()
             for other in world.obstacles[:number]:
-                assert apart(edges, polygon_edges(other)) >= clearance
-                assert not inside_polygon(other.mean(axis=0)[None], polygon)[0]
-                assert not inside_polygon(polygon.mean(axis=0)[None], other)[0]
+                assert apart(edges, segment.polygon_edges(other)) >= clearance
+                assert not segment.inside_polygon(other.mean(axis=0)[None], polygon)[0]
+                assert not segment.inside_polygon(polygon.mean(axis=0)[None], other)[0]
     assert at_walls > 0
 
 
@@ -197,22 +179,6 @@ def test_sizes_are_drawn_from_their_ranges():
     assert (sizes.min(axis=0) >= [4.0, 7.0]).all()
     assert (sizes.max(axis=0) <= [5.0, 9.0]).all()
     assert (np.ptp(sizes, axis=0) > [0.8, 1.6]).all()
-
-
-def test_every_seed_gives_another_plan():
-    worlds = [plan(seed) for seed in range(50)]
-    assert len({world.name for world in worlds}) == 50
-    assert len({world.walls.tobytes() for world in worlds}) == 50
-    assert all(re.fullmatch(r"random-[0-9a-f]{8}", world.name) for world in worlds)
-
-
-def test_the_same_seed_gives_the_same_plan_in_another_process():
-    code = (
-        "import numpy as np; from limslam_env.worlds.generation.floor_plans import FloorPlanConfig, floor_plan; "
-        "print(*(floor_plan(FloorPlanConfig(), np.random.default_rng(seed), 0.1).digest for seed in range(20)))"
-    )
-    digests = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout.split()
-    assert digests == [plan(seed).digest for seed in range(20)]
 
 
 def test_a_plan_of_old_is_still_the_same():

@@ -1,0 +1,219 @@
+"""Kernels of the agent against plain numpy: algebra, covariances, cells, nearness."""
+
+import math
+
+import numpy as np
+import pytest
+
+from limslam_agent.config.presets import GridConfig
+from limslam_agent.grid.occupancy import OccupancyGrid
+from limslam_agent.kernels import algebra, covariance
+from limslam_agent.kernels.cells import BODY, CROSSED, ENDED, SKIPPED, change_cells
+from limslam_agent.kernels.compilation import entry
+from limslam_agent.kernels.nearness import beams_on_robot, place_readings, room_ahead, safe_share
+from limslam_env import RobotSpec
+from limslam_env.geometry import BoolArray, FloatArray, se2
+from limslam_env.interface import beams_on_rim
+
+factorise, whiten, solve_factored = (
+    entry(each.py_func) for each in (algebra.factorise, algebra.whiten, algebra.solve_factored)
+)
+add_products, orthonormalise = entry(covariance.add_products.py_func), entry(algebra.orthonormalise.py_func)
+quantile, sort_with = entry(algebra.quantile.py_func), entry(algebra.sort_with.py_func)
+GENERATOR = np.random.default_rng(0)
+
+
+def positive(size: int) -> FloatArray:
+    root = GENERATOR.normal(size=(size, size))
+    return np.asarray(root @ root.T + np.eye(size))
+
+
+@pytest.mark.parametrize("size", [1, 2, 7, 20])
+def test_triangular_systems(size: int) -> None:
+    matrix, values = positive(size), GENERATOR.normal(size=(size, 3))
+    factor, whitened, solved = matrix.copy(), values.copy(), values[:, 0].copy()
+    factorise(factor, size)
+    whiten(factor, whitened, size, 3)
+    solve_factored(factor, solved, size)
+    lower = np.linalg.cholesky(matrix)
+    np.testing.assert_allclose(np.tril(factor), lower, atol=1e-9)
+    np.testing.assert_allclose(whitened, np.linalg.solve(lower, values), atol=1e-9)
+    np.testing.assert_allclose(solved, np.linalg.solve(matrix, values[:, 0]), atol=1e-9)
+
+
+@pytest.mark.parametrize("whole", [3, 6])
+def test_a_symmetric_product_is_added_to_a_part_of_a_matrix(whole: int) -> None:
+    matrix, root, weights = positive(23), GENERATOR.normal(size=(8, 19)), GENERATOR.normal(size=8)
+    found, expected = matrix.copy(), matrix.copy()
+    add_products(found, whole, weights[:, None] * root, root)
+    covariance.mirror(found, 19, whole)
+    expected[:19, :19] += root.T @ (weights[:, None] * root)
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_quantiles_and_sorting() -> None:
+    values = np.sort(GENERATOR.normal(size=13))
+    for share in (0.0, 0.15, 0.5, 0.85, 1.0):
+        assert quantile(values, 13, share) == pytest.approx(np.quantile(values, share), abs=1e-12)
+    keys, follow = np.array([2.0, 1.0, 2.0, 0.0, 1.0]), np.arange(5)
+    sort_with(keys, follow, 5)
+    assert keys.tolist() == [0.0, 1.0, 1.0, 2.0, 2.0]
+    assert follow.tolist() == [3, 1, 4, 0, 2]
+
+
+def test_orthonormal_columns() -> None:
+    values = GENERATOR.normal(size=(9, 4))
+    orthonormalise(values, 1, 4, 9)
+    np.testing.assert_allclose(values[:, 1:].T @ values[:, 1:], np.eye(3), atol=1e-12)
+
+
+CONFIG = GridConfig()
+PAPER = RobotSpec()
+DENSE = RobotSpec(beams=beams_on_rim(tuple(range(0, 360, 20)), 0.1, max_range=3.0))
+
+
+class PlainGrid:
+    """The values of all cells that were touched, by column and row counted from the world's origin."""
+
+    def __init__(self) -> None:
+        self.values: dict[tuple[int, int], int] = {}
+        self.touched: set[tuple[int, int]] = set()
+
+    def update(self, pose: FloatArray, robot: RobotSpec, ranges: FloatArray, usable: BoolArray) -> None:
+        beams = np.flatnonzero(usable & (ranges > robot.too_near))
+        ends = robot.beam_origins[beams] + ranges[beams, None] * robot.beam_directions[beams]
+        samples = [
+            robot.beam_origins[beam] + step * 0.5 * CONFIG.cell * robot.beam_directions[beam]
+            for beam in beams
+            for step in range(int(ranges[beam] / (0.5 * CONFIG.cell)))
+        ]
+        passed = se2.transform_points(pose, np.array(samples).reshape(-1, 2))
+        crossed = cells_of(np.vstack((passed, pose[:2] + robot.radius * BODY)))
+        everywhere = cells_of(se2.transform_points(pose, ends))
+        ended = cells_of(se2.transform_points(pose, ends[ranges[beams] < robot.too_far[beams]]))
+        self.touched |= crossed | everywhere
+        for cell in crossed - ended:
+            self._add(cell, CONFIG.seen_through)
+        for cell in ended:
+            self._add(cell, -CONFIG.hit)
+
+    def _add(self, cell: tuple[int, int], amount: int) -> None:
+        value = int(np.clip(self.values.get(cell, 0) + amount, -CONFIG.limit, CONFIG.limit))
+        self.values[cell] = value or (1 if amount > 0 else -1)
+
+
+def cells_of(points: FloatArray) -> set[tuple[int, int]]:
+    return {(column, row) for column, row in np.floor(points / CONFIG.cell).astype(int).tolist()}
+
+
+@pytest.mark.parametrize("robot", [PAPER, DENSE], ids=["paper", "dense"])
+def test_the_grid_is_the_plain_one(robot: RobotSpec) -> None:
+    generator, number, plain, grid = np.random.default_rng(5), len(robot.beams), PlainGrid(), OccupancyGrid(CONFIG)
+    for _ in range(60):
+        pose = np.array([*generator.normal(0.0, 1.5, 2), generator.uniform(-4.0, 4.0)])
+        ranges = np.clip(generator.random(number) * robot.max_ranges * 1.2, robot.min_ranges, robot.max_ranges)
+        ranges[generator.random(number) < 0.05] = np.nan
+        usable = (generator.random(number) < 0.8) & np.isfinite(ranges)
+        plain.update(pose, robot, ranges, usable)
+        grid.update(pose, robot, ranges, usable)
+        view = grid.view
+        low = np.rint(view.low / CONFIG.cell).astype(int)
+        rows, columns = np.nonzero(view.values)
+        found = {
+            (int(column + low[0]), int(row + low[1])): int(view.values[row, column])
+            for row, column in zip(rows, columns, strict=True)
+        }
+        assert found == plain.values
+        touched = np.array(sorted(plain.touched))
+        np.testing.assert_array_equal(low, touched.min(axis=0))
+        np.testing.assert_array_equal(low + view.values.shape[::-1], touched.max(axis=0) + 1)
+    assert min(plain.values.values()) < 0 < max(plain.values.values())
+
+
+def test_values_are_limited_and_a_known_cell_is_never_zero() -> None:
+    values, stamps = np.array([[1, -9, 9, 0]], dtype=np.int16), np.zeros((1, 4), dtype=np.int32)
+    cells = np.array([[0, 0, ENDED], [0, 0, CROSSED], [0, 1, ENDED], [0, 2, CROSSED], [0, 3, SKIPPED]])
+    change_cells(values, cells, stamps, 1, 2, 1, 10)
+    assert values.tolist() == [[-1, -10, 10, 0]]
+    assert stamps.tolist() == [[1, 1, 1, 0]]
+
+
+ROBOT, SEEDS = RobotSpec(), range(40)
+BEAMS = len(ROBOT.beams)
+
+
+def drawn(seed: int) -> tuple[np.random.Generator, FloatArray, FloatArray]:
+    """A generator, a pose (3,) and readings, some of them without a number."""
+    generator = np.random.default_rng(seed)
+    ranges = np.clip(generator.random(BEAMS) * ROBOT.max_ranges * 1.2, ROBOT.min_ranges, ROBOT.max_ranges)
+    ranges[generator.random(BEAMS) < 0.1] = np.nan
+    return generator, np.array([*generator.normal(0.0, 1.0, 2), generator.uniform(-4.0, 4.0)]), ranges
+
+
+def ends_of(pose: FloatArray, reaches: FloatArray) -> FloatArray:
+    return se2.transform_points(pose, ROBOT.beam_origins + reaches[:, None] * ROBOT.beam_directions)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_readings_are_placed(seed: int) -> None:
+    _, pose, ranges = drawn(seed)
+    seen, touched = np.empty((BEAMS, 2)), np.empty((BEAMS, 2))
+    place_readings(pose, ranges, ROBOT.beam_table, 0.4, seen, touched)
+    is_hit, is_near = (ranges > ROBOT.too_near) & (ranges < ROBOT.too_far), ranges <= ROBOT.too_near
+    np.testing.assert_allclose(seen, np.where(is_hit[:, None], ends_of(pose, ranges), np.nan), atol=1e-12)
+    near = ends_of(pose, 0.4 * ROBOT.too_near)
+    np.testing.assert_allclose(touched, np.where(is_near[:, None], near, np.nan), atol=1e-12)
+
+
+def test_the_share_of_a_way_that_is_safe() -> None:
+    shares, found = np.array([1.0, 0.5, 0.25]), set()
+    for seed in SEEDS:
+        generator, pose, _ = drawn(seed)
+        points = pose[:2] + generator.normal(0.0, 0.2, (8, BEAMS, 2))
+        points[generator.random((8, BEAMS)) < 0.9] = np.nan
+        way = generator.normal(0.0, 0.05, 2)
+        flat = points.reshape(-1, 2) - pose[:2]
+        flat = flat[np.hypot(*flat.T) > 0.08]
+        least = np.minimum(np.hypot(*flat.T), 0.125)
+        safe = [share for share in shares.tolist() if (np.hypot(*(flat - share * way).T) >= least).all()]
+        share = safe_share(pose, way, points[:5], points[5:], 0.08, 0.125, shares)
+        assert share == (safe[0] if safe else 0.0)
+        found.add(share)
+    assert found == {0.0, 0.25, 0.5, 1.0}
+
+
+def test_room_ahead() -> None:
+    for seed in SEEDS:
+        _, _, ranges = drawn(seed)
+        front = (np.abs(ROBOT.beam_angles) <= math.radians(60.0)) & np.isfinite(ranges)
+        rooms = [math.inf if front.any() else 0.0]
+        for beam in np.flatnonzero(front & (ranges < ROBOT.too_far)):
+            x, y = ROBOT.beam_origins[beam] + ranges[beam] * ROBOT.beam_directions[beam]
+            if abs(y) < ROBOT.radius + 0.03 and x > 0.0:
+                rooms.append(x - math.sqrt(ROBOT.radius**2 - min(abs(y), ROBOT.radius) ** 2))
+        found = room_ahead(ranges, ROBOT.beam_table, math.radians(60.0), ROBOT.radius, 0.03)
+        assert found == pytest.approx(min(rooms), abs=1e-15)
+
+
+def test_beams_on_another_robot() -> None:
+    seen = 0
+    for seed in SEEDS:
+        generator, pose, _ = drawn(seed)
+        ranges = np.clip(generator.random(BEAMS) * ROBOT.max_ranges, ROBOT.min_ranges, ROBOT.max_ranges)
+        other, root = pose + np.array([*generator.normal(0.0, 0.5, 2), 1.0]), generator.normal(0.0, 0.1, (9, 9))
+        covariance, found = root @ root.T, np.zeros(BEAMS, dtype=bool)
+        beams_on_robot(
+            pose, other, ranges, ROBOT.beam_table, (0.02, 0.03, 0.1, 0.01), covariance, 6, 0, (0.1, 2.0, 0.05), found
+        )
+        reached = ranges - 0.01
+        ends = ends_of(pose, reached)
+        distance, arms = np.hypot(*(ends - other[:2]).T), ends - pose[:2]
+        toward = (ends - other[:2]) / distance[:, None]
+        turning = arms[:, 0] * toward[:, 1] - arms[:, 1] * toward[:, 0]
+        jacobian, columns = np.column_stack((toward, turning, -toward)), [6, 7, 8, 0, 1]
+        variance = np.einsum("ki,ij,kj->k", jacobian, covariance[np.ix_(columns, columns)], jacobian)
+        noise = 0.02**2 + (0.03 * reached**2) ** 2
+        expected = distance <= 0.1 + 2.0 * np.sqrt(variance + noise) + 0.05 + 0.1 * reached
+        np.testing.assert_array_equal(found, expected)
+        seen += np.count_nonzero(found)
+    assert 0 < seen < len(SEEDS) * BEAMS

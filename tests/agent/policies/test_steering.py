@@ -1,0 +1,322 @@
+"""How policies steer: speeds, the collision guard, the way home, and the search of a lost robot."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.beliefs import CLEAR, CONFIG, HALL, ROBOT, belief_of, drive, grid_of, place
+
+from limslam_agent import Belief, LimSlamAgent, WallFollower, preset
+from limslam_agent.belief import Guess
+from limslam_agent.config.presets import PolicyConfig
+from limslam_agent.grid.frontier import frontier_cells
+from limslam_agent.grid.occupancy import GridView
+from limslam_agent.policies.controller import CollisionGuard, back_off, bearing_of, steer, turn_by, wheel_speeds
+from limslam_agent.policies.targets import next_target, search_cost
+from limslam_agent.policies.way_home import WayHome
+from limslam_agent.status.status import Status
+from limslam_env import NoiseConfig, NominalNoise, load_world
+from limslam_env.geometry import FloatArray, no_rows, se2
+from limslam_env.simulation.simulation import Simulation
+
+angles = st.floats(-math.pi, math.pi)
+
+
+def ahead_of(pose: FloatArray, bearing: float, distance: float = 1.0) -> FloatArray:
+    """A point at a bearing (rad) as the robot sees it."""
+    return se2.transform_points(pose, distance * np.array([[math.cos(bearing), math.sin(bearing)]]))[0]
+
+
+def wall_ranges(pose: FloatArray, line: FloatArray) -> FloatArray:
+    """Exact readings of all beams before one endless wall (r, theta)."""
+    readings = []
+    for beam in ROBOT.beams:
+        x, y = se2.transform_points(pose, np.array([[beam.x, beam.y]]))[0]
+        approach = math.cos(pose[2] + beam.angle - line[1])
+        left = line[0] - x * math.cos(line[1]) - y * math.sin(line[1])
+        hits = approach > 1e-9
+        readings.append(min(max(left / approach, beam.min_range), beam.max_range) if hits else beam.max_range)
+    return np.array(readings)
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.floats(-5.0, 5.0), st.floats(-5.0, 5.0), angles, angles)
+def test_the_robot_turns_to_the_side_of_its_target_by_the_shorter_way(
+    x: float, y: float, yaw: float, bearing: float
+) -> None:
+    pose = np.array([x, y, yaw])
+    target = ahead_of(pose, bearing)
+    for action in (
+        steer(pose, target, CLEAR, ROBOT, CONFIG.speed),
+        turn_by(bearing_of(pose, target), ROBOT),
+    ):
+        if 1e-3 < abs(bearing) < math.pi - 1e-3:
+            assert np.sign(action[1] - action[0]) == np.sign(bearing)
+        assert np.abs(action).max() <= 1.0 + 1e-12
+
+
+@settings(deadline=None, max_examples=50)
+@given(angles, angles, st.floats(0.5, 3.0))
+def test_it_arrives(yaw: float, bearing: float, distance: float) -> None:
+    pose = np.array([0.3, -0.7, yaw])
+    target = ahead_of(pose, bearing, distance)
+    for _ in range(400):
+        if np.hypot(*(target - pose[:2])) < 0.05:
+            break
+        pose = drive(pose, steer(pose, target, CLEAR, ROBOT, CONFIG.speed))
+    assert np.hypot(*(target - pose[:2])) < 0.05
+
+
+@pytest.mark.parametrize("slant_deg", [-30.0, 0.0, 15.0])
+def test_it_stops_in_front_of_a_wall_that_its_front_beams_see(slant_deg: float) -> None:
+    line = np.array([2.0, math.radians(slant_deg)])
+    pose = np.array([0.0, 0.0, 0.0])
+    actions = []
+    for _ in range(150):
+        action = steer(pose, np.array([5.0, 0.0]), wall_ranges(pose, line), ROBOT, CONFIG.speed)
+        actions.append(action)
+        pose = drive(pose, action)
+        clearance = line[0] - pose[0] * math.cos(line[1]) - pose[1] * math.sin(line[1]) - ROBOT.radius
+        assert clearance > 0.02
+    # It drove up to it at full speed, slowed down, and stands still.
+    assert actions[0].sum() == pytest.approx(2.0 * CONFIG.speed / ROBOT.max_wheel_speed)
+    assert abs(actions[-1].sum()) < 0.01
+    assert clearance < 0.15
+
+
+@settings(deadline=None, max_examples=200)
+@given(st.floats(-2.0, 2.0), st.floats(-20.0, 20.0))
+def test_wheels_stay_within_their_speed_and_the_turn_is_kept(speed: float, turn_rate: float) -> None:
+    left, right = wheel_speeds(speed, turn_rate, ROBOT)
+    assert max(abs(left), abs(right)) <= 1.0 + 1e-12
+    turned = (right - left) * ROBOT.max_wheel_speed / ROBOT.axle
+    fastest = 2.0 * ROBOT.max_wheel_speed / ROBOT.axle
+    assert turned == pytest.approx(float(np.clip(turn_rate, -fastest, fastest)), abs=1e-9)
+    forward = 0.5 * (left + right) * ROBOT.max_wheel_speed
+    assert abs(forward) <= abs(speed) + 1e-12
+    assert forward * speed >= 0.0
+
+
+def ground(*occupied: tuple[int, int]) -> GridView:
+    """Free ground of 2 x 2 m about the origin, and some occupied cells given as (row, column)."""
+    values = np.full((20, 20), 5, dtype=np.int16)
+    for cell in occupied:
+        values[cell] = -4
+    return GridView(np.array([-1.0, -1.0]), 0.1, values)
+
+
+@pytest.mark.parametrize("yaw", [0.0, -0.5 * math.pi])
+def test_it_backs_off_over_ground_that_is_known_to_be_free(yaw: float) -> None:
+    pose = np.array([0.05, 0.05, yaw])
+    left, right = back_off(pose, ground(), ROBOT, CONFIG.speed)
+    assert left == right < 0.0
+    # What stands right behind it forbids it; the same ahead does not.
+    behind = np.floor((pose[:2] - 0.2 * np.array([math.cos(yaw), math.sin(yaw)]) + 1.0) / 0.1).astype(int)
+    ahead = np.floor((pose[:2] + 0.2 * np.array([math.cos(yaw), math.sin(yaw)]) + 1.0) / 0.1).astype(int)
+    np.testing.assert_array_equal(back_off(pose, ground((behind[1], behind[0])), ROBOT, CONFIG.speed), [0.0, 0.0])
+    assert (back_off(pose, ground((ahead[1], ahead[0])), ROBOT, CONFIG.speed) < 0.0).all()
+
+
+# A post seen by the beam at 45 degrees before the robot came nearer: 0.21 m from the centre, ahead and to the left.
+POST = np.array([0.15, 0.15])
+AHEAD = np.array([0.6, 0.6])
+
+
+def reading_of(post: FloatArray, beam: int) -> FloatArray:
+    """Readings at the origin with a post on one beam, at its distance."""
+    ranges = CLEAR.copy()
+    ranges[beam] = np.hypot(*post) - ROBOT.radius
+    return ranges
+
+
+def test_a_robot_is_slowed_down_if_it_turns_towards_a_post_and_not_if_it_turns_away() -> None:
+    left, right = np.array([0.1, 0.9]), np.array([0.9, 0.1])
+    for side, beam, towards, away in ((1.0, 1, left, right), (-1.0, 4, right, left)):
+        guard, bearing = CollisionGuard(ROBOT), side * 0.6
+        # The reading is taken by a robot that looks so that the beam meets the post.
+        looking = np.array([0.0, 0.0, bearing - float(ROBOT.beam_angles[beam])])
+        ranges = CLEAR.copy()
+        ranges[beam] = 0.16 - ROBOT.radius
+        guard.add_readings(looking, ranges)
+        assert guard.limit_speed(np.zeros(3), towards).sum() < 0.6 * towards.sum()
+        np.testing.assert_array_equal(guard.limit_speed(np.zeros(3), away), away)
+
+
+def test_points_are_forgotten_after_four_seconds() -> None:
+    guard = CollisionGuard(ROBOT)
+    guard.add_readings(np.zeros(3), reading_of(POST, 1))
+    pose = np.array([0.08, 0.05, 0.5])
+    for _ in range(39):
+        guard.add_readings(pose, CLEAR)
+    assert guard.limit_speed(pose, AHEAD).sum() < AHEAD.sum()
+    guard.add_readings(pose, CLEAR)
+    np.testing.assert_array_equal(guard.limit_speed(pose, AHEAD), AHEAD)
+
+
+def test_the_robot_does_not_approach_what_is_too_near_to_be_measured() -> None:
+    guard, close = CollisionGuard(ROBOT), CLEAR.copy()
+    close[1] = 0.05
+    guard.add_readings(np.zeros(3), close)
+    np.testing.assert_allclose(guard.limit_speed(np.zeros(3), AHEAD), 0.0, atol=1e-12)
+    np.testing.assert_array_equal(guard.limit_speed(np.zeros(3), -AHEAD), -AHEAD)
+    # Beside the robot it is not in the way, and a moment later it is forgotten: it may have been noise.
+    close[:2] = 0.05, 1.5
+    for _ in range(3):
+        guard.add_readings(np.zeros(3), close)
+    np.testing.assert_array_equal(guard.limit_speed(np.zeros(3), AHEAD), AHEAD)
+
+
+@settings(deadline=None, max_examples=50)
+@given(st.floats(-1.2, 1.2), st.floats(0.16, 0.5), st.floats(-0.3, 0.3))
+def test_a_post_that_was_seen_is_not_run_into(bearing: float, distance: float, turn: float) -> None:
+    post = distance * np.array([math.cos(bearing), math.sin(bearing)])
+    guard, pose = CollisionGuard(ROBOT), np.zeros(3)
+    beam = 1 if bearing > 0.0 else 4
+    robot_sees = CLEAR.copy()
+    robot_sees[beam] = distance - ROBOT.radius
+    # The reading is taken by a robot that looks so that the beam meets the post.
+    guard.add_readings(np.array([0.0, 0.0, bearing - ROBOT.beam_angles[beam]]), robot_sees)
+    for _ in range(30):
+        pose = drive(pose, guard.limit_speed(pose, np.array([0.6 - turn, 0.6 + turn])))
+        assert np.hypot(*(pose[:2] - post)) > ROBOT.radius
+
+
+class Stands:
+    """A policy that stands still, and stops after some steps."""
+
+    plan = np.zeros((0, 2))
+
+    def __init__(self, steps):
+        self._left, self.stop_reason = steps, None
+
+    def act(self, belief):
+        del belief
+        self._left -= 1
+        self.stop_reason = "everything seen" if self._left <= 0 else None
+        return np.zeros(2)
+
+
+class Turns:
+    """A policy that turns for ever."""
+
+    plan, wheels, stop_reason = np.array([[9.0, 9.0]]), np.array([-0.1, 0.1]), None
+
+    def act(self, belief):
+        del belief
+        return self.wheels
+
+
+def belief_at(x, y, values=None):
+    values = np.full((40, 40), 5, dtype=np.int16) if values is None else values
+    grid = GridView(np.array([-2.0, -2.0]), 0.1, values)
+    return Belief(np.array([x, y, 0.0]), 1e-6 * np.eye(3), np.full(6, 1.5), no_rows(4), grid)
+
+
+@pytest.mark.parametrize("always", [True, False])
+def test_the_robot_drives_home_when_everything_was_seen_if_it_is_to(always):
+    policy = WayHome(Stands(3), ROBOT, PolicyConfig(), always=always)
+    for _ in range(3):
+        policy.act(belief_at(1.0, 0.5))
+    assert (policy.stop_reason, policy.is_going_home) == (None if always else "everything seen", always)
+    if always:
+        assert np.abs(policy.act(belief_at(1.0, 0.5))).max() > 0.1
+        np.testing.assert_array_equal(policy.plan[-1], 0.0)
+        policy.act(belief_at(0.02, 0.03))
+        assert policy.stop_reason == "everything seen; the robot is back at its start"
+    np.testing.assert_array_equal(policy.act(belief_at(1.0, 0.5)), 0.0)
+
+
+def test_a_robot_that_is_walled_off_says_that_there_is_no_way():
+    values = np.full((40, 40), 5, dtype=np.int16)
+    values[:, 25] = -5
+    policy = WayHome(Stands(100), ROBOT, PolicyConfig())
+    policy.go_home()
+    policy.act(belief_at(1.5, 0.0, values))
+    assert policy.stop_reason == "asked to drive home; the map shows no way back to the start"
+
+
+def test_while_the_robot_is_lost_its_policy_drives_and_the_way_is_planned_anew_after_that():
+    inner = Turns()
+    policy = WayHome(inner, ROBOT, PolicyConfig(), home=np.array([1.5, 0.0]))
+    policy.go_home()
+    for _ in range(50):
+        policy.act(belief_at(-1.0, 0.0))
+    lost = replace(belief_at(1.5, 0.0), frame=1, status=Status("lost", "carried away"))
+    for _ in range(3):
+        np.testing.assert_array_equal(policy.act(lost), inner.wheels)
+    assert policy.stop_reason is None  # the start of another frame is nothing to arrive at
+    np.testing.assert_array_equal(policy.plan, inner.plan)
+    policy.act(replace(belief_at(0.0, 1.0), frame=2))
+    np.testing.assert_allclose(policy.plan[[0, -1]], [[0.0, 1.0], [1.5, 0.0]], atol=0.1)
+    policy.act(replace(belief_at(1.5, 0.0), frame=2))
+    assert policy.stop_reason == "asked to drive home; the robot is back at its start"
+
+
+def test_a_robot_in_a_world_comes_back_to_its_start():
+    simulation = Simulation(load_world("env1"), ROBOT)
+    readings, truth = simulation.reset(np.random.SeedSequence(3), NoiseConfig(sensor_noise=0.02))
+    config = preset("consistent", NominalNoise(0.02))
+    policy = WayHome(WallFollower(ROBOT, config.policy), ROBOT, config.policy)
+    agent, start = LimSlamAgent(ROBOT, config, policy), truth.poses[0].copy()
+    farthest = 0.0
+    for step in range(900):
+        left, right = agent.act({"ranges": readings.ranges[0], "wheels": readings.wheels[0]})
+        readings, truth = simulation.step([(left, right)])
+        away = float(np.hypot(*(truth.poses[0] - start)[:2]))
+        farthest = max(farthest, away)
+        if step == 300:
+            policy.go_home()
+        if agent.done:
+            break
+    assert agent.stop_reason == "asked to drive home; the robot is back at its start"
+    assert farthest > 1.0
+    assert away < 0.2
+
+
+LOST = Status("lost", "for a test")
+HERE = place(4, 20)  # in the middle of a hall that is open to both sides
+ENDS = frontier_cells(HALL, 3)
+# An earlier map that knows the ground beyond one end of the hall, or beyond both; its cell 0, 0 is 2 m to the left.
+LEFT = grid_of(*["." * 40 + "?" * 41] * 9)
+BOTH = grid_of(*["." * 81] * 9)
+FRAME = np.array([2.0, 0.0, 0.0])
+
+
+def lost(*guesses, heading=np.pi / 2):
+    pose = np.array([*HERE[:2], heading])
+    return replace(belief_of(pose, HALL), status=LOST, guesses=guesses)
+
+
+def costs(belief):
+    """The least costs of the left and the right end of the hall."""
+    cost, middle = search_cost(belief, ENDS), HALL.values.shape[1] // 2
+    assert not cost[~ENDS].any()
+    return cost[:, :middle][ENDS[:, :middle]].min(), cost[:, middle:][ENDS[:, middle:]].min()
+
+
+def test_only_a_lost_robot_searches():
+    assert not search_cost(replace(lost(Guess(FRAME, 2.0, LEFT)), status=Status()), ENDS).any()
+
+
+def test_a_robot_goes_where_its_only_likely_place_predicts_something():
+    left, right = costs(lost(Guess(FRAME, 2.0, LEFT)))
+    assert left < right - 1.0
+    everywhere = np.zeros(HALL.values.shape, dtype=bool)
+    target = next_target(lost(Guess(FRAME, 2.0, LEFT), heading=1.3), everywhere, ROBOT, CONFIG)
+    assert target.goal[0] < HERE[0], "although the other end is a little more ahead"
+
+
+def test_a_robot_goes_where_two_likely_places_predict_different_things():
+    """Both places predict free ground to the left, and only one does so to the right."""
+    wall = grid_of(*["." * 55 + "#" * 26] * 9)
+    left, right = costs(lost(Guess(FRAME, 2.0, BOTH), Guess(FRAME, 2.0, wall)))
+    assert right < left - 0.5
+
+
+def test_a_robot_without_a_guess_goes_on_ahead():
+    left, right = costs(lost(heading=0.0))
+    assert right < left - 1.0
+    assert costs(lost(heading=np.pi)) == pytest.approx((right, left), abs=0.1)

@@ -1,0 +1,476 @@
+"""Errors of sensors and of odometry that the consistent filter estimates while it drives."""
+
+import json
+import math
+import re
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from support.command_line import limslam
+from support.data import data_folder
+from support.drives import FOUR_BEAMS, ROBOT, along, drive, laps_of_square, ranges_at, room
+from support.readings import Readings, expected_ranges, expected_rows, keep_clones, observe
+
+from limslam_agent import AgentConfig, LineSlam, Mapper, preset, read_log, replay_log
+from limslam_agent.config.consistent import ConsistentConfig, RangeErrorConfig, SelfCalibrationConfig
+from limslam_agent.config.presets import self_calibrating
+from limslam_agent.mapping import mapper as mapper_module
+from limslam_agent.output.summary import record_summary, turn_records
+from limslam_agent.slam.consistent.clone_ekf import CloneEKF
+from limslam_agent.slam.consistent.clone_filter import line_at
+from limslam_agent.slam.consistent.range_noise import RangeNoise
+from limslam_agent.slam.consistent.separate_bias import DELAY, OdometryErrors, by_range_errors
+from limslam_agent.slam.core.motion import AS_SPECIFIED, OdometryCalibration, calibrated, motion_from_wheels
+from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_env import NominalNoise, Observation, RobotSpec
+from limslam_env.geometry import FloatArray, se2
+
+NOISE = 0.02
+WALLS = np.vstack((room(-0.5, -0.5, 3.5, 2.5), room(0.5, 0.5, 2.5, 1.5)))
+LAP = [(0.0, 0.0), (3.0, 0.0), (3.0, 2.0), (0.0, 2.0)]
+ROUTE = along([*LAP, *LAP, (0.0, 0.0)])
+CONE = math.radians(3.0)
+LINE, ANCHOR = np.array([0.3, 0.4]), np.array([1.0, 0.5])
+
+
+def one_reading(bearing: float, cone: float) -> Readings:
+    none, sources = np.zeros(1), np.zeros((1, 2), dtype=int)
+    return Readings(np.zeros(1, dtype=int), np.zeros((1, 2)), np.array([bearing]), none, sources, cone=cone)
+
+
+def distance_to(line: FloatArray, bearing: float, cone: float, pose: FloatArray) -> float:
+    """Range of one beam that meets a line."""
+    return float(expected_ranges(pose[None], one_reading(bearing, cone), line, ANCHOR).ranges[0])
+
+
+@settings(deadline=None, max_examples=100)
+@given(st.floats(-1.2, 1.2), st.sampled_from([0.02, 0.1, 0.26]))
+def test_the_derivatives_of_a_cone_equal_central_differences(slant: float, cone: float) -> None:
+    if abs(abs(slant) - cone) < 1e-3:  # where the border ray becomes the perpendicular
+        return
+    pose, bearing, step = np.array([-0.5, 0.2, 0.3]), LINE[1] + slant - 0.3, 1e-5
+    found = expected_ranges(pose[None], one_reading(bearing, cone), LINE, ANCHOR)
+    rows = expected_rows(pose[None], one_reading(bearing, cone), LINE, ANCHOR)
+    by_pose = [
+        distance_to(LINE, bearing, cone, pose + each) - distance_to(LINE, bearing, cone, pose - each)
+        for each in step * np.eye(3)
+    ]
+    by_line = [
+        distance_to(LINE + each, bearing, cone, pose) - distance_to(LINE - each, bearing, cone, pose)
+        for each in step * np.eye(2)
+    ]
+    wider = distance_to(LINE, bearing, cone + step, pose) - distance_to(LINE, bearing, cone - step, pose)
+    np.testing.assert_allclose(found.by_pose[0], np.array(by_pose) / (2.0 * step), atol=1e-6)
+    np.testing.assert_allclose(found.by_line[0], np.array(by_line) / (2.0 * step), atol=1e-6)
+    turned = distance_to(LINE, bearing + step, cone, pose) - distance_to(LINE, bearing - step, cone, pose)
+    by_errors = by_range_errors(rows, one_reading(bearing, cone).rows, pose[2:], float(LINE[1]), 1)
+    assert not by_errors[:, DELAY].any()  # it acts by the poses
+    by_errors = np.delete(by_errors, DELAY, axis=1)
+    np.testing.assert_allclose(by_errors[0], [1.0, wider / (2.0 * step), turned / (2.0 * step)], atol=1e-6)
+
+
+def counted(factor: float, growth: float, seed: int = 0) -> RangeNoise:
+    """What is known after 60 segments of 20 readings with noise that is not as specified."""
+    generator, noise = np.random.default_rng(seed), RangeNoise(RangeSensor(NOISE), 1.5, 0.005, 1.25)
+    for _ in range(60):
+        ranges = generator.uniform(0.1, 1.4, 20)
+        stds = np.hypot(factor * NOISE, growth * ranges**2)
+        residuals = stds / NOISE * generator.standard_normal(20)
+        residuals[generator.random(20) < 0.03] += 5.0  # readings of another object
+        noise.count(residuals, ranges)
+    return noise
+
+
+@pytest.mark.parametrize("seed", range(2))
+def test_noise_as_specified_gives_no_evidence(seed: int) -> None:
+    assert counted(1.0, 0.0, seed).estimate.evidence < 0.0
+
+
+@pytest.mark.parametrize(("factor", "growth"), [(2.0, 0.0), (0.5, 0.0), (0.5, 0.02)])
+def test_other_noise_is_found(factor: float, growth: float) -> None:
+    found = counted(factor, growth).estimate
+    assert found.evidence > 50.0
+    for distance in (0.4, 1.2):
+        true = math.hypot(factor * NOISE, growth * distance**2)
+        assert RangeSensor(found.std, found.growth).stds(np.array([distance]))[0] == pytest.approx(true, rel=0.2)
+
+
+def observed(
+    cone: float, seed: int, *, noise: float = NOISE, bias: float = 0.0, turns: tuple[float, ...] = ()
+) -> tuple[list[Observation], FloatArray]:
+    """Observations of a sensor along two laps, and the true poses."""
+    generator = np.random.default_rng(seed)
+    exact, poses = drive(WALLS, np.zeros(3), ROUTE)
+    turned = [
+        RangeSensor(NOISE, turns=tuple(share * cone + np.array(turns or np.zeros(len(ROBOT.beams))))).mounted(ROBOT)
+        for share in np.linspace(-1.0, 1.0, 5)
+    ]
+    observations: list[Observation] = []
+    for pose, seen in zip(poses, exact, strict=True):
+        ranges = np.min([ranges_at(pose, WALLS, each) for each in turned], axis=0)
+        read = ranges + bias + noise * generator.standard_normal(len(ranges))
+        is_seen = ranges < ROBOT.max_ranges
+        wheels = seen["wheels"] + np.sqrt(2e-5 * np.abs(seen["wheels"])) * generator.standard_normal(2)
+        kept = np.where(is_seen, np.clip(read, ROBOT.min_ranges, ROBOT.max_ranges), ROBOT.max_ranges)
+        observations.append({"ranges": kept, "wheels": wheels})
+    return observations, poses
+
+
+def config_of(*, enabled: bool = True) -> AgentConfig:
+    config = preset("consistent", NominalNoise(NOISE))
+    assert isinstance(config.estimator, ConsistentConfig)
+    return replace(config, estimator=replace(config.estimator, range_errors=RangeErrorConfig(enabled=enabled)))
+
+
+def mapped(
+    observations: list[Observation], config: AgentConfig, robot: RobotSpec = ROBOT
+) -> tuple[Mapper, FloatArray, FloatArray]:
+    """The mapper after a drive, and its poses (t, 3) and covariances (t, 3, 3)."""
+    mapper, poses, covariances = Mapper(robot, config), [], []
+    for seen in observations:
+        mapper.step(seen)
+        poses.append(mapper.poses[0])
+        covariances.append(mapper.covariances[0])
+    return mapper, np.array(poses), np.array(covariances)
+
+
+def position_error(poses: FloatArray, true: FloatArray) -> float:
+    return float(np.sqrt(np.mean(np.sum((poses[:, :2] - true[:, :2]) ** 2, axis=1))))
+
+
+def test_a_sensor_as_specified_keeps_its_drive_to_the_bit() -> None:
+    observations, _ = observed(0.0, 0)
+    mapper, poses, covariances = mapped(observations, config_of())
+    assert mapper.slam.sensor == RangeSensor(NOISE)
+    _, without, spread = mapped(observations, config_of(enabled=False))
+    np.testing.assert_array_equal(poses, without)
+    np.testing.assert_array_equal(covariances, spread)
+
+
+def test_an_unknown_opening_angle_is_found_and_corrects_the_drive() -> None:
+    observations, true = observed(CONE, 0)
+    mapper, poses, _ = mapped(observations, config_of())
+    assert mapper.slam.sensor is not None
+    assert mapper.slam.sensor.cone == pytest.approx(CONE, abs=0.015)
+    assert len(poses) == len(true)
+    _, without, _ = mapped(observations, config_of(enabled=False))
+    assert position_error(poses, true) < position_error(without, true)
+
+
+def test_a_bias_is_no_opening_angle() -> None:
+    sensor = mapped(observed(0.0, 2, bias=0.03)[0], config_of())[0].slam.sensor
+    assert sensor is not None
+    assert sensor.cone < 0.01
+
+
+def test_turned_beams_are_found_and_named() -> None:
+    turns = np.radians([3.0, -4.0, 3.0, -3.0, 4.0, -3.0])
+    mapper, _, _ = mapped(observed(0.0, 3, turns=tuple(turns))[0], config_of())
+    found = mapper.slam.beam_turns
+    assert found is not None
+    # The beams at the sides stand nearly perpendicular to their walls, and their ranges hardly tell their directions.
+    np.testing.assert_allclose(found[1:5, 0], turns[1:5], atol=math.radians(1.2))
+    result = {"record": {"beam_turns": turn_records(found)}, "config": {"robot": asdict(ROBOT)}}
+    line = record_summary(result)[-1]
+    assert re.search(r"^turned .*the beam at 45 deg by [345]\.\d \+- 0\.\d deg to the right, ", line)
+    assert "turned" not in "".join(record_summary({**result, "metrics": {"status": "lost"}}))
+    assert mapper.slam.mounted.beam_angles == pytest.approx(ROBOT.beam_angles + found[:, 0], abs=math.radians(1.0))
+
+
+@pytest.mark.parametrize("delay", [1, 3])
+def test_late_ranges_are_found_and_corrected(delay: int) -> None:
+    observations, true = observed(0.0, 4)
+    late = [observations[max(step - delay, 0)]["ranges"] for step in range(len(observations))]
+    told = [{**seen, "ranges": ranges} for seen, ranges in zip(observations, late, strict=True)]
+    mapper, _, _ = mapped(told, config_of())
+    assert mapper.slam.range_sensor.delay == pytest.approx(delay, abs=0.2)
+    assert np.hypot(*(mapper.poses[0] - true[-1])[:2]) < 0.1
+    result = {"record": {"sensor": mapper.slam.range_sensor.found(RangeSensor(NOISE), ROBOT.control_period)}}
+    (line,) = (line for line in record_summary(result) if line.startswith("sensor"))
+    found = re.search(r"ranges are (\d\.\d\d) s later than the wheels", line)
+    assert found is not None
+    assert float(found[1]) == pytest.approx(delay * ROBOT.control_period, abs=0.03)
+
+
+@pytest.mark.parametrize("reading", [0.2, math.inf], ids=["stuck", "dead"])
+@pytest.mark.parametrize("beam", [0, 4])
+def test_a_beam_that_always_reads_the_same_is_left_out_and_named(beam: int, reading: float) -> None:
+    observations, true = observed(0.0, 5)
+    for seen in observations:
+        seen["ranges"][beam] = min(reading, float(ROBOT.max_ranges[beam]))
+    mapper, _, _ = mapped(observations, config_of())
+    sensor = mapper.slam.range_sensor
+    assert sensor.broken == (beam,)
+    assert mapper.statuses[0].level == "ok"
+    assert np.hypot(*(mapper.poses[0] - true[-1])[:2]) < 0.1
+    result = {"record": {"sensor": sensor.found(RangeSensor(NOISE), 0.1)}, "config": {"robot": asdict(ROBOT)}}
+    named = f"the beam at {math.degrees(ROBOT.beam_angles[beam]):.4g} deg always reads the same"
+    assert named in "".join(record_summary(result))
+
+
+def test_a_beam_that_breaks_later_does_not_take_the_robot_back_to_its_start(monkeypatch) -> None:
+    monkeypatch.setattr(mapper_module, "RESTART_WITHIN", 200)
+    observations, true = observed(0.0, 5)
+    for seen in observations[450:]:
+        seen["ranges"][4] = 0.2
+    mapper, _, _ = mapped(observations, config_of())
+    assert mapper.slam.range_sensor.broken == (4,)
+    assert np.hypot(*(mapper.poses[0] - true[-1])[:2]) < 0.1
+
+
+def test_a_stated_opening_angle_keeps_the_filter_consistent() -> None:
+    robot, squared, without = replace(ROBOT, cone=CONE), [], []
+    for seed in range(4):
+        observations, true = observed(CONE, 10 + seed)
+        for each, found in ((robot, squared), (ROBOT, without)):
+            _, poses, covariances = mapped(observations, config_of(enabled=False), each)
+            off = poses[200:] - true[200:]
+            off[:, 2] = se2.wrap_angle(off[:, 2])
+            scaled = np.linalg.solve(covariances[200:], off[..., None])[..., 0]
+            found.append(np.mean(np.sum(off * scaled, axis=1)))
+    assert np.mean(squared) / 3.0 < 2.0
+    assert np.mean(without) > 1.5 * np.mean(squared)
+
+
+@pytest.mark.parametrize("cone", [-0.1, 1.0])
+def test_an_impossible_opening_angle_is_refused(cone: float) -> None:
+    with pytest.raises(ValueError, match="half the opening angle"):
+        RobotSpec(cone=cone)
+
+
+ROBOT, NOMINAL, QUIET = RobotSpec(), NominalNoise(0.02), NominalNoise(0.0, 0.0)
+TWO_WALLS = np.array([[0.6, 0.5 * math.pi], [-0.6, 0.5 * math.pi]])
+SIDES = ([0, 1], [4, 5])
+# So small that no curvature counts: the filters are compared where they are linear.
+SMALL = 1e-5
+PRIOR = SMALL**2 * SelfCalibrationConfig().covariance / 1e-4
+
+
+def range_to(pose: FloatArray, beam: int, line: FloatArray) -> float:
+    """The exact range of a beam to an endless wall (r, theta)."""
+    origin = se2.transform_points(pose, ROBOT.beam_origins[[beam]])[0]
+    heading = pose[2] + ROBOT.beam_angles[beam]
+    normal = np.array([math.cos(line[1]), math.sin(line[1])])
+    return float((line[0] - normal @ origin) / (normal @ [math.cos(heading), math.sin(heading)]))
+
+
+class Corridor:
+    """A drive between two walls by filters that get the same motions and readings."""
+
+    def __init__(self, filters: list[CloneEKF], true: OdometryCalibration, seed: int = 0) -> None:
+        self.filters, self.true, self.pose = filters, true, np.zeros(3)
+        self.generator = np.random.default_rng(seed)
+
+    def move(self, left: float, right: float, assumed: OdometryCalibration) -> None:
+        reported = motion_from_wheels(np.array([left, right]), ROBOT, QUIET)
+        self.pose = se2.compose(self.pose, calibrated(reported, ROBOT.axle, self.true).increment)
+        for ekf in self.filters:
+            found = ekf.calibration()
+            motion = calibrated(reported, ROBOT.axle, OdometryCalibration(*found[0]) if found else assumed)
+            is_estimated = found is not None or ekf.calibration_evidence is not None
+            ekf.predict(motion if is_estimated else replace(motion, by_calibration=None))
+
+    def look(self, side: int) -> None:
+        ranges = [range_to(self.pose, beam, TWO_WALLS[side]) for beam in SIDES[side]]
+        ranges += SMALL * 0.02 * self.generator.standard_normal(len(ranges))
+        for ekf in self.filters:
+            clone = ekf.clone()
+            if ekf.num_lines <= side:
+                line = ekf.add_line(float(TWO_WALLS[side, 1]), np.array([0.0, TWO_WALLS[side, 0]]))
+                part = slice(line_at(ekf.arrays.counts, line), line_at(ekf.arrays.counts, line) + 2)
+                ekf.P[part, part] = SMALL**2 * np.eye(2)
+            sources = np.array([[0, beam] for beam in SIDES[side]])
+            readings = Readings(
+                np.full(2, clone), ROBOT.beam_origins[SIDES[side]], ROBOT.beam_angles[SIDES[side]], ranges, sources
+            )
+            observe(ekf, readings, side, SMALL * 0.02, 2, 0.0)
+            if side == 1:
+                keep_clones(ekf, set())
+
+    def drive(self, assumed: OdometryCalibration = AS_SPECIFIED) -> None:
+        for step in range(40):
+            self.move(0.02, 0.021 + 0.01 * math.sin(0.3 * step), assumed)
+            if step % 4 == 3:
+                self.look(step // 4 % 2)
+
+
+def test_the_filter_and_its_separate_bias_know_what_a_filter_with_the_bias_in_its_state_knows() -> None:
+    separate, joint = CloneEKF(np.zeros(3), PRIOR), CloneEKF(np.zeros(3), PRIOR)
+    joint.calibrate()
+    Corridor([separate, joint], OdometryCalibration(2e-5, -1e-5, 3e-5)).drive()
+    assert separate.calibration() is None
+    separate.calibrate()
+    for ekf in (separate, joint):
+        assert ekf.calibration_evidence is None
+    (found, covariance), (expected, expected_covariance) = separate.calibration(), joint.calibration()  # type: ignore[misc]
+    stds = np.sqrt(np.diag(expected_covariance))
+    np.testing.assert_allclose(found / stds, expected / stds, atol=1e-3)
+    np.testing.assert_allclose(covariance / np.outer(stds, stds), expected_covariance / np.outer(stds, stds), atol=1e-3)
+    scale = np.sqrt(np.diag(joint.P))
+    np.testing.assert_allclose((separate.x - joint.x) / scale, 0.0, atol=2e-3)
+    np.testing.assert_allclose(separate.P / np.outer(scale, scale), joint.P / np.outer(scale, scale), atol=2e-3)
+    np.testing.assert_allclose(separate.P, separate.P.T, rtol=1e-12)
+
+
+def test_the_derivative_by_the_errors_is_that_of_filters_with_other_odometry() -> None:
+    def state(ekf: CloneEKF, assumed: OdometryCalibration) -> FloatArray:
+        Corridor([ekf], AS_SPECIFIED).drive(assumed)
+        return ekf.x.copy()
+
+    ekf = CloneEKF(np.zeros(3), PRIOR)
+    state(ekf, AS_SPECIFIED)
+    for column in range(3):
+        above, below = (
+            state(CloneEKF(np.zeros(3)), OdometryCalibration(*(step * np.eye(3)[column]))) for step in (SMALL, -SMALL)
+        )
+        np.testing.assert_allclose(ekf.by_errors[:, column], (above - below) / (2.0 * SMALL), atol=2e-3)
+
+
+def test_the_evidence_is_the_bayes_factor_of_the_two_hypotheses() -> None:
+    generator, prior = np.random.default_rng(1), np.diag([1e-4, 4e-4, 9e-4])
+    errors, jacobian = OdometryErrors(1, prior), generator.normal(size=(5, 3))
+    innovation, noise = 0.02 * generator.normal(size=5), 1e-4 * np.eye(5)
+    errors.learn(100.0 * jacobian, 100.0 * innovation)
+    wide = noise + jacobian @ prior @ jacobian.T
+    chi_squares = [innovation @ np.linalg.solve(each, innovation) for each in (noise, wide)]
+    sizes = [np.linalg.slogdet(each)[1] for each in (noise, wide)]
+    assert errors.evidence == pytest.approx(chi_squares[0] - chi_squares[1] + sizes[0] - sizes[1])
+
+
+def uneven_laps(uneven: float, *, seed: int = 5, laps: float = 1.0) -> tuple[list[Observation], FloatArray]:
+    """Observations along the square with one wheel larger and the other smaller, and the true poses."""
+    log = laps_of_square(0.02, seed=seed, laps=laps)
+    counted = np.array([1.0 + 0.5 * uneven, 1.0 - 0.5 * uneven])
+    return [{**seen, "wheels": (counted * seen["wheels"]).astype(np.float32)} for seen in log.observations], log.poses
+
+
+def test_a_robot_as_specified_is_estimated_as_if_nothing_were_calibrated() -> None:
+    observations, poses = uneven_laps(0.0)
+    plain, watching = (
+        LineSlam(FOUR_BEAMS, self_calibrating(preset("consistent", NOMINAL), when), poses[0])
+        for when in ("never", "if_needed")
+    )
+    for seen in observations:
+        plain.step(seen)
+        watching.step(seen)
+        np.testing.assert_array_equal(watching.pose, plain.pose)
+        np.testing.assert_array_equal(watching.covariance, plain.covariance)
+    assert watching.odometry_calibrations == [None]
+
+
+def test_a_robot_with_uneven_wheels_knows_its_way() -> None:
+    errors = []
+    for seed in (5, 6, 7):
+        observations, poses = uneven_laps(0.04, seed=seed)
+        mapper, off = (
+            Mapper(FOUR_BEAMS, self_calibrating(preset("consistent", NOMINAL), "if_needed"), poses[0]),
+            [],
+        )
+        for seen, true in zip(observations, poses, strict=True):
+            mapper.step(seen)
+            off.append(float(np.hypot(*(mapper.slam.pose - true)[:2])))
+        errors.append(math.sqrt(np.mean(np.square(off))))
+    assert np.median(errors) < 0.2
+
+
+def test_a_mapper_finds_uneven_wheels_and_starts_again() -> None:
+    uneven = 0.04
+    observations, poses = uneven_laps(uneven)
+    mapper, always = (
+        Mapper(FOUR_BEAMS, self_calibrating(preset("consistent", NOMINAL), when), poses[0])
+        for when in ("if_needed", "always")
+    )
+    slams = [mapper.slam]
+    for seen in observations:
+        mapper.step(seen)
+        always.step(seen)
+        if mapper.slam is not slams[-1]:
+            slams.append(mapper.slam)
+    assert len(slams) == 2
+    # What was mapped before is mapped again, and nothing of it is left.
+    np.testing.assert_array_equal(mapper.slam.pose, always.slam.pose)
+    np.testing.assert_array_equal(mapper.slam.segments, always.slam.segments)
+    np.testing.assert_array_equal(mapper.grid.values, always.grid.values)
+    found = mapper.slam.odometry_calibration
+    assert found is not None
+    turns, std = np.array([-1.0, 1.0, 0.0]), math.sqrt(np.array([-1, 1, 0]) @ found[1] @ np.array([-1, 1, 0]))
+    assert turns @ np.array(found[0]) == pytest.approx(uneven, abs=4.0 * std)
+
+
+COUNTED = np.array([1.006, 0.994])
+"""What encoders count over what wheels turn: the left one is taken for larger than it is, the right for smaller."""
+
+
+def config(noise: float, *, enabled: bool) -> AgentConfig:
+    settings = preset("consistent", NominalNoise(noise))
+    return self_calibrating(settings, "always" if enabled else "never")
+
+
+def after_laps(noise: float) -> tuple[LineSlam, float]:
+    """The mapping half after two laps with uneven wheels, and its position's RMS error, m."""
+    log = laps_of_square(noise, seed=5, laps=2.0)
+    slam, errors = LineSlam(FOUR_BEAMS, config(noise, enabled=True), log.poses[0]), []
+    for seen, true in zip(log.observations, log.poses, strict=True):
+        slam.step({**seen, "wheels": (COUNTED * seen["wheels"]).astype(np.float32)})
+        errors.append(float(np.sum((slam.pose[:2] - true[:2]) ** 2)))
+    return slam, math.sqrt(np.mean(errors))
+
+
+@pytest.mark.parametrize("noise", [0.02])
+def test_uneven_wheels_are_found_out(noise: float) -> None:
+    slam, error = after_laps(noise)
+    assert slam.odometry_calibration is not None
+    factors, covariance = slam.odometry_calibration
+    true = 1.0 / COUNTED - 1.0
+    uneven, std = np.array([-1.0, 1.0, 0.0]), math.sqrt(covariance[0, 0] + covariance[1, 1] - 2.0 * covariance[0, 1])
+    assert std < 0.2 * (true[1] - true[0])
+    assert uneven @ np.array(factors) == pytest.approx(true[1] - true[0], abs=3.0 * std)
+    assert error < 0.3
+
+
+def test_each_robot_has_wheels_of_its_own() -> None:
+    start: FloatArray = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    slam = LineSlam(FOUR_BEAMS, config(0.02, enabled=True), start)
+    ranges = FOUR_BEAMS.max_ranges.astype(np.float32)
+    for _ in range(10):
+        slam.step(*({"ranges": ranges, "wheels": np.full(2, travel, dtype=np.float32)} for travel in (0.02, 0.03)))
+    np.testing.assert_allclose(slam.poses, [[0.2, 0.0, 0.0], [1.3, 0.0, 0.0]], atol=1e-6)
+    # Farther driven, less sure of where: each by its own wheels' size alone.
+    # The noise alone would give a ratio of 1.5, and the size alone 2.25.
+    assert slam.covariances[1][0, 0] > 1.8 * slam.covariances[0][0, 0]
+
+
+@pytest.mark.parametrize("name", ["size_std", "uneven_std", "axle_std"])
+@pytest.mark.parametrize("value", [-0.1, math.nan, math.inf])
+def test_what_is_known_beforehand_must_make_sense(name: str, value: float) -> None:
+    with pytest.raises(ValueError, match=name):
+        SelfCalibrationConfig(**{name: value})
+
+
+@pytest.mark.slow
+def test_a_real_robots_odometry_is_found_to_turn() -> None:
+    log = read_log(data_folder() / "fr079" / "fr079_raw.clf.gz", [90, 54, 18, -18, -54, -90], 5.0)
+    found = replay_log(log, config(0.02, enabled=True)).self_calibration
+    assert found is not None
+    figures = found.figures
+    # Hand-checked relations say 0.99 deg/m.
+    assert 0.6 < figures["self_calibration_turn_deg_per_m"] < 1.2
+    assert figures["self_calibration_turn_std_deg_per_m"] < 0.2
+    assert figures["self_calibration_scale"] == pytest.approx(1.0, abs=0.02)
+
+
+def test_replay_tells_what_it_found(tmp_path: Path) -> None:
+    table = tmp_path / "corridor.csv"
+    rows = [f"{0.1 * step:.1f},{0.025 * step:.3f},0,0,0.8,0.9" for step in range(200)]
+    table.write_text("\n".join(["t,x,y,theta,r_-90,r_90", *rows]) + "\n")
+    (tmp_path / "settings.toml").write_text('[agent.estimator.self_calibration]\ncalibrate = "always"\n')
+    config = ["--preset", "consistent", "--config", str(tmp_path / "settings.toml")]
+    arguments = ["replay", str(table), *config, "--out", str(tmp_path / "out")]
+    assert limslam(*arguments).returncode == 0
+    metrics = json.loads((tmp_path / "out" / "result.json").read_text())["metrics"]
+    assert abs(metrics["self_calibration_turn_deg_per_m"]) < 0.5
+    assert 0.0 < metrics["self_calibration_turn_std_deg_per_m"] < 1.0

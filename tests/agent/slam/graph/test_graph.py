@@ -1,0 +1,430 @@
+"""Parts of the graph of local maps: key poses, factors, walls and links, matching, loops and their covariances."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from support.corridors import corridor_log
+
+from limslam_agent.config.graph import GraphConfig, LocalMapConfig, PointConfig, WallLineConfig
+from limslam_agent.slam.graph import matching
+from limslam_agent.slam.graph.agreement import VisitCounts, supported
+from limslam_agent.slam.graph.chunk_graph import ChunkGraph, Hops, Loop, joint_covariance, solve_annealed
+from limslam_agent.slam.graph.key_poses import (
+    ERRORS,
+    LogData,
+    Trajectory,
+    choose_keys,
+    corrected,
+    delayed,
+    joined_bias,
+    odometry_trajectory,
+)
+from limslam_agent.slam.graph.least_squares import (
+    NormalEquations,
+    link_error,
+    odometry_factor,
+    pose_columns,
+    relation_factor,
+)
+from limslam_agent.slam.graph.local_maps import HIT, LocalMap, draw_grid, thinned
+from limslam_agent.slam.graph.matching import NO_MATCH, Window, match, match_covariance, search_grid
+from limslam_agent.slam.graph.point_links import find_normals, links_across, point_cloud
+from limslam_agent.slam.graph.posterior import aligned_covariance
+from limslam_agent.slam.graph.wall_lines import line_error, lines_in
+from limslam_env.geometry import se2
+
+RNG = np.random.default_rng(1)
+
+
+def wandering(count=200, beams=3):
+    moves = np.column_stack((RNG.normal(0.05, 0.02, count), RNG.normal(0.0, 0.02, count), RNG.normal(0.0, 0.05, count)))
+    odometry = np.zeros((count, 3))
+    for row in range(1, count):
+        odometry[row] = se2.compose(odometry[row - 1], moves[row])
+    angles = np.linspace(-1.5, 1.5, beams)
+    ranges = RNG.uniform(0.3, 4.0, (count, beams))
+    origins = RNG.normal(0.0, 0.1, (beams, 2))
+    return LogData(np.arange(count) * 0.1, odometry, ranges, ranges < 3.5, origins, angles, 5.0)
+
+
+def keys_of(log):
+    return choose_keys(log, PointConfig())
+
+
+def test_two_corrections_after_each_other_are_one():
+    log = wandering()
+    first, second = np.array([0.05, 0.03, -0.02, 0.2, 0.02]), np.array([-0.02, 0.01, 0.04, -0.1, 0.01])
+    twice = corrected(corrected(log, first), second).odometry
+    once = corrected(log, joined_bias(first, second)).odometry
+    # The direction of a motion turns by half of the missing heading, which is not exactly additive.
+    # Odometry ends with the log, so poses after the end are missing.
+    assert np.abs(se2.wrap_angle(twice[:, 2] - once[:, 2]))[2:-2].max() < 1e-3
+    assert np.abs(twice[2:-2, :2] - once[2:-2, :2]).max() < 5e-3
+    assert np.abs(once - log.odometry).max() > 0.1
+
+
+def test_a_log_whose_times_do_not_tell_its_events_apart_keeps_its_odometry():
+    log = wandering(60)
+    same = replace(log, time=np.repeat(np.arange(20.0), 3))
+    for delay in (0.0, 0.3):
+        np.testing.assert_array_equal(delayed(same, delay).odometry, log.odometry)
+    np.testing.assert_array_equal(delayed(log, 0.0).odometry, log.odometry)
+
+
+def central_differences(function, values, step=1e-6):
+    columns = []
+    for place in range(values.size):
+        high, low = values.copy(), values.copy()
+        high.flat[place] += step
+        low.flat[place] -= step
+        columns.append((function(high) - function(low)) / (2.0 * step))
+    return np.stack(columns, axis=-1)
+
+
+def curved_log(count=60):
+    time = np.arange(count, dtype=float)
+    turn = np.cumsum(RNG.normal(0.0, 0.1, count))
+    odometry = np.column_stack((np.cumsum(0.1 * np.cos(turn)), np.cumsum(0.1 * np.sin(turn)), turn))
+    ranges = RNG.uniform(0.5, 3.0, (count, 2))
+    hit = np.ones((count, 2), dtype=bool)
+    return LogData(time, odometry, ranges, hit, np.zeros((2, 2)), np.array([1.5, -1.5]), 5.0)
+
+
+def test_relation_jacobian():
+    poses = RNG.normal(0.0, 2.0, (2, 3))
+    measured = RNG.normal(0.0, 1.0, (1, 3))
+
+    def error(both):
+        return relation_factor(both, np.array([0]), np.array([1]), measured)[0][0]
+
+    _, jacobian = relation_factor(poses, np.array([0]), np.array([1]), measured)
+    assert np.allclose(jacobian[0], central_differences(error, poses), atol=1e-7)
+
+
+def test_odometry_jacobian_by_poses_and_constant_errors():
+    keys = keys_of(curved_log())
+    bias = np.array([0.02, 0.01, -0.02, 0.1, 0.03])
+    poses = odometry_trajectory(keys, np.array([1.0, 2.0, 0.5])).poses + RNG.normal(0.0, 0.02, (len(keys), 3))
+    _, jacobian = odometry_factor(keys, Trajectory(poses, bias))
+    by_bias = central_differences(lambda each: odometry_factor(keys, Trajectory(poses, each))[0], bias)
+    by_poses = central_differences(lambda each: odometry_factor(keys, Trajectory(each, bias))[0], poses)
+    # The missed heading is spread along the step: second-order terms of it are left out.
+    assert np.allclose(jacobian[:, :, 6:], by_bias, atol=1e-3)
+    for row in range(len(keys) - 1):
+        assert np.allclose(jacobian[row, :, :6], by_poses[row, :, 3 * row : 3 * row + 6], atol=1e-7)
+
+
+def test_link_jacobian():
+    poses = RNG.normal(0.0, 2.0, (2, 3))
+    point, other = RNG.normal(0.0, 2.0, (2, 2))
+    normal = np.array([np.cos(0.7), np.sin(0.7)])
+    by, scratch = np.empty(6), np.empty(6)
+    link_error(poses[0], poses[1], point, other, normal, by)
+    wanted = central_differences(lambda both: link_error(both[0], both[1], point, other, normal, scratch), poses)
+    assert np.allclose(by, wanted, atol=1e-7)
+
+
+def test_line_jacobian():
+    pose, place = RNG.normal(0.0, 2.0, 3), RNG.normal(0.0, 2.0, 2)
+    centre, angle, scratch, by = RNG.normal(0.0, 2.0, 2), 0.4, np.empty(5), np.empty(5)
+    in_robot = np.array([[np.cos(pose[2]), np.sin(pose[2])], [-np.sin(pose[2]), np.cos(pose[2])]]) @ (place - pose[:2])
+
+    def error(unknowns):
+        x, y, heading, turn, offset = unknowns
+        rotation = np.array([[np.cos(heading), -np.sin(heading)], [np.sin(heading), np.cos(heading)]])
+        moved = centre + offset * np.array([np.cos(angle), np.sin(angle)])
+        return line_error(pose, rotation @ in_robot + [x, y], angle + turn, moved, scratch)
+
+    line_error(pose, place, angle, centre, by)
+    assert np.allclose(by, central_differences(error, np.append(pose, [0.0, 0.0])), atol=1e-7)
+
+
+def test_the_sparse_step_equals_a_dense_one():
+    equations = NormalEquations(9)
+    first, second = np.array([0, 1, 0]), np.array([1, 2, 2])
+    poses = RNG.normal(0.0, 1.0, (3, 3))
+    error, jacobian = relation_factor(poses, first, second, RNG.normal(0.0, 1.0, (3, 3)))
+    information = np.tile(np.diag([4.0, 5.0, 6.0]), (3, 1, 1))
+    columns = np.hstack((pose_columns(first), pose_columns(second)))
+    equations.add(columns, jacobian, error, information)
+    dense = np.zeros((9, 9))
+    for row in range(3):
+        wide = np.zeros((3, 9))
+        wide[:, columns[row]] = jacobian[row]
+        dense += wide.T @ information[row] @ wide
+    step = np.zeros(9)
+    step[3:] = -np.linalg.solve(dense[3:, 3:], equations.gradient[3:])
+    assert np.allclose(equations.solve(), step)
+    covariance = np.zeros((9, 9))
+    covariance[3:, 3:] = np.linalg.inv(dense[3:, 3:])
+    wanted = jacobian[1] @ covariance[np.ix_(columns[1], columns[1])] @ jacobian[1].T
+    assert np.allclose(equations.covariances(columns, jacobian)[1], wanted)
+
+
+CONFIG = GraphConfig()
+
+
+def test_normals_of_a_wall_point_to_the_sensor():
+    x = np.linspace(0.0, 3.0, 61)
+    places = np.column_stack((x, np.full(61, 1.0)))
+    normals, good = find_normals(places, np.column_stack((x, np.zeros(61))), x, 0.0)
+    assert good.all()
+    assert np.allclose(normals, [0.0, -1.0], atol=1e-9)
+
+
+def test_walls_of_a_window_are_found_with_their_points():
+    generator = np.random.default_rng(2)
+    along = np.sort(generator.uniform(0.0, 4.0, 60))
+    sides = [np.column_stack((along, np.full(60, y))) + generator.normal(0.0, 0.01, (60, 2)) for y in (1.0, -1.0)]
+    places = np.vstack(sides)
+    normals = np.vstack((np.tile([0.0, -1.0], (60, 1)), np.tile([0.0, 1.0], (60, 1))))
+    lines = lines_in(places, normals, np.ones(120, dtype=bool), np.array([[0, 120]]), WallLineConfig(), 0.12)
+    assert len(lines.angles) == 2
+    assert sorted(np.round(lines.centres[:, 1], 1)) == [-1.0, 1.0]
+    assert np.bincount(lines.lines).tolist() == [60, 60]
+    assert np.abs(np.cos(lines.angles)).max() < 0.02
+
+
+def test_visits_are_linked_to_the_nearest_point_of_another_visit():
+    log, truth = corridor_log(laps=2)
+    keys = choose_keys(log, CONFIG.keys)
+    cloud = point_cloud(keys, Trajectory(truth[keys.first_event], np.zeros(ERRORS)), 0.01)
+    links = links_across(cloud, 0.3)
+    assert len(links) > 0.3 * len(cloud.travel)
+    point = links[len(links) // 2, 0]
+    other = links[links[:, 0] == point][0, 1]
+    fits = cloud.good & (np.abs(cloud.travel - cloud.travel[point]) > 13.5)
+    fits &= cloud.normals @ cloud.normals[point] > 0.85
+    apart = np.where(fits, np.hypot(*(cloud.places - cloud.places[point]).T), np.inf)
+    assert apart[other] == apart.min() <= 0.3
+
+
+MAPS = LocalMapConfig()
+
+
+def corner(generator, count=60):
+    """Points on two walls at a right angle, seen from the origin."""
+    along = generator.uniform(-3.0, 3.0, count)
+    aside = generator.uniform(-1.0, 2.0, count // 2)
+    return np.vstack(
+        (np.column_stack((along, np.full(count, 2.0))), np.column_stack((np.full(len(aside), 3.0), aside)))
+    )
+
+
+def chunk_of(places):
+    origins = np.zeros_like(places)
+    grid = draw_grid(places, origins, 160, MAPS)
+    return LocalMap(0, 0.0, places, origins, thinned(places, MAPS.cell), grid, MAPS.cell)
+
+
+def score_at(chunk, points, pose):
+    """The mean of the cells at points, as shares of a hit; cells outside of the grid are unknown."""
+    cells = np.floor((se2.transform_points(pose, points) - chunk.low) / chunk.cell).astype(int)
+    inside = ((cells >= 0) & (cells < len(chunk.grid))).all(axis=1)
+    return chunk.grid[tuple(cells[inside].T)].sum() / HIT / len(points)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_the_best_pose_of_a_window_is_found(seed):
+    generator = np.random.default_rng(seed)
+    chunk = chunk_of(corner(generator))
+    points = thinned(se2.transform_points(generator.normal(0.0, 0.3, 3), corner(generator, 30)), MAPS.cell)
+    window, guess = Window(1.3, np.radians(20.0), np.radians(5.0)), generator.normal(0.0, 0.2, 3)
+    found = match(search_grid(chunk, window.shift), points, guess, window, -1.0)
+    best = NO_MATCH
+    for turn, x, y in np.ndindex(9, 27, 27):
+        pose = guess + np.array([(x - 13) * 0.1, (y - 13) * 0.1, np.radians(5.0 * (turn - 4))])
+        penalty = 0.05 * (((x - 13) ** 2 + (y - 13) ** 2) / 170.0 + (turn - 4) ** 2 / 17.0)
+        best = max(best, score_at(chunk, points, pose) - penalty)
+    assert found.score == pytest.approx(best, abs=1e-6)
+    assert score_at(chunk, points, found.pose) >= best
+
+
+def test_points_beyond_the_grid_are_found():
+    generator = np.random.default_rng(5)
+    chunk = chunk_of(corner(generator))
+    points = chunk.points + np.array([9.0, -9.0])
+    grid = search_grid(chunk, 10.0)
+    found = match(grid, points, np.zeros(3), Window(10.0, 0.2, 0.1), 0.5)
+    assert found.pose[:2] == pytest.approx([-9.0, 9.0], abs=0.11)
+
+
+def test_nothing_is_found_where_nothing_fits():
+    generator = np.random.default_rng(8)
+    chunk = chunk_of(corner(generator))
+    points = generator.uniform(-3.0, 3.0, (80, 2))
+    grid = search_grid(chunk, 2.0)
+    assert match(grid, points, np.zeros(3), Window(2.0, 0.3, 0.1), 0.9).score == NO_MATCH
+    assert match(grid, points[:0], np.zeros(3), Window(2.0, 0.3, 0.1), 0.0).score == NO_MATCH
+
+
+def corridor(*ends):
+    """A corridor of 8 m with end walls at these x, seen from its axis."""
+    along = np.linspace(-4.0, 4.0, 160)
+    walls = [np.column_stack((along, np.full(160, y))) for y in (-1.0, 1.0)]
+    return np.vstack((*walls, *[np.column_stack((np.full(40, x), np.linspace(-1.0, 1.0, 40))) for x in ends]))
+
+
+@pytest.mark.parametrize(("ends", "std"), [((), (5.0, 20.0)), ((4.0,), (0.05, 0.3)), ((-4.0,), (0.05, 0.3))])
+def test_a_match_is_known_along_a_corridor_only_by_what_stands_out_there(ends, std):
+    places = corridor(*ends)
+    origins = np.column_stack((0.9 * places[:, 0], np.zeros(len(places))))
+    grid = draw_grid(places, origins, 160, MAPS)
+    chunk = LocalMap(0, 0.0, places, origins, thinned(places, MAPS.cell), grid, MAPS.cell)
+    search, guess = search_grid(chunk, 4.0), np.array([0.0, 0.0, 0.3])
+    points = se2.transform_points(se2.inverse(guess), chunk.points)
+    turned = se2.transform_points(se2.inverse(guess), places), se2.transform_points(se2.inverse(guess), origins)
+    back = search_grid(replace(chunk, points=points, grid=draw_grid(*turned, 160, MAPS)), 4.0)
+    _, covariance = match_covariance(search, points, guess, np.radians(3.0), (back, chunk.points))
+    assert std[0] < np.sqrt(covariance[0, 0]) < std[1]
+    assert np.sqrt(covariance[1, 1]) < 0.2
+
+
+def test_too_few_points_to_tell_places_apart_are_not_matched():
+    chunk = chunk_of(corner(np.random.default_rng(3)))
+    grid, window = search_grid(chunk, 0.6), Window(0.6, 0.2, 0.1)
+    enough = chunk.points[: matching.LEAST_POINTS]
+    assert match(grid, enough, np.zeros(3), window, 0.6).score > 0.9
+    assert match(grid, enough[1:], np.zeros(3), window, 0.6).score == NO_MATCH
+
+
+def counts(contradicted):
+    shares = np.asarray(contradicted)
+    number = np.arange(len(shares))
+    return VisitCounts(3 * number, np.full(len(shares), 200), 200 - shares, shares)
+
+
+def test_a_stretch_is_doubtful_if_it_is_contradicted_more_often_than_confirmed():
+    visits = counts([20] * 20 + [140] * 5 + [20] * 20)
+    assert visits.doubtful().tolist() == [63, 66, 69]
+    assert visits.shares == pytest.approx((1.0 - 1500 / 9000, 1500 / 9000))
+    assert len(counts([80] * 25).doubtful()) == 0  # clutter
+    unseen = np.zeros(9, dtype=np.int64)
+    assert len(VisitCounts(np.arange(9), np.full(9, 200), unseen, unseen).doubtful()) == 0
+
+
+def test_a_stretch_of_one_log_does_not_count_around_chunks_of_the_next_log():
+    visits = counts([2] * 20 + [200] * 3 + [10] * 20)
+    assert visits.doubtful().tolist() == [60, 63, 66]
+    assert visits.doubtful(seam=66).tolist() == [60, 63]
+
+
+INFORMATION = np.diag([1.0 / 0.1**2, 1.0 / 0.1**2, 1.0 / 0.03**2])
+
+
+def ring(laps=2, sides=4, each=6):
+    """True poses of chunks 2.5 m apart round a square."""
+    pose, poses = np.zeros(3), [np.zeros(3)]
+    for step in range(laps * sides * each):
+        turn = np.pi / 2.0 if step % each == each - 1 else 0.0
+        pose = se2.compose(pose, np.array([2.5, 0.0, turn]))
+        poses.append(pose)
+    return np.array(poses)
+
+
+def drifting(truth, bias=0.05, seed=0):
+    """Hops with a constant heading error, and noise."""
+    generator = np.random.default_rng(seed)
+    motions = se2.between(truth[:-1], truth[1:])
+    motions[:, 2] += bias
+    motions += generator.normal(0.0, [0.03, 0.03, 0.01], motions.shape)
+    covariance = np.diag([0.1**2, 0.1**2, 0.05**2])
+    return Hops(motions, np.tile(covariance, (len(motions), 1, 1)))
+
+
+def loops_of(truth, pairs):
+    return [Loop(a, b, se2.between(truth[a], truth[b]), INFORMATION, 0.7) for a, b in pairs]
+
+
+def worst(poses, truth):
+    return np.hypot(*(poses - truth)[:, :2].T).max()
+
+
+@pytest.fixture
+def truth():
+    return ring()
+
+
+def right_pairs(truth):
+    return [(number, number + 24) for number in range(0, len(truth) - 24, 3)]
+
+
+def test_right_loops_bring_a_drifting_chain_back(truth):
+    hops = drifting(truth)
+    alone = solve_annealed(truth[0], hops, []).poses
+    closed = solve_annealed(truth[0], hops, loops_of(truth, right_pairs(truth)))
+    revisits = np.hypot(*(closed.poses[24:48] - closed.poses[:24])[:, :2].T)
+    assert worst(alone, truth) > 10.0
+    assert revisits.max() < 0.5
+    assert np.all(closed.weights > 0.5)
+
+
+def test_wrong_loops_lose_their_weight(truth):
+    generator = np.random.default_rng(4)
+    hops, right = drifting(truth, bias=0.02), loops_of(truth, right_pairs(truth))
+    wrong = [
+        Loop(int(a), int(a) + 15, generator.normal(0.0, 2.0, 3), INFORMATION, 0.7) for a in generator.integers(0, 30, 5)
+    ]
+    with_wrong = solve_annealed(truth[0], hops, right + wrong)
+    without = solve_annealed(truth[0], hops, right)
+    assert np.all(with_wrong.weights[len(right) :] < 0.1)
+    assert np.all(with_wrong.weights[: len(right)] > 0.5)
+    assert worst(with_wrong.poses, without.poses) < 0.5
+
+
+def test_covariance_of_a_chain_is_that_of_compounded_motions():
+    truth = ring(laps=1)[:4]
+    hops = drifting(truth, bias=0.0)
+    poses = solve_annealed(truth[0], hops, []).poses
+    joint = joint_covariance(poses, hops, [])
+    covariance = np.zeros((3, 3))
+    for row in range(3):
+        by_pose, by_motion = se2.compose_jacobians(poses[row], hops.motions[row])
+        covariance = by_pose @ covariance @ by_pose.T + by_motion @ hops.covariances[row] @ by_motion.T
+    assert np.allclose(joint[9:, 9:], covariance, atol=1e-6)
+
+
+def test_a_lone_loop_has_no_support_and_two_that_agree_have(truth):
+    travel = 2.5 * np.arange(len(truth))
+    pair = loops_of(truth, [(0, 24), (1, 25)])
+    astray = Loop(10, 40, np.array([1.0, 1.0, 1.0]), INFORMATION, 0.8)
+    same_chunk = loops_of(truth, [(12, 36), (13, 36)])
+    found = supported([*pair, astray, *same_chunk], truth, travel)
+    assert found.tolist() == [True, True, False, False, False]
+    assert supported([], truth, travel).tolist() == []
+
+
+def test_the_covariance_stays_symmetric_and_positive_over_many_loops():
+    truth = ring(laps=6)
+    hops, nothing = drifting(truth, bias=0.0), np.zeros((0, 2))
+    blank = [LocalMap(n, 2.5 * n, nothing, nothing, nothing, np.zeros((2, 2), np.int8), 0.1) for n in range(len(truth))]
+    graph = ChunkGraph(blank[0], truth[0])
+    for newest in range(1, len(truth)):
+        graph.add(blank[newest], hops.motions[newest - 1 : newest], hops.covariances[newest - 1])
+        graph.close(loops_of(truth, [(old, newest) for old in range(newest % 24, newest - 12, 24)]))
+    covariance = graph.covariance
+    assert np.allclose(covariance, covariance.T, atol=1e-9)
+    assert np.linalg.eigvalsh(covariance).min() > -1e-9
+
+
+def test_alignment_removes_what_moves_and_turns_all_positions():
+    generator = np.random.default_rng(3)
+    places = generator.normal(size=(40, 2)) * [6.0, 2.0]
+    centred = places - places.mean(axis=0)
+    rigid = np.column_stack([np.tile([1.0, 0.0], 40), np.tile([0.0, 1.0], 40), centred[:, ::-1].ravel()])
+    rigid[0::2, 2] *= -1.0
+    scattered = np.diag(generator.uniform(0.01, 0.02, 80))
+    left = aligned_covariance(scattered + rigid @ np.diag([4.0, 1.0, 0.1]) @ rigid.T, places)
+    assert left == pytest.approx(aligned_covariance(scattered, places), abs=1e-9)
+    # Sampled positions have this error after alignment.
+    samples = places + np.sqrt(np.diag(scattered)).reshape(40, 2) * generator.normal(size=(4000, 40, 2))
+    errors = []
+    for sample in samples:
+        turn = np.arctan2(
+            *np.sum([[a * d - b * c, a * c + b * d] for (a, b), (c, d) in zip(sample, centred, strict=True)], axis=0)
+        )
+        cos, sin = np.cos(turn), np.sin(turn)
+        moved = (sample - sample.mean(axis=0)) @ np.array([[cos, sin], [-sin, cos]])
+        errors.append(((moved - centred) ** 2).sum(axis=1).mean())
+    assert np.mean(errors) == pytest.approx(np.trace(left) / 40.0, rel=0.02)

@@ -1,0 +1,421 @@
+"""The line smoother: its factors, its optimum, the readings it reassigns, and the map of its lines."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.integrate import quad
+from scipy.stats import norm
+from support.drives import ROBOT, room
+from support.smoother_runs import (
+    ROUND,
+    WALLS,
+    WHEEL_VARIANCE,
+    noisy_run,
+    position_error,
+    state_from_motions,
+    true_labels,
+)
+
+from limslam_agent.config.smoother import SmootherConfig
+from limslam_agent.kernels.measurement import read_share
+from limslam_agent.slam.core.diagnostics import AssociationRecord
+from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.slam.line_graph.factors import expected_readings, motion_jacobians, motions_between
+from limslam_agent.slam.line_graph.line_merging import (
+    ELSEWHERE,
+    LEAST_SHARE,
+    NEGATIVE,
+    POSITIVE,
+    PRIOR_LENGTH,
+    SURE,
+    THICKEST,
+    THINNEST,
+    Lines,
+    board_evidence,
+    board_odds,
+    is_wall,
+    merge_lines,
+    wall_kinds,
+)
+from limslam_agent.slam.line_graph.line_smoother import pose_columns, solve
+from limslam_agent.slam.line_graph.new_lines import with_new_lines
+from limslam_agent.slam.line_graph.problem import CALIBRATION_PRIOR, RELATIVE_PRIOR, expected, state_from_poses
+from limslam_agent.slam.line_graph.reassociation import merge, reassociate, solve_labels
+from limslam_agent.slam.line_graph.smoothed_map import smoothed_map, tally
+from limslam_agent.slam.line_graph.smoother import FilteredRun, beside, settle, smooth_run, smooth_with_unknown_start
+from limslam_env import NominalNoise
+from limslam_env.geometry import FloatArray, se2, segment
+
+
+def smoothed(problem, poses):
+    return solve_labels(problem, state_from_motions(problem), true_labels(problem, poses)).solution
+
+
+def nees(true, estimated, covariances):
+    error = true - estimated
+    error[..., 2] = se2.wrap_angle(error[..., 2])
+    return np.einsum("ni,ni->n", error, np.linalg.solve(covariances, error[..., None])[..., 0])
+
+
+@pytest.mark.parametrize("turn", [0.0, 1e-5, 0.3, -1.2])
+def test_derivatives_of_motions_are_differences(turn):
+    poses = np.array([[0.3, -0.2, 0.7], [0.35, -0.17, 0.7 + turn]])
+    found = motion_jacobians(poses, ROBOT.axle)[0]
+    for column in range(6):
+        change = np.zeros((2, 3))
+        change.flat[column] = 1e-6
+        ends = [motions_between(poses + sign * change, ROBOT.axle)[0] for sign in (1.0, -1.0)]
+        assert found[:, column] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=1e-6)
+
+
+@pytest.mark.parametrize("width", [0.0, 0.03, 1.2])
+def test_derivatives_of_readings_are_differences(width):
+    pose, line, anchor = np.array([0.3, 0.2, 0.4]), np.array([0.1, 0.9]), np.array([1.0, 1.1])
+    beam = np.array([0.05, 0.08, 0.6])
+
+    def expected_at(pose, line):
+        return expected_readings(pose[None], beam[None], line[None], anchor[None], width)
+
+    found = expected_at(pose, line)
+    derivatives = np.append(found.by_pose[0], found.by_line[0])
+    for column in range(5):
+        change = np.zeros(5)
+        change[column] = 1e-6
+        ends = [expected_at(pose + sign * change[:3], line + sign * change[3:]).ranges[0] for sign in (1.0, -1.0)]
+        assert derivatives[column] == pytest.approx((ends[0] - ends[1]) / 2e-6, abs=1e-6)
+
+
+def test_covariances_are_those_of_a_dense_solution():
+    problem, poses = noisy_run(4)
+    first = solve_labels(problem, state_from_motions(problem), true_labels(problem, poses))
+    # The equations are linearised at the state before the last step, which is the optimum here.
+    solution = solve(problem, first.state, first.labels)
+    covariances = solution.of_poses
+    # The same equations, with nothing eliminated: numerical derivatives of all residuals by all poses and lines.
+    state, labels = solution.state, true_labels(problem, poses)
+    steps, count = problem.steps, len(state.lines)
+    jacobians = motion_jacobians(state.poses[0], ROBOT.axle)
+    whole = np.zeros((3 * steps + 2 * count, 3 * steps + 2 * count))
+    for step in range(steps - 1):
+        own = slice(3 * step, 3 * step + 6)
+        jacobian = problem.roots[0, step] @ jacobians[step]
+        whole[own, own] += jacobian.T @ jacobian
+    for k in np.flatnonzero(solution.weights):
+        place, line = 3 * problem.readings.places[k], 3 * steps + 2 * labels[k]
+        columns = np.r_[place : place + 3, line : line + 2]
+        row = numbered_row(problem, state, labels[k], k)
+        whole[np.ix_(columns, columns)] += np.outer(row, row) / problem.range_std**2
+    dense = np.linalg.inv(whole[3:, 3:])
+    for step in (1, steps // 2, steps - 1):
+        block = slice(3 * step - 3, 3 * step)
+        assert covariances[0, step] == pytest.approx(dense[block, block], rel=1e-3, abs=1e-12)
+    # The joint covariance of the last pose and the lines, from which a renewal goes on.
+    unknowns = solution.unknowns
+    columns = np.append(pose_columns(unknowns.ends[-1:]), np.arange(unknowns.first_line, unknowns.size))
+    rows = np.searchsorted(unknowns.kept, columns)
+    joint = solution.covariance[np.ix_(rows, rows)]
+    assert joint == pytest.approx(dense[3 * steps - 6 :, 3 * steps - 6 :], rel=1e-3, abs=1e-9)
+
+
+def numbered_row(problem, state, line, k):
+    """Derivatives (5,) of one reading by its pose and its line."""
+    pose = state.poses[0, problem.readings.places[k]]
+    found = expected_readings(pose[None], problem.beams[[k]], state.lines[[line]], state.anchors[[line]], 0.0)
+    return np.append(found.by_pose[0], found.by_line[0])
+
+
+def test_errors_are_as_large_as_the_covariances_say():
+    mean = []
+    for seed in range(12):
+        problem, poses = noisy_run(seed)
+        solution = smoothed(problem, poses)
+        covariances = solution.of_poses
+        mean.append(nees(poses[0, 30:], solution.state.poses[0, 30:], covariances[0, 30:]).mean() / 3.0)
+    # The mean of 12 runs of strongly correlated poses: chi-square of about 36 degrees of freedom, over 36.
+    assert 0.5 < np.mean(mean) < 1.6
+
+
+def test_a_range_bias_is_found():
+    problem, poses = noisy_run(7, noise=0.0, prior=CALIBRATION_PRIOR)
+    biased = problem.readings.distances + 0.015
+    object.__setattr__(problem.readings, "distances", biased)
+    assert smoothed(problem, poses).state.calibration[0, 3] == pytest.approx(0.015, abs=0.004)
+
+
+CONFIG = SmootherConfig()
+FOUND = RangeSensor(0.01, growth=0.02, cone=0.03, bias=0.04)
+
+
+def widened(problem, poses, width):
+    """The problem with the readings of beams with an opening angle."""
+    state, labels = state_from_poses(problem, np.moveaxis(poses, 0, 1)), true_labels(problem, poses)
+    cosines = expected(problem, solve_labels(problem, state, labels).state, labels).cosines
+    shares = [read_share(cosine, width) for cosine in cosines.tolist()]
+    return replace(problem, readings=replace(problem.readings, distances=problem.readings.distances * shares))
+
+
+def run_of(problem, poses, sensor):
+    """The run of a problem of one robot, with a filter that was right about poses and walls."""
+    steps, beams = problem.steps, len(problem.robot.beams)
+    ranges, readings = np.tile(problem.robot.max_ranges, (steps, 1, 1)), problem.readings
+    ranges[readings.places, 0, readings.beams] = readings.distances
+    wheels = np.concatenate((np.zeros((1, 1, 2)), np.moveaxis(problem.wheels[..., :2], 1, 0)))
+    labels, sources = true_labels(problem, poses), np.column_stack((readings.places, readings.beams))
+    members = [sources[labels == wall] for wall in range(labels.max() + 1)]
+    records = [AssociationRecord(wall, is_new=True, readings=each) for wall, each in enumerate(members)]
+    return FilteredRun(
+        problem.robot, NominalNoise(0.02, WHEEL_VARIANCE), wheels, ranges, np.ones((steps, 1, beams), dtype=bool),
+        np.moveaxis(poses, 0, 1), np.zeros((steps, 1, 3, 3)), records, [], sensor=sensor,
+    )  # fmt: skip
+
+
+def test_the_sensor_that_the_filter_found_is_taken_over():
+    problem, poses = noisy_run(6, 0.0)
+    rough = replace(problem, sensor=FOUND).stds * np.random.default_rng(6).standard_normal(len(problem.readings))
+    wide = widened(problem, poses, FOUND.cone).readings
+    measured = replace(problem, readings=replace(wide, distances=wide.distances + FOUND.bias + rough))
+    found = settle(run_of(measured, poses, FOUND), CONFIG)
+    assert found.problem.sensor == FOUND
+    assert found.state.calibration[0, 3] == pytest.approx(FOUND.bias, abs=0.01)
+    assert position_error(found.state, poses) < 0.02
+
+
+def test_poses_with_coarse_encoders_are_about_as_wrong_as_believed():
+    problem, poses = noisy_run(6, 0.02)
+    run, tick = run_of(problem, poses, None), 0.01
+    totals = np.cumsum(run.wheels, axis=0) + np.random.default_rng(6).uniform(0.0, tick, 2)
+    wheels = np.diff(np.floor(totals / tick) * tick, axis=0, prepend=np.zeros((1, 1, 2)))
+    found = smooth_run(replace(run, wheels=wheels), CONFIG)
+    errors = (found.poses - run.poses)[1:, 0]
+    errors[:, 2] = se2.wrap_angle(errors[:, 2])
+    assert np.hypot(*errors[:, :2].T).mean() < 0.1
+    assert (
+        np.einsum("ti,ti->t", errors, np.linalg.solve(found.covariances[1:, 0], errors[..., None])[..., 0]).mean() < 6.0
+    )
+
+
+def test_two_runs_with_known_turns_are_smoothed_as_one():
+    problem, poses = noisy_run(6, 0.02)
+    run = run_of(problem, poses, RangeSensor(0.02, turns=(0.01,) * 6))
+    smoothed = smooth_with_unknown_start(beside(run, run, np.zeros(3)), CONFIG)
+    assert smoothed.robot.beam_angles == pytest.approx(problem.robot.beam_angles + 0.01)
+
+
+def test_constant_errors_are_estimated_only_where_they_are_significant():
+    problem, poses = noisy_run(4, places=[*ROUND, *ROUND])
+    assert smooth_run(run_of(problem, poses, None), CONFIG).calibration is None
+    uneven, poses = noisy_run(4, mismatch=0.02, places=[*ROUND, *ROUND])
+    found = smooth_run(run_of(uneven, poses, None), CONFIG)
+    assert found.calibration[0, :2] == pytest.approx([-0.02, 0.02], abs=0.006)
+    assert smooth_run(run_of(uneven, poses, None), SmootherConfig("never")).calibration is None
+
+
+def test_rough_sensors_have_relative_errors_only():
+    """What a wide beam reads looks like a common error of all sizes with a bias."""
+    problem, poses = noisy_run(4, mismatch=0.02, places=[*ROUND, *ROUND])
+    found = settle(run_of(problem, poses, RangeSensor(0.02, growth=1e-3)), CONFIG)
+    assert found.problem.prior is RELATIVE_PRIOR
+    assert found.state.calibration[0] == pytest.approx([-0.02, 0.02, 0.0, 0.0], abs=0.01)
+
+
+def agreeing(found, wanted):
+    """Share of the used readings whose line holds mostly readings of the same wall."""
+    used = found.labels >= 0
+    pairs = np.zeros((found.labels.max() + 1, wanted.max() + 1), dtype=int)
+    np.add.at(pairs, (found.labels[used], wanted[used]), 1)
+    return pairs.max(axis=1).sum() / used.sum()
+
+
+@pytest.mark.parametrize("noise", [0.0, 0.04])
+def test_a_wrong_match_is_taken_back(noise):
+    problem, poses = noisy_run(1, noise)
+    wanted = true_labels(problem, poses)
+    wrong = wanted.copy()
+    of_right_wall = np.flatnonzero(wanted == 1)
+    wrong[of_right_wall[: len(of_right_wall) // 4]] = 0
+    begin = state_from_motions(problem)
+    bent = solve_labels(problem, begin, wrong)
+    mended = reassociate(problem, begin, wrong)
+    best = solve_labels(problem, begin, wanted)
+    assert position_error(bent.state, poses) > 3.0 * position_error(best.state, poses)
+    assert position_error(mended.state, poses) < 1.5 * position_error(best.state, poses)
+    assert agreeing(mended, wanted) > 0.99
+    assert (mended.labels >= 0).mean() > 0.9
+
+
+def test_lines_of_one_wall_are_merged():
+    problem, poses = noisy_run(2)
+    wanted = true_labels(problem, poses)
+    halves = 2 * wanted + (problem.readings.places > problem.steps // 2)
+    begin = solve_labels(problem, state_from_motions(problem), halves)
+    assert len(begin.state.lines) > 4
+    found, has_merged, _ = merge(begin)
+    assert has_merged
+    assert len(found.state.lines) == 4
+    assert agreeing(found, wanted) == 1.0
+
+
+def test_readings_that_the_filter_did_not_use_are_used():
+    problem, poses = noisy_run(4)
+    wanted = true_labels(problem, poses)
+    few = np.where(np.arange(len(wanted)) % 5 == 0, wanted, -1)
+    found = reassociate(problem, state_from_motions(problem), few)
+    assert (found.labels >= 0).mean() > 0.9
+    assert agreeing(found, wanted) > 0.99
+
+
+def polygon(corners: int, across: float) -> FloatArray:
+    """A pillar (k, 4), m, in the middle of the room."""
+    angles = 2.0 * np.pi * np.arange(corners + 1) / corners + 0.3
+    points = np.array([1.5, 1.2]) + 0.5 * across * np.column_stack((np.cos(angles), np.sin(angles)))
+    return np.hstack((points[:-1], points[1:]))
+
+
+@pytest.mark.parametrize(
+    ("corners", "across", "noise", "share"),
+    [(4, 0.3, 0.0, 0.9), (8, 0.3, 0.0, 0.9), (6, 0.3, 0.02, 0.9), (4, 0.2, 0.04, 0.7)],
+)
+def test_the_faces_of_a_pillar_are_drawn_and_nothing_else(
+    corners: int, across: float, noise: float, share: float
+) -> None:
+    walls = np.vstack((WALLS, polygon(corners, across)))
+    problem, poses = noisy_run(5, noise, walls=walls)
+    labels = true_labels(problem, poses, walls)
+    known = np.where(labels < len(WALLS), labels, -1)
+    _, segments = smoothed_map(reassociate(problem, state_from_motions(problem), known))
+    faces, _ = segment.sample(walls[len(WALLS) :], 0.02)
+    assert (segment.distances(faces, segments).min(axis=1) < 0.05).mean() > share
+    drawn, _ = segment.sample(segments, 0.02)
+    assert (segment.distances(drawn, walls).min(axis=1) < 0.05).mean() > 0.95
+
+
+def test_five_readings_are_no_line() -> None:
+    problem, poses = noisy_run(5)
+    found = solve_labels(problem, state_from_motions(problem), true_labels(problem, poses))
+    wall = np.flatnonzero(found.labels == 0)
+    assert with_new_lines(problem, found.state, found.labels, wall).max() >= len(found.state.lines)
+    assert with_new_lines(problem, found.state, found.labels, wall[:5]).max() < len(found.state.lines)
+
+
+UNSEEN = [np.inf, -np.inf]
+
+
+def parallel(behind, second, std=0.01, *, turned=False):
+    """Two lines along the x axis, the first read from y > 0, and the second, ``behind`` m below, from a side."""
+    lines = np.array([[0.0, 0.5 * np.pi], [0.0, -0.5 * np.pi if turned else 0.5 * np.pi]])
+    anchors = np.array([[0.3, 0.0], [0.5, -behind]])
+    seen = np.array([[UNSEEN, UNSEEN], [UNSEEN, UNSEEN]])
+    seen[0, POSITIVE] = seen[1, 1 - second if turned else second] = [-1.0, 1.0]
+    return Lines(lines, anchors, seen, np.diag([std**2, 1e-4] * 2))
+
+
+def merged(behind, std, second=NEGATIVE, kinds=(0.0, 0.0), *, turned=False):
+    lines = parallel(behind, second, std, turned=turned)
+    return merge_lines(lines, kinds), lines
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_board_is_one_line_and_a_wall_two(turned):
+    has_merged, lines = merged(0.002, 0.01, turned=turned)
+    assert has_merged
+    assert lines.merged_into.tolist() == [1, 1]
+    assert (lines.seen[1, :, 0] < lines.seen[1, :, 1]).all()
+    assert not merged(0.13, 0.06, turned=turned)[0]
+    # The same difference, seen from one side, is a matter of chi-square alone.
+    assert merged(0.13, 0.06, POSITIVE, turned=turned)[0]
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_merged_lines_meet_where_both_say(turned):
+    _, lines = merged(0.02, 0.02, POSITIVE, turned=turned)
+    heights = lines.anchors[:, 1] + lines.lines[:, 0] * np.sin(lines.lines[:, 1])
+    assert heights == pytest.approx([-0.01, -0.01], abs=1e-4)
+    assert lines.covariance[2, 2] == pytest.approx(0.5 * 0.02**2, rel=0.01)
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_lengths_of_boards_and_walls(turned):
+    lines = parallel(0.2, NEGATIVE, turned=turned)
+    lines.covariance = np.diag([1e-4, 1e-6] * 2)
+    assert wall_kinds(lines) == (0.0, pytest.approx(1.8))
+    lines.seen[0, NEGATIVE] = [0.0, 0.7]
+    assert wall_kinds(lines)[0] == pytest.approx(0.7)
+
+
+@pytest.mark.parametrize("behind", [-0.1, 0.0, 0.06, 0.2, 0.4])
+@pytest.mark.parametrize("std", [0.02, 0.1, 0.6])
+def test_the_evidence_is_the_ratio_of_the_likelihoods(behind: float, std: float) -> None:
+    of_walls = quad(lambda thick: norm.pdf(behind, thick, std), THINNEST, THICKEST, points=[behind])[0]
+    wanted = norm.pdf(behind, 0.0, std) / (of_walls / (THICKEST - THINNEST) + ELSEWHERE)
+    assert board_evidence(behind, std**2) == pytest.approx(math.log(wanted), rel=1e-6, abs=1e-6)
+
+
+def test_an_exact_offset_decides_and_a_vague_one_does_not() -> None:
+    assert board_evidence(0.0, 0.01**2) > SURE
+    assert is_wall(board_evidence(0.13, 0.02**2), 0.13)
+    assert abs(board_evidence(0.13, 0.5**2)) < 1.0
+    # What is in front of a line, or far behind it, is not the other face of its wall.
+    assert not is_wall(board_evidence(-0.13, 0.02**2), -0.13)
+    assert not is_wall(board_evidence(0.8, 0.02**2), 0.8)
+
+
+def test_a_building_has_mostly_one_kind_of_walls() -> None:
+    vague = board_evidence(0.1, 0.3**2)
+    assert board_odds(vague, 10.0, 0.0) > SURE
+    assert board_odds(vague, 0.0, 0.0) == pytest.approx(vague)
+    assert board_odds(vague, 10.0, 10.0) < SURE
+    exact = board_evidence(0.0, 0.01**2)
+    assert board_odds(exact, 0.0, 100.0) == pytest.approx(exact + math.log(LEAST_SHARE))
+    assert np.isfinite(board_odds(-1e6, 0.0, 1.0 / PRIOR_LENGTH))
+
+
+def truth(seed, noise=0.02, **changes):
+    problem, poses = noisy_run(seed, noise, **changes)
+    labels = true_labels(problem, poses, **({"walls": changes["walls"]} if "walls" in changes else {}))
+    return solve_labels(problem, state_from_motions(problem), labels)
+
+
+def test_beams_that_go_through_a_wall_are_counted():
+    found = truth(3)
+    assert tally(found).contradictions == 0
+    moved = found.state.lines.copy()
+    line, anchor = found.state.lines[0], found.state.anchors[0]
+    moved[0, 0] += 0.4 if anchor @ [np.cos(line[1]), np.sin(line[1])] < 1.0 else -0.4
+    wrong = replace(found, solution=replace(found.solution, state=replace(found.state, lines=moved)))
+    assert tally(wrong).contradictions > 100
+
+
+def test_the_map_has_the_walls_and_leaves_the_door_open():
+    walls = np.vstack((room(0.0, 0.0, 3.0, 2.4)[1:], [[0.0, 0.0, 1.2, 0.0], [1.7, 0.0, 3.0, 0.0]]))
+    found = truth(9, 0.02, walls=walls)
+    joined = reassociate(found.problem, found.state, found.labels)
+    landmarks, segments = smoothed_map(joined)
+    low = segments[np.abs(segments[:, [1, 3]]).max(axis=1) < 0.1]
+    covered = [min(x1, x2) < 1.45 < max(x1, x2) for x1, _, x2, _ in low]
+    assert len(low) == 2
+    assert not any(covered)
+    assert len(segments) == 5
+    assert sorted(row for mark in landmarks for row in mark.segments) == [0, 1, 2, 3, 4]
+    for mark in landmarks:
+        ends = segments[list(mark.segments)].reshape(-1, 2)
+        assert np.abs(ends @ [np.cos(mark.theta), np.sin(mark.theta)] - mark.r).max() < 1e-9
+
+
+def test_landmarks_lie_where_their_covariances_say():
+    squared = []
+    for seed in range(6):
+        found = truth(20 + seed, 0.02)
+        for mark in smoothed_map(found)[0]:
+            wanted = min(TRUE_LINES, key=lambda line, mark=mark: abs(line[0] - mark.r) + abs(turn(line[1], mark.theta)))
+            off = np.array([mark.r - wanted[0], turn(mark.theta, wanted[1])])
+            squared.append(off @ np.linalg.solve(mark.covariance, off))
+    assert 0.4 < np.mean(squared) / 2.0 < 2.0
+
+
+TRUE_LINES = [(0.0, -0.5 * np.pi), (0.0, 0.5 * np.pi), (3.0, 0.0), (2.4, 0.5 * np.pi), (0.0, 0.0), (0.0, np.pi)]
+
+
+def turn(first, second):
+    return (first - second + np.pi) % (2.0 * np.pi) - np.pi

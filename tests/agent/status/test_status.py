@@ -1,0 +1,367 @@
+"""The status: readings against a map, contradictions, sudden changes, faults of robots, and the smoothed path."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from support.drives import ROBOT, ranges_at, room
+from support.halls import HALL, PART, WAY, drive, known
+
+from benchmarks.suite.faults import Fault
+from benchmarks.suite.jobs import KIDNAPPED
+from limslam_agent import LimSlamAgent, preset
+from limslam_agent.grid.occupancy import GridView
+from limslam_agent.kernels.tables import RAY_LENGTH
+from limslam_agent.runs.episode import another_place
+from limslam_agent.slam.core.range_sensor import RangeSensor
+from limslam_agent.status.known_map import KnownMap, contradiction_test, drift_fit, slip_fit
+from limslam_agent.status.monitor import CARRIED, WINDOW, StatusMonitor
+from limslam_agent.status.rays import moved, rays_of, step_rays
+from limslam_agent.status.status import Status, final_status_scores, lost_since, smoothed_status, status_scores, worst
+from limslam_agent.status.sudden_changes import Sight
+from limslam_env import LimSlamEnv, NominalNoise
+from limslam_env.geometry import se2
+
+
+def steps_with(
+    fault: Fault,
+    world: str,
+    noise: float,
+    lasts: float,
+    seed: int,
+    note: list[str] | None = None,
+    *,
+    finds_places: bool = True,
+) -> tuple[LimSlamAgent, list[dict[str, Any]]]:
+    """Explore until some seconds (``lasts``) after a fault began. A lost robot may look for its place.
+
+    Returns
+    -------
+    agent
+        The agent at the end.
+    rows
+        For each step the true ``info``, and the ``observation`` that the agent got. Its status is added to ``note``.
+    """
+    env = LimSlamEnv(world, sensor_noise=noise, coverage_goal=None)
+    settings = preset("consistent", NominalNoise(noise))
+    agent = LimSlamAgent(env.robot, settings if finds_places else replace(settings, finds_places=False))
+    told, info = env.reset(seed=seed)
+    agent.reset(info["pose"], seed)
+    rows = []
+    while info["time"] < fault.begin + lasts:
+        seen = fault.altered(told, info["time"])
+        action = agent.act(seen)
+        rows.append({**info, "observation": seen})
+        if note is not None:
+            note.append(agent.status)
+        if fault.kind == KIDNAPPED and abs(info["time"] - fault.begin) < 1e-6:
+            env.carry(0, another_place(env.world, env.robot, info["pose"], np.random.default_rng(fault.seed)))
+        told, _, _, _, info = env.step(action)
+    return agent, rows
+
+
+WALLS = room(0.0, 0.0, 2.0, 2.0)
+POSE = np.array([1.0, 0.8, 0.3])
+FREE = GridView(np.full(2, -1.0), 0.1, np.full((40, 40), 4, dtype=np.int16))
+NOISE = 0.02
+STATED = RangeSensor(NOISE)
+
+
+def explained(segments, ranges=None, covariance=None, grid=FREE, sensor=STATED):
+    ranges = ranges_at(POSE, WALLS) if ranges is None else ranges
+    rays = moved(step_rays(np.array(ranges), ROBOT, sensor.bias), POSE)
+    return KnownMap(segments, grid, sensor).explained(rays, covariance), rays
+
+
+def test_a_right_map_is_not_contradicted():
+    found, rays = explained(WALLS)
+    assert found.tested.all()
+    assert not found.against.any()
+    assert (found.evidence > 0.0).all()
+    fit = KnownMap(WALLS, FREE, STATED).fit_here(rays)
+    assert fit.evidence == pytest.approx(found.evidence.sum())
+    assert (fit.contradictions, fit.tested) == (0, len(rays))
+
+
+def test_the_evidence_of_a_reading_at_a_wall_is_a_likelihood_ratio():
+    wall = np.array([[1.5, -4.0, 1.5, 4.0]])
+    rays = np.array([[0.5, 0.0, 1.0, 0.0, 1.03, 1.5, 0.0]])
+    (evidence,), _, _ = KnownMap(wall, FREE, RangeSensor(NOISE)).explained(rays, np.diag([0.01, 0.0, 0.04]))
+    std = math.sqrt(NOISE**2 + 0.045**2 + 0.01 + 0.04)
+    density = math.exp(-0.5 * (0.03 / std) ** 2) / (std * math.sqrt(2.0 * math.pi))
+    share_of_wrong, nothing = 0.02, 0.45
+    assert evidence == pytest.approx(math.log((1 - share_of_wrong) * density * 1.5 / (1 - nothing) + share_of_wrong))
+
+
+@pytest.mark.parametrize("ranges", [None, ROBOT.max_ranges], ids=["longer", "nothing seen"])
+def test_a_wall_too_near_is_gone_through(ranges):
+    found, rays = explained(np.array([[0.3, 1.3, 1.7, 1.3]]), ranges)
+    through = (found.against > 0.0) & (found.against < rays[:, RAY_LENGTH])
+    assert through.any()
+    assert (found.evidence[through] < 0.0).all()
+
+
+def test_ends_of_beams_in_free_space_contradict_unless_they_are_beside_unknown_ground():
+    nothing = np.zeros((0, 4))
+    found, rays = explained(nothing)
+    ended = rays[:, RAY_LENGTH] < ROBOT.max_ranges
+    np.testing.assert_array_equal(found.against > 0.0, ended)
+    np.testing.assert_allclose(found.against[ended], rays[ended, RAY_LENGTH])
+    assert not explained(nothing, ROBOT.max_ranges)[0].against.any()
+    values = FREE.values.copy()
+    ends = rays[:, :2] + rays[:, RAY_LENGTH, None] * rays[:, 2:4]
+    rows, columns = FREE.cells(ends).T
+    values[rows, columns + 1] = 0
+    assert not explained(nothing, grid=GridView(FREE.low, FREE.cell, values))[0].against.any()
+
+
+@pytest.mark.parametrize("bias", [0.4, -0.4])
+def test_readings_fit_the_map_by_the_sensor_that_is_known_now(bias):
+    ranges = np.minimum(ranges_at(POSE, WALLS) + bias, ROBOT.max_ranges - 0.01)
+    assert explained(WALLS, ranges)[0].against.any()
+    assert not explained(WALLS, ranges, sensor=RangeSensor(NOISE, bias=bias))[0].against.any()
+
+
+def test_contradictions_are_tested_by_their_rate():
+    assert contradiction_test(0, 100) < -10.0
+    assert contradiction_test(12, 100) > 20.0
+    assert contradiction_test(3, 100) < contradiction_test(3, 50) < contradiction_test(4, 50)
+    assert contradiction_test(4, 60) > contradiction_test(4, 60, may_be_bent=True)
+
+
+@pytest.mark.parametrize("off", [(0.2, -0.1, 0.08), (0.0, 0.0, 0.0)])
+def test_the_likeliest_pose_near_by_is_that_of_the_drive(off):
+    whole, rays = known(WAY, HALL), rays_of(drive(PART, HALL), ROBOT)
+    found = drift_fit(whole, moved(rays, np.array(off)), np.diag([0.1**2, 0.1**2, 0.05**2]))
+    np.testing.assert_allclose(found.fit.pose, se2.inverse(np.array(off)), atol=0.06)
+    assert found.evidence > 50.0
+
+
+@pytest.mark.parametrize("turn", [-26.0, 14.0])
+def test_a_slip_is_found_by_what_was_read_since_then(turn):
+    whole, rays = known(WAY, HALL), rays_of(drive(PART, HALL), ROBOT)
+    start = np.array([*rays[0, :2], 0.0])
+    slip = se2.compose(se2.compose(start, np.array([0.0, 0.0, math.radians(turn)])), se2.inverse(start))
+    found = slip_fit(whole, moved(rays, slip))
+    np.testing.assert_allclose(found.fit.pose, se2.inverse(slip), atol=0.06)
+    assert found.evidence > whole.fit_here(moved(rays, slip)).evidence + 50.0
+
+
+SURE = np.diag([1e-6, 1e-6, 1e-6])
+SENSOR = RangeSensor(0.02)
+WIDE = GridView(np.array([-4.0, -4.0]), 0.1, np.full((100, 100), 4, dtype=np.int16))
+KNOWN = KnownMap(WALLS, FREE, SENSOR)
+
+
+def blind(distance, turn=0.0):
+    """A step without new readings."""
+    return Sight(np.array([1.0, 1.0, 0.0]), np.full(6, np.nan), np.array([distance, 0.0, turn]))
+
+
+def monitor():
+    return StatusMonitor(ROBOT, SENSOR)
+
+
+def place(number):
+    """A pose on a small circle about the middle of the room."""
+    angle = 0.1 * number
+    return np.array([1.0 + 0.2 * math.cos(angle), 1.0 + 0.2 * math.sin(angle), angle])
+
+
+def watched_levels(watched, steps, walls=WALLS, known=KNOWN, covariance=SURE, begin=0, length=0.11):
+    """Check at each step what a robot sees whose surroundings are ``walls``; the levels."""
+    levels = []
+    for number in range(begin, begin + steps):
+        sight = Sight(place(number), ranges_at(place(number), walls), np.array([length, 0.0, 0.0]))
+        assert watched.observe(sight, is_busy=True)
+        watched.check(covariance, known)
+        levels.append(watched.status.level)
+    return levels
+
+
+def test_a_robot_whose_walls_are_gone_is_lost_at_once_and_says_why():
+    watched = monitor()
+    watched_levels(watched, 40)
+    levels = watched_levels(watched, 10, walls=np.zeros((0, 4)), begin=40)
+    assert levels.index("lost") <= 4
+    # The contradictions alone would suffice before it is known that the readings changed suddenly, and when.
+    assert watched.status == CARRIED
+    assert watched.loss.is_dated
+    assert watched.loss.is_carried
+    assert watched.loss.ago == 9, "the walls are gone since the first of the ten steps"
+
+
+def test_a_robot_that_was_carried_away_is_lost_although_its_map_is_redrawn_around_it():
+    watched = monitor()
+    watched_levels(watched, 40)
+    wrong = room(-3.0, -3.0, 3.0, 3.0)
+    # After a step without readings, nothing has changed at once.
+    watched.observe(blind(0.01), is_busy=True)
+    levels = watched_levels(watched, 200, walls=wrong, known=KnownMap(wrong, WIDE, SENSOR), begin=40)
+    assert levels.index("lost") < 10
+    assert set(levels[levels.index("lost") :]) == {"lost"}
+
+
+def test_a_lost_robot_is_ok_again_when_the_earlier_map_fits():
+    watched = monitor()
+    watched_levels(watched, 40)
+    began = watched_levels(watched, 10, walls=np.zeros((0, 4)), begin=40).index("lost")
+    assert watched.added_covariance.any()
+    levels = watched_levels(watched, 200, begin=50)
+    steps = levels.index("ok") + 10 - began
+    assert WINDOW <= 0.11 * steps <= WINDOW + 1.0
+    assert set(levels[levels.index("ok") :]) == {"ok"}
+    assert not watched.added_covariance.any()
+
+
+def test_a_jump_of_the_odometry_is_noticed_in_the_same_step():
+    watched = monitor()
+    watched_levels(watched, 40)
+    assert watched.observe(Sight(place(40), ranges_at(place(40), WALLS), np.array([5.0, 0.0, 0.0])), is_busy=False)
+    watched.check(SURE, KNOWN)
+    assert watched.status == Status("lost", "the odometry reports a motion of 5.0 m in one step")
+    assert math.sqrt(watched.added_covariance[0, 0]) == pytest.approx(5.0)
+    assert not watched.observe(blind(0.01), is_busy=True)
+
+
+def test_a_beam_alone_is_no_proof():
+    """Its readings change again and again, and contradict the map."""
+    watched, free = monitor(), GridView(np.array([-3.0, -3.0]), 0.1, np.full((60, 60), 9, dtype=np.int16))
+    for number in range(100):
+        ranges = ROBOT.max_ranges.copy()
+        ranges[2] = 0.3 + 0.1 * (number % 9)
+        if watched.observe(Sight(place(number), ranges, np.array([0.05, 0.0, 0.0])), is_busy=True):
+            watched.check(SURE, KnownMap(np.zeros((0, 4)), free, SENSOR))
+        assert watched.status.level != "lost"
+    assert watched.status.level == "unsure"
+
+
+@pytest.mark.parametrize("counts", [True, False])
+def test_bodies_around_the_robot_make_it_lost_only_if_free_space_counts(counts):
+    watched, levels = monitor(), []
+    known = KnownMap(WALLS, FREE, SENSOR, free_space_counts=counts)
+    watched_levels(watched, 40, known=known)
+    for number in range(40, 80):
+        ranges = np.where(np.arange(6) < 5, 0.25, ranges_at(place(number), WALLS))
+        if watched.observe(Sight(place(number), ranges, np.array([0.11, 0.0, 0.0])), is_busy=True):
+            watched.check(SURE, known)
+        levels.append(watched.status.level)
+    assert ("lost" in levels) == counts
+
+
+def test_an_uncertain_heading_is_unsure():
+    watched = monitor()
+    watched_levels(watched, 10, covariance=np.diag([1e-6, 1e-6, math.radians(5.0) ** 2]))
+    assert watched.status == Status("unsure", "the heading's standard deviation is 5.0 deg")
+    assert watched.by_readings == Status(), "the readings fit the map all the same"
+    watched_levels(watched, 1, begin=10)
+    assert watched.status == Status()
+
+
+def test_the_worst_robot_counts_and_is_named():
+    lost, unsure = Status("lost", "a jump"), Status("unsure", "a doubt")
+    assert worst([lost]) == lost
+    assert worst([Status(), unsure, lost]) == Status("lost", "robot 3: a jump")
+    assert worst([Status(), Status()]) == Status()
+    assert (lost.words, Status().words) == ("lost: a jump", "ok")
+
+
+def test_the_scores_say_how_long_each_level_lasted():
+    time = 3.0 + np.arange(6.0)
+    levels = np.array([[0, 0], [1, 0], [1, 0], [0, 2], [0, 2], [0, 1]])
+    scores = status_scores(time, levels, Status("unsure", "a doubt"))
+    assert scores == {
+        "status": "unsure", "status_reason": "a doubt", "ok_s": 1.0, "unsure_s": 2.0, "lost_s": 2.0,
+        "first_lost_s": 3.0,
+    }  # fmt: skip
+    assert status_scores(time, np.zeros((6, 1), dtype=int), Status())["first_lost_s"] is None
+
+
+STEPS = 50
+
+
+def path(aside=0.0, std=0.05, heading_std=0.01):
+    """A straight drive of one robot, shifted to one side, with its covariances."""
+    poses = np.zeros((STEPS, 1, 3))
+    poses[:, 0, 0], poses[:, 0, 1] = np.linspace(0.0, 5.0, STEPS), np.linspace(0.0, aside, STEPS)
+    return poses, np.broadcast_to(np.diag([std, std, heading_std]) ** 2, (STEPS, 1, 3, 3))
+
+
+@pytest.mark.parametrize(
+    ("share", "before", "level"),
+    [
+        (0.001, "lost", "ok"), (0.003, "ok", "ok"), (0.003, "unsure", "unsure"), (0.003, "lost", "lost"),
+        (0.02, "ok", "unsure"), (0.05, "ok", "lost"),
+    ],
+)  # fmt: skip
+def test_contradictions_of_the_smoothed_map_count(share, before, level):
+    status = smoothed_status(share, path(), path(), while_driving=before)
+    assert status.level == level
+    assert bool(status.reason) == (level != "ok")
+    assert level == "ok" or f"{100.0 * share:.2g} % of the readings contradict" in status.reason
+
+
+@pytest.mark.parametrize(
+    ("aside", "std", "level"),
+    # A small correction, a large one of a filter that was certain, and a large one of a filter that said it was lost.
+    [(0.1, 0.01, "ok"), (0.8, 0.05, "unsure"), (0.8, 1.0, "ok")],
+)
+def test_large_corrections_of_a_certain_filter_are_unsure(aside, std, level):
+    filtered, smoothed = path(std=std), path(aside)
+    status = smoothed_status(0.0, filtered, smoothed, while_driving="lost")
+    assert status.level == level
+    assert level == "ok" or "up to 0.80 m" in status.reason
+    np.testing.assert_array_equal(smoothed[0], path(aside)[0])
+
+
+def test_an_uncertain_smoothed_heading_is_unsure():
+    status = smoothed_status(0.0, path(), path(heading_std=np.radians(6.0)), while_driving="ok")
+    assert status == Status("unsure", "the smoothed heading's standard deviation reaches 6.0 deg")
+
+
+def test_a_robot_that_was_lost_to_the_end_is_lost():
+    since = lost_since(np.arange(10.0, 20.0), 4)
+    assert since == 4.0
+    assert lost_since(np.arange(10.0), None) is None
+    lost = smoothed_status(0.0, path(), path(), while_driving="lost", lost_since=since)
+    assert lost == Status("lost", "the place of the robot is unknown from 4 s on")
+
+
+def test_the_scores_have_the_status_of_the_result_and_of_the_filter():
+    scores = final_status_scores(Status(), Status("lost", "a jump"), "lost while driving, from 2 s to the end")
+    assert scores == {
+        "status": "ok", "status_reason": "", "status_note": "lost while driving, from 2 s to the end",
+        "status_online": "lost", "status_online_reason": "a jump",
+    }  # fmt: skip
+
+
+BEGIN, NOISE = 30.0, 0.02
+
+
+@pytest.mark.parametrize(
+    ("kind", "world", "seed"),
+    [("kidnapped", "env2", 1), ("reversed", "env3", 1), ("swapped", "env1", 1), ("jump", "env2", 3)],
+)
+def test_a_fault_is_noticed_within_ten_seconds(kind, world, seed):
+    levels = []
+    agent, rows = steps_with(Fault(kind, BEGIN, seed), world, NOISE, 10.0, seed=seed, note=levels)
+    before, after = levels[: round(BEGIN / 0.1)], levels[round(BEGIN / 0.1) :]
+    assert set(before) == {"ok"}
+    assert {"unsure", "lost"} & set(after)
+    assert len(rows) == len(levels)
+    assert agent.status_reason or agent.status == "ok"
+
+
+def test_the_uncertainty_of_a_kidnapped_robot_outgrows_its_error():
+    agent, rows = steps_with(Fault("kidnapped", BEGIN, 1), "env2", NOISE, 25.0, seed=1, finds_places=False)
+    error = np.hypot(*(rows[-1]["pose"] - agent.snapshot().pose)[:2])
+    snapshot = agent.snapshot()
+    assert error > 1.0
+    assert (agent.status, snapshot.status) == ("lost", "lost")
+    assert snapshot.status_reason == snapshot.statuses[0].reason == agent.status_reason != ""
+    assert np.sqrt(snapshot.covariance[0, 0] + snapshot.covariance[1, 1]) > error
+    np.testing.assert_array_equal(agent.mapper.belief.covariance, snapshot.covariance)
+    assert agent.mapper.belief.status == snapshot.statuses[0]
+    assert np.trace(agent.slam.covariance) < 1.0
