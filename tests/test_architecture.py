@@ -114,7 +114,7 @@ AGENT = {
     "limslam_agent.live.ros2": {
         *WHAT_AN_AGENT_MAY_KNOW, *agent("config", "grid", "live", "logs", "output.formats", "policies"),
     },
-    "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("output", "slam.core")},
+    "limslam_agent.video": {*WHAT_AN_AGENT_MAY_KNOW, *agent("grid", "output", "slam.core")},
     "limslam_agent.inspect": {
         *WHAT_AN_AGENT_MAY_KNOW,
         *agent("config", "grid", "mapping", "output", "policies", "slam", "slam.core", "status", "video"),
@@ -309,7 +309,7 @@ def test_importing_the_agent_loads_no_simulator():
         *PLACES["limslam_agent.two_logs"],
         *PLACES["limslam_agent.slam.online_graph"],
     ]
-    replay = ("hand_over", "local_views", "misreading", "reversing", "smoothing", "trust")
+    replay = ("misreading", "smoothing", "trust")
     compiled += [f"limslam_agent.replay.{name}" for name in replay]
     parts = [name for place in AGENT for name in PLACES[place] if name not in compiled]
     assert len(parts) > 10

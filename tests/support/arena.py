@@ -32,11 +32,11 @@ def made_entry(folder, manifest, **files):
     return read_entry(folder)
 
 
-def made_results(folder, entry, times, *, seed=0, is_secret=False, claims=()):
+def made_results(folder, entry, times, *, seed=0, claims=()):
     """A folder of results with a time to 95 % of each plan, where the longest time is a lost plan, and None
     is no score."""
     plans = plans_of(seed)
-    stamp = stamp_of(entry, seed, is_secret=is_secret, versions={"limslam": "0"}, commit="0" * 40)
+    stamp = stamp_of(entry, seed, versions={"limslam": "0"}, commit="0" * 40)
     folder.mkdir(parents=True)
     (folder / STAMP).write_text(json.dumps(asdict(stamp)))
     lines = []

@@ -39,7 +39,7 @@ def test_learned_explorers_that_share_nothing_have_a_map_each(examples):
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ('name = "Mine"\n', "", "entry.toml: name is missing"),
+        ('name = "Mine"\n', "", "entry.toml: name: is missing"),
         ('kind = "shipped"', 'kind = "magic"', "shipped, python, command can be chosen, not 'magic'"),
         ('uses = "belief"', 'uses = "truth"', "belief, readings can be chosen, not 'truth'"),
         ('run = "random"', 'run = "tour"', "can be chosen, not 'tour'"),

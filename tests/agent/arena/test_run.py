@@ -41,7 +41,7 @@ class Mine:
 
 
 def run_all(entry, plans, folder, **options):
-    return run_entry(entry, plans, folder, **{"seed": 0, "is_secret": False, "jobs": 1, **options})
+    return run_entry(entry, plans, folder, **{"seed": 0, "jobs": 1, **options})
 
 
 def test_a_run_is_resumed_verified_and_kept(tmp_path, entry, short_plans):
@@ -78,7 +78,7 @@ def test_failed_plans_are_run_again_when_asked(tmp_path, entry, short_plans):
 
 def test_a_policy_of_a_file_drives_every_robot(tmp_path, short_plans):
     entry = made_entry(tmp_path / "mine", PYTHON.format(name="Mine"), mine=POLICY.format(body="return [0.5, 0.4]"))
-    row = run_job(Job(entry, short_plans[1], None, {}, ""))
+    row = run_job(Job(entry, short_plans[1], {}, ""))
     assert row.error is None
     assert row.metrics["path_m"] == pytest.approx(2.0 * 0.45 * 0.3, rel=0.05)
 
@@ -86,7 +86,7 @@ def test_a_policy_of_a_file_drives_every_robot(tmp_path, short_plans):
 def test_an_actor_ends_a_run_that_is_lost(tmp_path, short_plans):
     manifest = PYTHON.replace('"belief"', '"readings"')
     entry = made_entry(tmp_path / "mine", manifest.format(name="Mine"), mine=ACTOR)
-    metrics = run_job(Job(entry, short_plans[0], None, {}, "")).metrics
+    metrics = run_job(Job(entry, short_plans[0], {}, "")).metrics
     assert (metrics["lost"], metrics["claims_done"]) == ("claims to be done and is not", True)
     assert metrics["end_time_s"] == pytest.approx(0.5)
 
@@ -100,7 +100,7 @@ def test_an_actor_ends_a_run_that_is_lost(tmp_path, short_plans):
 )
 def test_a_failure_of_the_entry_is_its_loss(tmp_path, short_plans, body, reason):
     entry = made_entry(tmp_path / "mine", PYTHON.format(name="Mine"), mine=POLICY.format(body=body))
-    row = run_job(Job(entry, short_plans[0], None, {}, ""))
+    row = run_job(Job(entry, short_plans[0], {}, ""))
     assert reason in row.error
     assert row.metrics["lost"].startswith("failed: ")
     assert row.metrics["plan_time_to_95_s"] == 2.0
@@ -113,7 +113,7 @@ def test_results_of_something_else_are_not_continued(tmp_path, entry, short_plan
     with pytest.raises(ValueError, match="holds results of another entry"):
         run_all(other, short_plans, folder)
     with pytest.raises(ValueError, match="holds results of other plans"):
-        run_all(entry, short_plans, folder, seed=5, is_secret=True)
+        run_all(entry, short_plans, folder, seed=5)
     with pytest.raises(ValueError, match="lies in the folder of the entry"):
         run_all(entry, short_plans, entry.folder / "out")
 
@@ -139,7 +139,7 @@ def test_rows_that_were_changed_are_noticed(tmp_path, entry, short_plans):
 
 
 def test_a_process_is_verified_within_bounds(entry, short_plans):
-    row = run_job(Job(entry, short_plans[0], None, {}, ""))
+    row = run_job(Job(entry, short_plans[0], {}, ""))
     near, far = ({**row.metrics, "correct_coverage": row.metrics["correct_coverage"] + off} for off in (0.04, 0.06))
     made = [type(row)(row.plan, row.setting, metrics) for metrics in (near, far)]
     assert differences(row, made[0], is_process=True) == []
@@ -151,7 +151,7 @@ def test_a_process_is_verified_within_bounds(entry, short_plans):
 
 def test_secret_plans_are_verified_with_their_seed_only(tmp_path, entry):
     folder = tmp_path / "out"
-    run_all(entry, [], folder, seed=7, is_secret=True)
+    run_all(entry, [], folder, seed=7)
     with pytest.raises(ValueError, match="--secret-seed is needed"):
         opened(folder, None, None)
     with pytest.raises(ValueError, match="its plans are not those of this seed"):

@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from limslam_agent.config.presets import GridConfig
-from limslam_agent.grid.frontier import frontier_cells, group_of, group_places
+from limslam_agent.grid.frontier import frontier_cells, group_places
 from limslam_agent.grid.occupancy import GridView, OccupancyGrid
 from limslam_agent.grid.planner import routes, wall_distance
 from limslam_agent.grid.unfinished import Faces, border_faces, in_long_stretches, reachable_ground, unfinished_faces
@@ -92,18 +92,16 @@ def drawn(mask: BoolArray) -> list[str]:
     return ["".join("x" if cell else "-" for cell in row) for row in mask]
 
 
-def place(row: int, column: int) -> FloatArray:
+def place(row: float, column: float) -> FloatArray:
     """The middle of a cell, m."""
     return LOW + CELL * np.array([column + 0.5, row + 0.5])
 
 
-def test_groups_have_cells_and_a_place_each() -> None:
+def test_groups_have_a_place_each() -> None:
     grid = grid_of("#########", "#.......#", "??.???...")
     frontier = np.zeros(grid.values.shape, dtype=bool)
     frontier[1, 1:4] = frontier[2, 7:9] = True
-    assert group_of(frontier, np.array([1, 1])).tolist() == [[1, 1], [1, 2], [1, 3]]
-    assert group_of(frontier, np.array([2, 8])).tolist() == [[2, 7], [2, 8]]
-    np.testing.assert_allclose(group_places(grid, frontier), [place(1, 2), place(2, 7)])
+    np.testing.assert_allclose(group_places(grid, frontier), [place(1, 2), place(2, 7.5)])
     assert group_places(grid, np.zeros_like(frontier)).shape == (0, 2)
 
 

@@ -109,7 +109,7 @@ def test_at_its_end_a_session_stops_the_wheels_whatever_the_reason():
             with pytest.raises(type(error)):
                 session.drive(60.0, 5.0)
         assert isinstance(decode(wire.sent[-1]), Stop)
-        assert wire.emulator._firmware.speeds(0) == (0, 0)
+        assert wire.emulator.firmware.speeds(0) == (0, 0)
         before = wire.emulator.pose.copy()
         wire.emulator.step()
         np.testing.assert_array_equal(wire.emulator.pose, before)

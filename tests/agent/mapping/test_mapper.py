@@ -155,3 +155,14 @@ def test_wheel_travel_in_ticks_or_millimetres_is_refused_with_both_numbers(trave
     with pytest.raises(ValueError, match=words):
         mapper.step({"wheels": np.array(travel), "ranges": np.ones(6)})
     np.testing.assert_array_equal(mapper.belief.pose, np.zeros(3))
+
+
+@pytest.mark.parametrize(("ratio", "restarts"), [(1.4, 0), (1.6, 1)])
+def test_noise_that_is_nearly_as_known_takes_no_robot_back_to_its_start(drive, monkeypatch, ratio, restarts):
+    start, steps = first_robot(drive)
+    mapper, begun = mapped(start, steps[:20], preset("graph", NOISE)), []
+    mapper.slam.assume(mapper.slam.sensor._replace(std=ratio * mapper.slam.sensor.std))
+    monkeypatch.setattr(mapper, "_restart", lambda: begun.append(None))
+    for observations in steps[20:23]:
+        mapper.step(*observations)
+    assert len(begun) == restarts

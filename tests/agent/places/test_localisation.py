@@ -129,10 +129,10 @@ def test_without_rays_or_walls_there_is_nothing_to_compare(whole):
 def test_readings_that_say_nothing_have_no_ray():
     steps = drive([[1.0, 0.7], [1.2, 0.7]], HALL)[:6]
     unsaid = np.array([np.nan, 0.0, *steps[0].ranges[2:]])
-    assert not len(rays_of([replace(step, ranges=np.full_like(unsaid, np.nan)) for step in steps], ROBOT))
-    assert len(rays_of([replace(step, ranges=unsaid) for step in steps], ROBOT)) < len(rays_of(steps, ROBOT))
+    assert not len(rays_of([step._replace(ranges=np.full_like(unsaid, np.nan)) for step in steps], ROBOT))
+    assert len(rays_of([step._replace(ranges=unsaid) for step in steps], ROBOT)) < len(rays_of(steps, ROBOT))
     # One reading of the longest range may be a dropout of the sensor.
-    missed = replace(steps[2], ranges=np.array(ROBOT.max_ranges))
+    missed = steps[2]._replace(ranges=np.array(ROBOT.max_ranges))
     rays = rays_of([*steps[:2], missed, *steps[3:]], ROBOT)
     assert (~have_ended(rays)).sum() <= (~have_ended(rays_of(steps, ROBOT))).sum()
     assert have_ended(rays).any()

@@ -81,7 +81,7 @@ def test_the_folder_says_what_happened(episode, tmp_path):
 def test_a_robot_that_never_finds_its_place_keeps_its_earlier_map(tmp_path, monkeypatch):
     settings = with_until(preset("graph", NominalNoise(NOISE)), "walls")
     # The robot never drives as far as it has to before it looks for its place.
-    monkeypatch.setattr("limslam_agent.places.search._FIRST", 1e3)
+    monkeypatch.setattr("limslam_agent.places.localisation._FIRST", 1e3)
     config = RunConfig("env3", NOISE, seed=113, kidnap_at=30.0, max_time=50.0, settings=settings)
     episode = run_episode(config)
     assert (episode.places.breaks, episode.places.revisions) == ([], [])

@@ -14,7 +14,7 @@ from limslam_agent.belief import Guess
 from limslam_agent.config.presets import PolicyConfig
 from limslam_agent.grid.frontier import frontier_cells
 from limslam_agent.grid.occupancy import GridView
-from limslam_agent.policies.controller import CollisionGuard, back_off, bearing_of, steer, turn_by, wheel_speeds
+from limslam_agent.policies.controller import CollisionGuard, bearing_of, steer, turn_by, wheel_speeds
 from limslam_agent.policies.targets import next_target, search_cost
 from limslam_agent.policies.way_home import WayHome
 from limslam_agent.status.status import Status
@@ -98,26 +98,6 @@ def test_wheels_stay_within_their_speed_and_the_turn_is_kept(speed: float, turn_
     forward = 0.5 * (left + right) * ROBOT.max_wheel_speed
     assert abs(forward) <= abs(speed) + 1e-12
     assert forward * speed >= 0.0
-
-
-def ground(*occupied: tuple[int, int]) -> GridView:
-    """Free ground of 2 x 2 m about the origin, and some occupied cells given as (row, column)."""
-    values = np.full((20, 20), 5, dtype=np.int16)
-    for cell in occupied:
-        values[cell] = -4
-    return GridView(np.array([-1.0, -1.0]), 0.1, values)
-
-
-@pytest.mark.parametrize("yaw", [0.0, -0.5 * math.pi])
-def test_it_backs_off_over_ground_that_is_known_to_be_free(yaw: float) -> None:
-    pose = np.array([0.05, 0.05, yaw])
-    left, right = back_off(pose, ground(), ROBOT, CONFIG.speed)
-    assert left == right < 0.0
-    # What stands right behind it forbids it; the same ahead does not.
-    behind = np.floor((pose[:2] - 0.2 * np.array([math.cos(yaw), math.sin(yaw)]) + 1.0) / 0.1).astype(int)
-    ahead = np.floor((pose[:2] + 0.2 * np.array([math.cos(yaw), math.sin(yaw)]) + 1.0) / 0.1).astype(int)
-    np.testing.assert_array_equal(back_off(pose, ground((behind[1], behind[0])), ROBOT, CONFIG.speed), [0.0, 0.0])
-    assert (back_off(pose, ground((ahead[1], ahead[0])), ROBOT, CONFIG.speed) < 0.0).all()
 
 
 # A post seen by the beam at 45 degrees before the robot came nearer: 0.21 m from the centre, ahead and to the left.

@@ -229,7 +229,7 @@ def test_a_drawn_wall_is_the_least_squares_line_and_ends_at_gaps():
     along = np.concatenate((np.linspace(0.0, 2.0, 60), np.linspace(3.0, 5.0, 60)))
     places = np.column_stack((along, np.full(120, 1.5) + generator.normal(0.0, 0.01, 120)))
     normals = np.tile([0.0, -1.0], (120, 1))
-    cloud = PointCloud(np.zeros(120, dtype=int), along, places, places, normals, normals, np.ones(120, dtype=bool))
+    cloud = PointCloud(np.zeros(120, dtype=int), along, places, normals, np.ones(120, dtype=bool))
     marks = draw_walls(cloud, 0.01)
     assert len(marks) == 2
     for mark in marks:

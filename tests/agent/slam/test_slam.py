@@ -1,6 +1,8 @@
 """LineSlam on corridors made of nothing but geometry, and how wrong it is against what it believes."""
 
+import copy
 import math
+import pickle
 from typing import Any
 
 import numpy as np
@@ -183,6 +185,18 @@ def test_observations_without_ranges_move_the_robot_and_measure_nothing() -> Non
     # The latest readings stay those that were last made, and none was refused.
     np.testing.assert_allclose(slam.ranges, 0.7, rtol=1e-6)
     assert slam.refused_readings == 0
+
+
+@pytest.mark.parametrize("name", ["consistent", "paper"])
+def test_copies_go_on_as_the_slam_that_they_were_made_of(name: str) -> None:
+    start = np.array(STARTS[0])
+    observations, _ = drive(placed(CORRIDOR, start), start, straight(1.0))
+    slam = run(observations[:-1], preset(name), start)
+    copies = copy.deepcopy(slam), pickle.loads(pickle.dumps(slam)), slam.copied()  # noqa: S301 (its own bytes)
+    for each in (slam, *copies):
+        each.step(observations[-1])
+        np.testing.assert_array_equal(each.covariance, slam.covariance)
+        np.testing.assert_array_equal(each.segments, slam.segments)
 
 
 def counted(wheels: FloatArray, tick: float, seed: int) -> FloatArray:

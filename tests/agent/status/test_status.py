@@ -216,6 +216,20 @@ def test_a_lost_robot_is_ok_again_when_the_earlier_map_fits():
     assert not watched.added_covariance.any()
 
 
+def test_a_closed_loop_moves_the_map_and_raises_no_doubt():
+    """The map was 0.4 m off, and a change before the loop was closed is not weighed yet."""
+    watched, off = monitor(), np.array([0.4, 0.4, 0.0])
+    before = KnownMap(room(0.4, 0.4, 2.4, 2.4), FREE, SENSOR)
+    for number in range(44):
+        ranges = ranges_at(place(number), WALLS) - 0.1 * (number == 41)
+        watched.observe(Sight(place(number) + off, ranges, np.array([0.11, 0.0, 0.0])), is_busy=True)
+        if number < 40:
+            watched.check(SURE, before)
+    assert watched.status == Status()
+    watched.forget_map()
+    assert set(drive(watched, 60, begin=44)) == {"ok"}
+
+
 def test_a_jump_of_the_odometry_is_noticed_in_the_same_step():
     watched = monitor()
     watched_levels(watched, 40)
@@ -330,7 +344,8 @@ def test_a_robot_that_was_lost_to_the_end_is_lost():
 
 
 def test_the_scores_have_the_status_of_the_result_and_of_the_filter():
-    scores = final_status_scores(Status(), Status("lost", "a jump"), "lost while driving, from 2 s to the end")
+    levels = np.array([[0, 0], [0, 0], [0, 2], [2, 0], [0, 2]])
+    scores = final_status_scores(Status(), Status("lost", "a jump"), 3.0 + np.arange(5.0), levels)
     assert scores == {
         "status": "ok", "status_reason": "", "status_note": "lost while driving, from 2 s to the end",
         "status_online": "lost", "status_online_reason": "a jump",

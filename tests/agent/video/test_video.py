@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from PIL import Image as Pictures
 
+from limslam_agent.slam.core.line_map import Landmark
 from limslam_agent.video import video
 from limslam_agent.video.belief_frame import BeliefFrame, Event, hough_image, wall_bands
 from limslam_agent.video.film import FPS, HEIGHT, WIDTH, Film
@@ -23,13 +24,12 @@ def on_line(r, theta, positions, *, spread=0.0):
 
 def frame_with(*, time=0.0, walls=(), poses=((0.0, 0.0, 0.0),), std=0.02, **more):
     """A belief with walls given as (r, theta, from, to) along the line."""
-    parameters = np.array([wall[:2] for wall in walls]).reshape(-1, 2)
-    segments = np.array([on_line(*wall[:2], wall[2:]).ravel() for wall in walls]).reshape(-1, 4)
-    covariances = np.array([np.diag([std**2, std**2])] * len(walls)).reshape(-1, 2, 2)
-    poses, more = np.array(poses), {"numbers": tuple(range(1, len(walls) + 1)), **more}
-    return BeliefFrame(
-        time, poses, np.array([0.01**2 * np.eye(3)] * len(poses)), segments, parameters, covariances, **more
-    )
+    landmarks = [
+        Landmark(r, theta, np.diag([std**2, std**2]), on_line(r, theta, extent), 3, number)
+        for number, (r, theta, *extent) in enumerate(walls)
+    ]
+    poses = np.array(poses)
+    return BeliefFrame(time, poses, np.array([0.01**2 * np.eye(3)] * len(poses)), landmarks, **more)
 
 
 # What is drawn: votes, bands.
@@ -49,8 +49,8 @@ def test_votes_peak_at_the_line_that_the_points_lie_on(theta):
 
 def test_a_band_is_as_wide_as_the_line_may_be_off():
     line, covariance = np.array([1.0, 0.4]), np.array([[4e-4, 3e-4], [3e-4, 9e-4]])
-    frame = replace(frame_with(walls=[(*line, -1.0, 2.0)]), line_covariances=covariance[None])
-    (band,) = wall_bands(frame, sigmas=2.0, samples=7)
+    (wall,) = frame_with(walls=[(*line, -1.0, 2.0)]).walls
+    (band,) = wall_bands([replace(wall, covariance=covariance)], sigmas=2.0, samples=7)
     upper, lower = band[:7], band[7:][::-1]
     random = np.random.default_rng(0)
     moved = line + random.multivariate_normal(np.zeros(2), covariance, size=4000)

@@ -4,10 +4,9 @@ import math
 
 import numpy as np
 import pytest
-from limslam_env.bounds.tours import Speeds
 
 from limslam_env import RobotSpec, World, load_world
-from limslam_env.bounds import Roadmap, loop_tour, poses_along
+from limslam_env.bounds import Roadmap, Speeds, loop_tour, poses_along
 
 ROBOT = RobotSpec()
 ROOM = [[0, 0, 4, 0], [4, 0, 4, 3], [4, 3, 0, 3], [0, 3, 0, 0]]

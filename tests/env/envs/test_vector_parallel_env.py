@@ -121,7 +121,7 @@ def test_bad_arguments_and_actions_are_refused():
     with pytest.raises(gym.error.ResetNeeded):
         env.step({})
     env.reset(seed=0)
-    with pytest.raises(ValueError, match="actions for each of robot_0, robot_1"):
+    with pytest.raises(ValueError, match="one action for each of robot_0, robot_1"):
         env.step({"robot_0": np.zeros((2, 2))})
     with pytest.raises(ValueError, match="actions of robot_1 must be 2 rows"):
         env.step({"robot_0": np.zeros((2, 2)), "robot_1": np.zeros(2)})

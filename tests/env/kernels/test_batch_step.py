@@ -15,6 +15,7 @@ from limslam_env.kernels.coverage import mark_disc, mark_ray, walk_disc, walk_ra
 from limslam_env.kernels.random_numbers import derive_keys, draw_rows, mixed, normal
 from limslam_env.kernels.rays import meeting
 from limslam_env.simulation.sensors import build_wall_index, walls_around
+from limslam_env.simulation.sensors import cast as cast_rays
 
 CELL = 0.1
 AREA = np.array([-0.3, 0.2, CELL])
@@ -169,12 +170,12 @@ def test_walls_around_a_cell_are_all_that_a_beam_can_meet_from_it():
     world, reach = load_world("env3"), RobotSpec().reach
     index = build_wall_index(world.edges)
     starts, numbers = walls_around(index, reach)
-    generator, columns = np.random.default_rng(0), int(index.grid[3])
+    generator = np.random.default_rng(0)
     origins = generator.uniform(0.0, world.size, (2000, 2))
     angles = generator.uniform(-np.pi, np.pi, 2000)
-    _, hits = index.cast(origins, np.column_stack((np.cos(angles), np.sin(angles))), np.full(2000, reach))
-    column, row = ((origins - index.grid[:2]) / index.grid[2]).astype(int).T
-    cells = row * columns + column
+    _, hits = cast_rays(index, origins, np.column_stack((np.cos(angles), np.sin(angles))), np.full(2000, reach))
+    column, row = ((origins - (index.low_x, index.low_y)) / index.side).astype(int).T
+    cells = row * index.columns + column
     for cell, hit in zip(cells, hits, strict=True):
         assert hit < 0 or hit in numbers[starts[cell] : starts[cell + 1]]
 

@@ -28,13 +28,13 @@ def seen_from(world: World, poses: FloatArray) -> np.ndarray:
     """The cells that beams and body mark at each of the poses in turn, one robot alone in the world."""
     grid, beams = coverage_grid(world, ROBOT, world.starts[:1]), len(ROBOT.beams)
     noise = noise_table(vars(NoiseConfig()), ROBOT)
-    scene, table = build_wall_index(world.edges).scene, beam_table(ROBOT)
+    walls, table = build_wall_index(world.edges), beam_table(ROBOT)
     seen, new, found = np.zeros_like(grid.coverable), 0, np.zeros(1, dtype=np.int64)
     is_moved = True
     for pose in poses[:, None]:
         drive_and_observe(
-            is_moved, np.zeros((1, 2)), pose, np.zeros(3), np.zeros((1, 2)), 0, np.zeros((1, beams + 2, 2)),
-            ROBOT.radius, table, noise, *scene, seen, grid.coverable, grid.area, np.zeros((1, 2)),
+            is_moved, 0, np.zeros((1, beams + 2, 2)), pose, np.zeros(3), np.zeros((1, 2)), np.zeros((1, 2)),
+            ROBOT.radius, table, noise, walls, seen, grid.coverable, grid.area, np.zeros((1, 2)),
             np.zeros((1, beams), dtype=np.int64), np.zeros((1, beams), dtype=np.float32),
             np.zeros((1, 2), dtype=np.float32), found,
         )  # fmt: skip

@@ -12,7 +12,7 @@ from limslam_env.interface import beams_on_rim
 from limslam_env.kernels.observation import drive_and_observe
 from limslam_env.kernels.rays import NOTHING
 from limslam_env.kernels.readings import noisy_reading
-from limslam_env.simulation.sensors import CELL, beam_table, build_wall_index, noise_table
+from limslam_env.simulation.sensors import CELL, beam_table, build_wall_index, cast, noise_table
 from limslam_env.simulation.simulation import Readings, Simulation, Truth
 
 REACH = 3.0
@@ -65,8 +65,8 @@ def look(
     is_moved, count, cells = True, len(robot.beams), np.zeros((1, 1), dtype=bool)
     hits, ranges = np.zeros((1, count), dtype=np.int64), np.zeros((1, count), dtype=np.float32)
     drive_and_observe(
-        is_moved, np.zeros((1, 2)), np.array([pose]), np.zeros(3), np.zeros((1, 2)), 0, np.zeros((1, count + 2, 2)),
-        robot.radius, beam_table(robot), noise, *build_wall_index(edges).scene, cells.copy(), cells,
+        is_moved, 0, np.zeros((1, count + 2, 2)), np.array([pose]), np.zeros(3), np.zeros((1, 2)), np.zeros((1, 2)),
+        robot.radius, beam_table(robot), noise, build_wall_index(edges), cells.copy(), cells,
         np.array([0.0, 0.0, 0.1]), np.zeros((1, 2)), hits, ranges, np.zeros((1, 2), dtype=np.float32),
         np.zeros(1, dtype=np.int64),
     )  # fmt: skip
@@ -84,7 +84,7 @@ def sight(
 def test_rays_agree_with_every_ray_against_every_wall(name):
     edges = np.random.default_rng(5).uniform(-3.0, 3.0, (60, 4)) if name == "random walls" else load_world(name).edges
     rays = random_rays(edges, 10_000, seed=2)
-    found, hits = build_wall_index(edges).cast(*rays)
+    found, hits = cast(build_wall_index(edges), *rays)
     distance, nearest = brute_force(edges, *rays)
     np.testing.assert_allclose(found, distance, atol=1e-9)
     np.testing.assert_array_equal(hits, nearest)
@@ -105,7 +105,7 @@ def test_rays_and_walls_along_the_borders_of_the_index_miss_nothing(shift):
     lengths = np.full(len(origins), REACH)
     # Straight along a wall, or right through its end, either answer would do: a hair beside there is only one.
     origins += 1e-5
-    found, _ = build_wall_index(edges).cast(origins, directions, lengths)
+    found, _ = cast(build_wall_index(edges), origins, directions, lengths)
     distance, _ = brute_force(edges, origins, directions, lengths)
     np.testing.assert_allclose(found, distance, atol=1e-9)
 
@@ -114,7 +114,7 @@ def test_a_ray_along_a_wall_ends_at_the_next_one():
     # A wall of no thickness is not seen edge on; the wall that it leads to is.
     for wall, origin in (((1.0, 2.0, 2.0, 2.0), (1.5, 2.0)), ((1.0, 2.0, 2.0, 2.0), (0.5, 2.0))):
         index = build_wall_index(np.vstack((BOX, [wall])))
-        found, hits = index.cast(np.array([origin]), np.array([[1.0, 0.0]]), np.array([9.0]))
+        found, hits = cast(index, np.array([origin]), np.array([[1.0, 0.0]]), np.array([9.0]))
         assert found[0] == pytest.approx(4.0 - origin[0])
         assert hits[0] == 1
 

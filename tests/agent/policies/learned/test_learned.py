@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from limslam_agent import Belief, LearnedPolicy
+from limslam_agent import Belief, FrontierPolicy, LearnedPolicy
 from limslam_agent.config.presets import GridConfig, PolicyConfig
 from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.policies.learned.learned import own_part
@@ -167,10 +167,14 @@ def test_it_drives_where_the_network_says(turn):
         def scores(self, _):
             return np.eye(24)[turn] * 50.0
 
-    policy, pose = LearnedPolicy(ROBOT, PolicyConfig(), Fixed()), np.array([1.0, 0.35, 0.0])
-    turned = 0.0
+    policy, pose = LearnedPolicy(ROBOT, PolicyConfig(), Fixed()), np.array([1.0, 0.55, 0.0])
+    frontiers = FrontierPolicy(ROBOT, PolicyConfig(speed=ROBOT.max_wheel_speed, min_frontier=8))
+    hall, turned = grid_of("\n".join(["#" * 24, *["#" + "." * 23] * 10, "#" * 24])), 0.0
+    for step in range(80):
+        told = belief(pose, grid=replace(hall, values=np.where(np.arange(24) < 12 + step // 8, hall.values, 0)))
+        np.testing.assert_array_equal(policy.act(told), frontiers.act(told), "the frontier explorer begins")
     for _ in range(5):
-        left, right = 0.03 * policy.act(belief(pose, ranges=1.5))
+        left, right = 0.03 * policy.act(belief(pose, grid=hall, ranges=1.5))
         turned += (right - left) / 0.16
         pose = se2.compose(pose, np.array([0.5 * (left + right), 0.0, (right - left) / 0.16]))
     assert turned == pytest.approx({0: 0.0, 6: math.pi / 2, 18: -math.pi / 2}[turn], abs=0.35)

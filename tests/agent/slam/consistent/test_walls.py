@@ -145,7 +145,7 @@ def test_a_straight_wall_stays_one_piece_whatever_odometry_makes_of_it(noise: fl
         counts[len(pieces)] += 1
         lost.append(1.0 - sum(len(piece.members) for piece in pieces) / len(drive.hits))
     assert counts[1] >= 58
-    # And hardly a reading is taken for a loose end.
+    # And hardly a reading is lost.
     assert np.mean(lost) < 0.01
 
 
@@ -390,12 +390,13 @@ def wall_map(theta: float = 0.7, config: ExtentConfig | None = None) -> tuple[Wa
 
 def beams_from(walls: WallMap, origins: FloatArray, heading: float, free: float, std: float = 0.005) -> None:
     """Beams that begin at points (n, 2) and went a distance into the same direction."""
-    beam = np.zeros((1, 8))
+    beam, ekf = np.zeros((1, 8)), walls._belief.arrays
     beam[0, FARTHEST] = 10.0
     for origin in origins:
+        ekf.x[:3] = *origin, heading
         clear_along_beams(
-            walls.arrays, walls._belief.anchored, walls._belief.anchors, np.append(origin, heading), (0.0, 0.0),
-            np.array([free]), np.ones(1, dtype=bool), beam, (std, 0.0), np.empty((1, 6)),
+            walls.arrays, ekf.x, ekf.P, ekf.counts, ekf.anchors, 0, np.array([free]), np.ones(1, dtype=bool), beam,
+            (std, 0.0), np.empty((1, 6)),
         )  # fmt: skip
 
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from limslam_agent.replay.filter_estimate import FilterEstimate
 from support.corridors import EVERY, FOUR_BEAMS, SIX_BEAMS, corridor_log, loop_errors, walls
 from support.data import data_folder
 from support.drives import drive, room, straight, turn
@@ -14,12 +13,13 @@ from limslam_agent import Mapper, preset, read_log
 from limslam_agent.config.graph import GraphConfig
 from limslam_agent.logs.recorded_log import RecordedLog
 from limslam_agent.logs.relations import read_relations, relation_errors, summary
-from limslam_agent.replay import hand_over
+from limslam_agent.replay.hand_over import LogEstimate
 from limslam_agent.replay.smoothing import log_data
+from limslam_agent.slam.graph.chunk_graph import KEPT
 from limslam_agent.slam.graph.key_poses import LogData, delayed, integrate
 from limslam_agent.slam.graph.reversing import reversed_distance, with_reversing
 from limslam_agent.slam.graph.smooth import rounds
-from limslam_agent.slam.online_graph.online_graph import Beams, OnlineGraph
+from limslam_agent.slam.online_graph.online_graph import OnlineGraph
 from limslam_agent.status.status import Status
 from limslam_env import NominalNoise
 from limslam_env.geometry import se2
@@ -64,7 +64,7 @@ def test_the_same_log_gives_the_same_poses_and_the_stages_are_reported(two_laps)
     assert np.array_equal(smooth_log(log, truth[0], CONFIG, stages.append).poses, result.poses)
     assert stages[:2] == ["local smoothing", "search for loops"]
     match = re.fullmatch(r"all poses, (\d+) loops", stages[2])
-    assert int(match[1]) >= sum(verdict.kept for verdict in result.verdicts) >= 5
+    assert int(match[1]) >= sum(loop.reason == KEPT for loop in result.loops) >= 5
 
 
 def test_start_pose_and_frame_of_odometry_only_move_the_result(two_laps):
@@ -93,7 +93,7 @@ def test_a_log_without_readings_is_its_odometry():
 def test_a_short_log_needs_no_loops(count):
     log, truth = corridor_log(laps=1)
     result = smooth_log(first_events(log, count), truth[0])
-    assert result.verdicts == []
+    assert result.loops == []
     assert np.abs(result.poses - truth[:count]).max() < 0.3
 
 
@@ -158,7 +158,7 @@ def test_a_stretch_is_found_while_driving():
     wheels = straight(9.8) + STOP + straight(-1.6) + STOP + straight(1.6) + turn(90.0, SIX_BEAMS) + straight(6.0)
     signed = recorded_drive(walls(), wheels)
     log, config = without_signs(signed), replace(CONFIG, reversing=replace(CONFIG.reversing, fewest=1))
-    graph = OnlineGraph(Beams(log.origins, log.angles, log.max_range, log.range_std), log.odometry[0], config)
+    graph = OnlineGraph(log, log.odometry[0], config)
     for event in zip(log.time, log.odometry, log.ranges, log.hit, strict=True):
         graph.step(*event)
     assert np.hypot(*(log.odometry - signed.odometry)[-1, :2]) > 3.0
@@ -201,8 +201,7 @@ CUT = 400
 
 def driven(data, start, count):
     """The graph after the first events, and at each: pose, covariance, whether there was a job, and position_std."""
-    beams = Beams(data.origins, data.angles, data.max_range, data.range_std)
-    graph, found = OnlineGraph(beams, start), []
+    graph, found = OnlineGraph(data, start), []
     for row in range(count):
         graph.step(data.time[row], data.odometry[row], data.ranges[row], data.hit[row])
         found.append((graph.pose, graph.covariance, graph.job_ms > 0.0, graph.position_std))
@@ -247,18 +246,17 @@ def test_the_graph_goes_on_once_the_filter_is_lost(monkeypatch):
         odometry=data.odometry[:count],
     )  # fmt: skip
     config, steps = preset("graph", NominalNoise(0.01)), []
-    monkeypatch.setattr(
-        FilterEstimate, "status", property(lambda _: Status("lost", "") if len(steps) > lost else Status())
-    )
-    both = hand_over.HandedOverEstimate(Mapper(SIX_BEAMS, config, log.start_pose), log, config.smoothing)
+    is_lost = property(lambda _: [Status("lost", "") if len(steps) > lost else Status()])
+    monkeypatch.setattr(Mapper, "statuses", is_lost)
+    both = LogEstimate(Mapper(SIX_BEAMS, config, log.start_pose), log)
     alone = Mapper(SIX_BEAMS, config, log.start_pose)
     for observation in log.observations():
         steps.append(observation)
-        both.step(observation)
+        found = both.step(observation)
         alone.step(observation)
-        np.testing.assert_array_equal(both.odometry, alone.odometry[0])
-        assert np.array_equal(both.pose, alone.slam.pose) == (len(steps) <= lost)
+        np.testing.assert_array_equal(found.odometry, alone.odometry[0])
+        assert np.array_equal(found.pose, alone.slam.pose) == (len(steps) <= lost)
     assert both.handed_over == lost
-    assert np.hypot(*(both.pose - truth[count - 1])[:2]) < 0.5
+    assert np.hypot(*(found.pose - truth[count - 1])[:2]) < 0.5
     monkeypatch.setattr(OnlineGraph, "position_std", 2.34)
     assert both.status == Status("unsure", "the position in the map may be 2.3 m off")

@@ -100,7 +100,7 @@ def test_without_loops_the_doors_are_a_tree(seed):
 
 
 def measures(corridor: float) -> Measures:
-    return Measures(min_room=1800, corridor_width=(1000, 1400), corridor=corridor)
+    return Measures(1800, (1000, 1400), corridor, 450, 0.0, 0.0, (300, 1000))
 
 
 def test_corridors_are_there_as_often_as_asked():
