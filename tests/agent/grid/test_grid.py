@@ -336,6 +336,9 @@ def test_a_stretch_shorter_than_asked_is_left_out() -> None:
     grid = room(20, 20)
     assert len(unfinished(grid, walls, 0.15)) == 2
     assert not len(unfinished(grid, walls, 0.25))
+    faces = Faces(np.array([[x, 0.0] for x in (0.05, 0.15, 0.35, 0.45)]), np.tile([0.0, 1.0], (4, 1)))
+    assert in_long_stretches(faces, 0.2, CELL).all()
+    assert not in_long_stretches(faces, 0.25, CELL).any(), "a face that is missing separates two stretches"
 
 
 def test_an_obstacle_without_walls_is_unfinished_all_around() -> None:

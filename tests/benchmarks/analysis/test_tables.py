@@ -87,6 +87,21 @@ def test_what_was_not_measured_is_a_dash_and_never_0():
     assert column(limited, "Exploration", "ATE / limit")[:4] == [MISSING, MISSING, MISSING, "2.0"]
 
 
+def test_a_value_that_only_some_runs_have_says_how_many():
+    rows = [row(seed=seed, exploration_time_s=value) for seed, value in enumerate((100.0, None, 300.0, None))]
+    assert column(rows, "Exploration", "time s") == ["200 (2)"]
+
+
+def test_policies_and_random_plans_have_their_tables():
+    rows = [row(f"random:{plan}", 0.02, wall_f1_aligned=plan / 10) for plan in range(8)]
+    assert column(rows, "Exploration", "world") == ["random plans"]
+    assert column(rows, "Exploration", "n") == ["8"]
+    assert sheet(rows, "Policies") is None
+    rows += [row(f"random:{plan}", 0.02, policy="random", time_to_95_s=None) for plan in range(8)]
+    assert column(rows, "Policies", "95 % s") == ["90", MISSING]
+    assert len(column(rows, "Policies", "time s")) == 2
+
+
 def test_no_rows_are_refused_in_one_line():
     with pytest.raises(ValueError, match=r"^no results: [^\n]*$"):
         table([])
@@ -95,7 +110,8 @@ def test_no_rows_are_refused_in_one_line():
 def test_outcomes_show_the_worst_runs_and_failures():
     ends = [(0.01, 200.0, 0.0, 0), (0.02, None, 3.0, 1), (0.14, 210.0, 0.0, 0)]
     rows = [
-        row(world, seed=seed, preset="graph", ate_smoothed_m=ate, anees_smoothed=10 * ate, exploration_time_s=time,
+        row(world, seed=seed, preset="graph", ate_m=2 * ate, ate_smoothed_m=ate, anees_smoothed=10 * ate,
+            exploration_time_s=time,
             lost_s=lost, status="lost" if lost else "ok", collisions=touched, wall_f1_aligned_5cm=1.0 - ate)
         for world in ("env1", "env2") for seed, (ate, time, lost, touched) in enumerate(ends)
     ]  # fmt: skip
@@ -103,6 +119,7 @@ def test_outcomes_show_the_worst_runs_and_failures():
     assert column(rows, title, "ended by itself") == ["2 of 3", "2 of 3", "4 of 6"]
     assert column(rows, title, "ok at the end") == ["2 of 3", "2 of 3", "4 of 6"]
     assert column(rows, title, "lost at some time") == ["1 of 3", "1 of 3", "2 of 6"]
+    assert column(rows, title, "worst ATE m") == ["0.280"] * 3
     assert column(rows, title, "worst smoothed ATE m") == ["0.140"] * 3
     assert column(rows, title, "mean smoothed ANEES") == ["0.6"] * 3
     assert column(rows, title, "worst F1 aligned 5 cm") == ["0.86"] * 3

@@ -1,9 +1,11 @@
 """Segments: distances against dense sampling, evenly spaced samples, insides of polygons."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from limslam_env.geometry import se2
 from limslam_env.geometry import segment as segment_geometry
 
 coordinate = st.floats(-10.0, 10.0)
@@ -56,8 +58,11 @@ def test_polygon_edges_close_the_ring():
     np.testing.assert_array_equal(edges[:, 2:], np.vstack((L_SHAPE[1:], L_SHAPE[:1])))
 
 
-def test_inside_of_an_l_is_the_union_of_its_two_bars():
+@pytest.mark.parametrize("turn", [0.0, 0.7, -2.5])
+def test_inside_of_an_l_is_the_union_of_its_two_bars_however_it_is_turned(turn):
     points = np.random.default_rng(1).uniform(-1.0, 4.0, (5000, 2))
     x, y = points.T
     bars = (x > 0) & (y > 0) & (((x < 3) & (y < 1)) | ((x < 1) & (y < 3)))
-    np.testing.assert_array_equal(segment_geometry.inside_polygon(points, L_SHAPE), bars)
+    there = np.array([2.0, -1.0, turn])
+    points, polygon = se2.transform_points(there, points), se2.transform_points(there, L_SHAPE)
+    np.testing.assert_array_equal(segment_geometry.inside_polygon(points, polygon), bars)
