@@ -33,6 +33,9 @@ from limslam_env.geometry.se2 import between, compose, compose_jacobians
 _WINDOW = 15.0
 """Distance driven that is smoothed, m: the walls of the local smoothing reach over 10 m, and a chunk over 7 m."""
 
+_REVISED = 2
+"""Number of earlier motions between chunks that each window estimates anew."""
+
 
 @dataclass(frozen=True, eq=False)
 class Anchor:
@@ -92,7 +95,7 @@ class OnlineGraph:
         self._anchor = Anchor(self._ridden, self._variances, self._start, np.zeros((3, 3)), self.errors)
         self._waiting: Anchor | None = None
         self._chunk_std, self._first_covariance = 0.0, np.zeros((3, 3))
-        self._middle = 0  # event in the middle of the last chunk
+        self._middles = [0]  # events in the middle of the last chunks
         self._last_job, self._proofs = 0, 0  # event of the last job; stretches that prove that odometry has no sign
         self._reversed = list[tuple[int, int]]()  # stretches that are to be turned round if that is proven
         self._job_at = _remainder(self._config.maps)
@@ -155,7 +158,8 @@ class OnlineGraph:
             pose, covariance = self._placed(frame)
             self._waiting = Anchor(self._ridden, self._variances, pose, covariance, self.errors)
         if self.places is not None:
-            recent.forget_before(min(recent.at(recent.travel + maps.hop - _WINDOW), self._middle))
+            self._middles = self._middles[-1 - _REVISED :]
+            recent.forget_before(min(recent.at(recent.travel + maps.hop - _WINDOW), self._middles[0]))
 
     def _directed(self) -> LogData:
         """The last events. What was driven backwards is turned round if odometry has no sign."""
@@ -196,16 +200,17 @@ class OnlineGraph:
         event = recent.first + int(frame.keys.first_event[key])
         (chunk,) = cut_chunks(frame.keys, frame.trajectory, config.maps, np.array([key]), self._log.max_range)
         chunk = replace(chunk, travel=recent.travel_at(event))
-        pose, before = frame.trajectory.poses[key], self._middle - recent.first
-        own = inflated(frame.covariances(np.array([frame.keys.event_key[before], key])))[0]
-        motion = between(frame.poses[before], pose)
+        pose, before = frame.trajectory.poses[key], np.array(self._middles) - recent.first
+        own = inflated(frame.covariances(np.array([frame.keys.event_key[before[-1]], key])))[0]
+        path = np.vstack((frame.poses[before], pose))
+        motions = between(path[:-1], path[1:])
         if self.places is None:
-            self._first_covariance = moved_covariance(self._start, np.zeros((3, 3)), motion, own)
-            self.places = ChunkGraph(chunk, compose(self._start, motion))
+            self._first_covariance = moved_covariance(self._start, np.zeros((3, 3)), motions[-1], own)
+            self.places, self._middles = ChunkGraph(chunk, compose(self._start, motions[-1])), []
         else:
-            self.places.add(chunk, motion, own)
+            self.places.add(chunk, motions, own)
             self._chunk_std = self.places.position_std
-        self._middle = event
+        self._middles.append(event)
 
 
 def moved_covariance(pose: FloatArray, covariance: FloatArray, motion: FloatArray, own: FloatArray) -> FloatArray:
