@@ -16,17 +16,10 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig, LocalMapConfig
 from limslam_agent.slam.graph.chunk_graph import ChunkGraph, inflated
-from limslam_agent.slam.graph.key_poses import (
-    ERRORS,
-    KEY_DISTANCE,
-    KEY_TURN,
-    LogData,
-    calibrated_motion,
-    motion_variances,
-)
+from limslam_agent.slam.graph.key_poses import KEY_DISTANCE, KEY_TURN, LogData, calibrated_motion, motion_variances
 from limslam_agent.slam.graph.local_maps import cut_chunks
 from limslam_agent.slam.graph.reversing import LEAST_LENGTH, driven_backwards
-from limslam_agent.slam.online_graph.window import LocalFrame, RecentEvents, smooth_window
+from limslam_agent.slam.online_graph.window import LocalFrame, OdometryErrors, RecentEvents, smooth_window
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import between, compose, compose_jacobians
 
@@ -77,7 +70,7 @@ class OnlineGraph:
     pose, covariance
         The pose (3,) at the last event, and its covariance (3, 3).
     errors
-        The constant errors (5,) of odometry that are known.
+        What is known of the constant errors of odometry.
     places
         The graph of chunks; None before the first chunk is complete.
     job_ms
@@ -90,9 +83,9 @@ class OnlineGraph:
         self._log, self._config = log, config or GraphConfig()
         self._recent, self.places = RecentEvents(), None
         self._start = np.asarray(start, dtype=float)
-        self.errors = np.zeros(ERRORS)
+        self.errors = OdometryErrors.unknown(self._config.motion)
         self._ridden, self._variances = np.zeros(3), np.zeros(3)
-        self._anchor = Anchor(self._ridden, self._variances, self._start, np.zeros((3, 3)), self.errors)
+        self._anchor = Anchor(self._ridden, self._variances, self._start, np.zeros((3, 3)), self.errors.mean)
         self._waiting: Anchor | None = None
         self._chunk_std, self._first_covariance = 0.0, np.zeros((3, 3))
         self._middles = [0]  # events in the middle of the last chunks
@@ -156,7 +149,7 @@ class OnlineGraph:
         if frame is not None:
             self.errors = frame.errors
             pose, covariance = self._placed(frame)
-            self._waiting = Anchor(self._ridden, self._variances, pose, covariance, self.errors)
+            self._waiting = Anchor(self._ridden, self._variances, pose, covariance, self.errors.mean)
         if self.places is not None:
             self._middles = self._middles[-1 - _REVISED :]
             recent.forget_before(min(recent.at(recent.travel + maps.hop - _WINDOW), self._middles[0]))
