@@ -189,25 +189,33 @@ class ChunkGraph:
         left = aligned_covariance(self.covariance[np.ix_(columns, columns)], self.poses[:, :2])
         return float(np.sqrt(max(np.trace(left[-2:, -2:]), 0.0)))
 
-    def add(self, chunk: LocalMap, motion: FloatArray, covariance: FloatArray) -> None:
-        """Add a chunk after a motion (3,) with its covariance (3, 3), search for its loops, and solve the graph."""
-        self.hops = Hops(
-            np.vstack((self.hops.motions, motion)), np.concatenate((self.hops.covariances, covariance[None]))
-        )
+    def add(self, chunk: LocalMap, motions: FloatArray, covariance: FloatArray) -> None:
+        """Add a chunk, search for its loops, and solve the graph if it has changed.
+
+        ``motions`` (h, 3) are the last hops, as they are known now. The last one leads to the new chunk, and has the
+        covariance (3, 3).
+        """
+        before = self.hops.motions[: len(self.maps) - len(motions)]
+        self.hops = Hops(np.vstack((before, motions)), np.concatenate((self.hops.covariances, covariance[None])))
         self.maps.append(chunk)
-        by_pose, by_motion = se2.compose_jacobians(self.poses[-1], motion)
+        by_pose, by_motion = se2.compose_jacobians(self.poses[-1], motions[-1])
         across = by_pose @ self.covariance[-3:]
         own = across[:, -3:] @ by_pose.T + by_motion @ covariance @ by_motion.T
         self.covariance = np.block([[self.covariance, across.T], [across, own]])
-        self.poses = np.vstack((self.poses, se2.compose(self.poses[-1], motion)))
+        self.poses = np.vstack((self.poses, se2.compose(self.poses[-1], motions[-1])))
         self.close(self._loops_of_newest())
+        if len(motions) > 1:
+            self._solve()
 
     def close(self, found: Sequence[Loop]) -> None:
         """Add loops."""
         if found:
             self.loops += found
-            self.poses, _ = _solved(self.poses, self.hops, self.loops, _ANNEALING[-2:])
-            self.covariance = joint_covariance(self.poses, self.hops, self.loops)
+            self._solve()
+
+    def _solve(self) -> None:
+        self.poses, _ = _solved(self.poses, self.hops, self.loops, _ANNEALING[-2:])
+        self.covariance = joint_covariance(self.poses, self.hops, self.loops)
 
     def _loops_of_newest(self) -> list[Loop]:
         """Loops from the newest chunk to some earlier chunks, the best matches first."""
@@ -260,5 +268,5 @@ def search_loops(maps: Sequence[LocalMap], start: FloatArray, hops: Hops) -> lis
     """All loops that the search accepts between chunks (c,), of which the first one has the pose ``start`` (3,)."""
     graph = ChunkGraph(maps[0], start)
     for chunk, motion, covariance in zip(maps[1:], hops.motions, hops.covariances, strict=True):
-        graph.add(chunk, motion, covariance)
+        graph.add(chunk, motion[None], covariance)
     return graph.loops

@@ -2,13 +2,16 @@
 
 The score of a pose is the mean of the cells at the points, minus a small penalty towards the border of the window. The
 score is 1 if all points lie in occupied cells. All poses of a window are compared, so that no first guess has to be
-good (Olson, "Real-time correlative scan matching", 2009).
+good. The largest cells of small blocks bound the scores of many poses at once (Olson, "Real-time correlative scan
+matching", 2009).
 """
 
 import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from limslam_agent.slam.graph.local_maps import Cells
 from limslam_env.compilation import entry_of
@@ -17,6 +20,7 @@ from limslam_env.geometry import FloatArray, IntArray, se2
 # A kernel calls only kernels of its own file.
 kernel = entry_of(__name__)
 
+_BLOCK = 4  # cells along each side of a block of poses
 _VOLUME_CELLS, _VOLUME_TURNS = 10, 5
 _PRIOR = 0.05  # penalty of a match at the border of its window, for shift and for turn
 _SHARPNESS = 0.25  # from a difference in score to one in log-likelihood, for each point
@@ -29,6 +33,8 @@ _FAR_CELLS = 60  # by which points are shifted to see how well a match is known
 _FALL = 2.0  # the loss of log-likelihood at two standard deviations
 _UNKNOWN_STD = 10.0  # m, of a match along a direction in which nothing speaks against any shift
 
+Sums = NDArray[np.int16]
+
 
 @dataclass(frozen=True, eq=False)
 class SearchGrid:
@@ -38,6 +44,9 @@ class SearchGrid:
     ----------
     padded
         Cells (n, n), padded on all sides by the size of the window.
+    largest
+        The largest cell (b, b, k, k) of a square of b cells, by the first cell of the square: its rest and its quotient
+        by b, along x and y each.
     low
         Lowest x and y of the padded grid, m.
     cell
@@ -47,6 +56,7 @@ class SearchGrid:
     """
 
     padded: Cells
+    largest: Cells
     low: float
     cell: float
     margin: int
@@ -78,7 +88,15 @@ def search_grid(grid: Cells, cell: float, window: float) -> SearchGrid:
     # A point that lies further outside can be moved nearer, since it still meets only unknown cells.
     pad = 2 * margin + 1
     padded = np.pad(grid, pad)
-    return SearchGrid(padded, -0.5 * cell * len(padded), cell, margin)
+    return SearchGrid(padded, _largest(padded), -0.5 * cell * len(padded), cell, margin)
+
+
+def _largest(cells: Cells) -> Cells:
+    """The largest cells of squares, as in :class:`SearchGrid`. Cells beyond the border are unknown."""
+    count = len(cells) // _BLOCK + 2
+    squares = maximum_filter(cells, _BLOCK, mode="constant", origin=-(_BLOCK // 2))
+    squares = np.pad(squares, (0, count * _BLOCK - len(cells)))
+    return np.ascontiguousarray(squares.reshape(count, _BLOCK, count, _BLOCK).transpose(1, 3, 0, 2))
 
 
 def match(grid: SearchGrid, points: FloatArray, guess: FloatArray, window: Window, least: float) -> Match:
@@ -95,14 +113,12 @@ def match(grid: SearchGrid, points: FloatArray, guess: FloatArray, window: Windo
     turns = int(window.turn / window.turn_step + 1e-6)
     if len(points) < LEAST_POINTS:
         return Match(NO_MATCH, guess)
-    scores = _volume(grid.padded, points, guess, grid.low, grid.cell, window.turn_step, margin, turns)
-    turn, x, y = np.ogrid[-turns : turns + 1, -margin : margin + 1, -margin : margin + 1]
-    scores -= _PRIOR * ((x * x + y * y) / (margin * margin + 1.0) + turn * turn / (turns * turns + 1.0))
-    best = np.array(np.unravel_index(scores.argmax(), scores.shape))
-    score, (turned, *shifts) = float(scores.max()), best - np.array([turns, margin, margin])
+    score, turn, x, y = _best(
+        grid.padded, grid.largest, points, guess, grid.low, grid.cell, window.turn_step, margin, turns, least
+    )
     if score <= least:
         return Match(NO_MATCH, guess)
-    return Match(score, guess + np.array([shifts[0] * grid.cell, shifts[1] * grid.cell, turned * window.turn_step]))
+    return Match(score, guess + np.array([x * grid.cell, y * grid.cell, turn * window.turn_step]))
 
 
 def match_covariance(
@@ -165,6 +181,69 @@ def _pixels(
 
 
 @kernel
+def _add_rows(sums: Sums, cells: Cells, row: int, column: int) -> None:
+    """Add a patch of cells that begins at a given row and column to sums of the same shape."""
+    for a in range(sums.shape[0]):
+        line = cells[row + a, column : column + sums.shape[1]]
+        total = sums[a]
+        for b in range(sums.shape[1]):
+            total[b] += line[b]
+
+
+@kernel
+def _sums(
+    padded: Cells, points: FloatArray, x: float, y: float, turn: float, low: float, cell: float, sums: Sums
+) -> None:
+    """Compute the sums of the cells at points at all shifts (2 m + 1, 2 m + 1) about a pose."""
+    cells, size = len(sums) // 2, len(padded)
+    pixels = np.empty((len(points), 2), np.int64)
+    _pixels(points, x, y, turn, low, cell, cells, size, pixels)
+    sums[:] = 0
+    for k in range(len(points)):
+        _add_rows(sums, padded, pixels[k, 0] - cells, pixels[k, 1] - cells)
+
+
+@kernel
+def _best(
+    padded: Cells,
+    largest: Cells,
+    points: FloatArray,
+    guess: FloatArray,
+    low: float,
+    cell: float,
+    turn_step: float,
+    margin: int,
+    turns: int,
+    least: float,
+) -> tuple[float, int, int, int]:
+    """Score, turn in steps and shifts in cells of the best pose of a window; ``least`` if no score is above it."""
+    best, best_turn, best_x, best_y = least, 0, 0, 0
+    by_shift, by_turn = _PRIOR / (margin * margin + 1.0), _PRIOR / (turns * turns + 1.0)
+    block = len(largest)
+    count = (2 * margin + block) // block
+    bounds, pixels = np.empty((count, count), np.int16), np.empty((len(points), 2), np.int64)
+    for turn in range(-turns, turns + 1):
+        _pixels(points, guess[0], guess[1], guess[2] + turn * turn_step, low, cell, margin, len(padded), pixels)
+        pixels -= margin
+        bounds[:] = 0
+        for i, j in pixels:
+            _add_rows(bounds, largest[i % block, j % block], i // block, j // block)
+        for a, b in np.ndindex(count, count):
+            if bounds[a, b] / (5.0 * len(points)) - by_turn * turn * turn <= best:
+                continue
+            for x in range(block * a, min(block * (a + 1), 2 * margin + 1)):
+                for y in range(block * b, min(block * (b + 1), 2 * margin + 1)):
+                    total = 0
+                    for i, j in pixels:
+                        total += padded[i + x, j + y]
+                    penalty = by_shift * ((x - margin) ** 2 + (y - margin) ** 2) + by_turn * turn * turn
+                    score = total / (5.0 * len(points)) - penalty
+                    if score > best:
+                        best, best_turn, best_x, best_y = score, turn, x - margin, y - margin
+    return best, best_turn, best_x, best_y
+
+
+@kernel
 def _volume(
     padded: Cells,
     points: FloatArray,
@@ -176,17 +255,10 @@ def _volume(
     turns: int,
 ) -> FloatArray:
     """Scores (2 turns + 1, 2 cells + 1, 2 cells + 1) of all poses in a window around a given pose."""
-    width = 2 * cells + 1
-    scores, sums = np.empty((2 * turns + 1, width, width)), np.empty((width, width), np.int16)
-    pixels = np.empty((len(points), 2), np.int64)
+    scores = np.empty((2 * turns + 1, 2 * cells + 1, 2 * cells + 1))
+    sums = np.empty((2 * cells + 1, 2 * cells + 1), np.int16)
     for t in range(2 * turns + 1):
-        _pixels(points, pose[0], pose[1], pose[2] + (t - turns) * turn_step, low, cell, cells, len(padded), pixels)
-        sums[:] = 0
-        for i, j in pixels:
-            for a in range(width):
-                line, total = padded[i - cells + a, j - cells : j + cells + 1], sums[a]
-                for b in range(width):
-                    total[b] += line[b]
+        _sums(padded, points, pose[0], pose[1], pose[2] + (t - turns) * turn_step, low, cell, sums)
         scores[t] = sums / (5.0 * len(points))
     return scores
 

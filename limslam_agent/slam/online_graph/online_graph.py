@@ -16,22 +16,18 @@ import numpy as np
 
 from limslam_agent.config.graph import GraphConfig, LocalMapConfig
 from limslam_agent.slam.graph.chunk_graph import ChunkGraph, inflated
-from limslam_agent.slam.graph.key_poses import (
-    ERRORS,
-    KEY_DISTANCE,
-    KEY_TURN,
-    LogData,
-    calibrated_motion,
-    motion_variances,
-)
+from limslam_agent.slam.graph.key_poses import KEY_DISTANCE, KEY_TURN, LogData, calibrated_motion, motion_variances
 from limslam_agent.slam.graph.local_maps import cut_chunks
 from limslam_agent.slam.graph.reversing import LEAST_LENGTH, driven_backwards
-from limslam_agent.slam.online_graph.window import LocalFrame, RecentEvents, smooth_window
+from limslam_agent.slam.online_graph.window import LocalFrame, OdometryErrors, RecentEvents, smooth_window
 from limslam_env.geometry import BoolArray, FloatArray
 from limslam_env.geometry.se2 import between, compose, compose_jacobians
 
 _WINDOW = 15.0
 """Distance driven that is smoothed, m: the walls of the local smoothing reach over 10 m, and a chunk over 7 m."""
+
+_REVISED = 2
+"""Number of earlier motions between chunks that each window estimates anew."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +70,7 @@ class OnlineGraph:
     pose, covariance
         The pose (3,) at the last event, and its covariance (3, 3).
     errors
-        The constant errors (5,) of odometry that are known.
+        What is known of the constant errors of odometry.
     places
         The graph of chunks; None before the first chunk is complete.
     job_ms
@@ -87,12 +83,12 @@ class OnlineGraph:
         self._log, self._config = log, config or GraphConfig()
         self._recent, self.places = RecentEvents(), None
         self._start = np.asarray(start, dtype=float)
-        self.errors = np.zeros(ERRORS)
+        self.errors = OdometryErrors.unknown(self._config.motion)
         self._ridden, self._variances = np.zeros(3), np.zeros(3)
-        self._anchor = Anchor(self._ridden, self._variances, self._start, np.zeros((3, 3)), self.errors)
+        self._anchor = Anchor(self._ridden, self._variances, self._start, np.zeros((3, 3)), self.errors.mean)
         self._waiting: Anchor | None = None
         self._chunk_std, self._first_covariance = 0.0, np.zeros((3, 3))
-        self._middle = 0  # event in the middle of the last chunk
+        self._middles = [0]  # events in the middle of the last chunks
         self._last_job, self._proofs = 0, 0  # event of the last job; stretches that prove that odometry has no sign
         self._reversed = list[tuple[int, int]]()  # stretches that are to be turned round if that is proven
         self._job_at = _remainder(self._config.maps)
@@ -153,9 +149,10 @@ class OnlineGraph:
         if frame is not None:
             self.errors = frame.errors
             pose, covariance = self._placed(frame)
-            self._waiting = Anchor(self._ridden, self._variances, pose, covariance, self.errors)
+            self._waiting = Anchor(self._ridden, self._variances, pose, covariance, self.errors.mean)
         if self.places is not None:
-            recent.forget_before(min(recent.at(recent.travel + maps.hop - _WINDOW), self._middle))
+            self._middles = self._middles[-1 - _REVISED :]
+            recent.forget_before(min(recent.at(recent.travel + maps.hop - _WINDOW), self._middles[0]))
 
     def _directed(self) -> LogData:
         """The last events. What was driven backwards is turned round if odometry has no sign."""
@@ -196,16 +193,17 @@ class OnlineGraph:
         event = recent.first + int(frame.keys.first_event[key])
         (chunk,) = cut_chunks(frame.keys, frame.trajectory, config.maps, np.array([key]), self._log.max_range)
         chunk = replace(chunk, travel=recent.travel_at(event))
-        pose, before = frame.trajectory.poses[key], self._middle - recent.first
-        own = inflated(frame.covariances(np.array([frame.keys.event_key[before], key])))[0]
-        motion = between(frame.poses[before], pose)
+        pose, before = frame.trajectory.poses[key], np.array(self._middles) - recent.first
+        own = inflated(frame.covariances(np.array([frame.keys.event_key[before[-1]], key])))[0]
+        path = np.vstack((frame.poses[before], pose))
+        motions = between(path[:-1], path[1:])
         if self.places is None:
-            self._first_covariance = moved_covariance(self._start, np.zeros((3, 3)), motion, own)
-            self.places = ChunkGraph(chunk, compose(self._start, motion))
+            self._first_covariance = moved_covariance(self._start, np.zeros((3, 3)), motions[-1], own)
+            self.places, self._middles = ChunkGraph(chunk, compose(self._start, motions[-1])), []
         else:
-            self.places.add(chunk, motion, own)
+            self.places.add(chunk, motions, own)
             self._chunk_std = self.places.position_std
-        self._middle = event
+        self._middles.append(event)
 
 
 def moved_covariance(pose: FloatArray, covariance: FloatArray, motion: FloatArray, own: FloatArray) -> FloatArray:

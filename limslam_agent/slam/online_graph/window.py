@@ -1,7 +1,8 @@
 """The latest events, and the local frame: the last metres of driving, smoothed with the known errors of odometry.
 
 The constant errors of odometry are estimated in each window anew. A window alone says little about them, and successive
-windows overlap. So each window adds what it finds beside the known errors, by the share of driving that is new in it.
+windows overlap. The information of all windows is therefore added up, each with the share of driving that is new in it,
+and the sum is the prior of the next window.
 """
 
 import math
@@ -10,8 +11,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limslam_agent.config.graph import GraphConfig, SmoothingConfig
+from limslam_agent.config.graph import GraphConfig, OdometryErrorConfig, SmoothingConfig
 from limslam_agent.slam.graph.key_poses import (
+    ERRORS,
     KeyPoses,
     LogData,
     Trajectory,
@@ -99,6 +101,42 @@ class RecentEvents:
 
 
 @dataclass(frozen=True, eq=False)
+class OdometryErrors:
+    """What is known of the constant errors of odometry: their mean (5,) and its information matrix (5, 5)."""
+
+    mean: FloatArray
+    information: FloatArray
+
+    @classmethod
+    def unknown(cls, config: OdometryErrorConfig) -> "OdometryErrors":
+        """The prior of the settings."""
+        return cls(np.zeros(ERRORS), np.diag(np.array(config.stds) ** -2.0))
+
+    def prior(self, config: OdometryErrorConfig) -> OdometryErrorConfig:
+        """The settings for odometry that is corrected for the mean errors: only what is unknown remains."""
+        turn, scale, gain, delay, direction = np.sqrt(np.diag(np.linalg.inv(self.information))).tolist()
+        return replace(
+            config, bias_std=turn, scale_std=scale, turn_gain_std=gain, delay_std=delay, direction_std=direction
+        )
+
+    def after(self, remaining: FloatArray, information: FloatArray, share: float) -> "OdometryErrors":
+        """What is known after a window.
+
+        Parameters
+        ----------
+        remaining, information
+            Estimate (5,) of the errors that remained in the window after the correction, and its information (5, 5)
+            with the prior of the window.
+        share
+            Weight of the window's own information.
+        """
+        prior = np.diag(1.0 / np.diag(np.linalg.inv(self.information)))
+        total = self.information + share * (information - prior)
+        found = np.asarray(share * np.linalg.solve(total, information @ remaining))
+        return OdometryErrors(joined_bias(self.mean, found), 0.5 * (total + total.T))
+
+
+@dataclass(frozen=True, eq=False)
 class LocalFrame:
     """A smoothed window, in the frame of its first event.
 
@@ -109,13 +147,13 @@ class LocalFrame:
     poses
         Poses (n, 3) of all events of the window.
     errors
-        The constant errors (5,) of odometry that are known after the window.
+        What is known of the errors of odometry after the window.
     """
 
     keys: KeyPoses
     trajectory: Trajectory
     poses: FloatArray
-    errors: FloatArray
+    errors: OdometryErrors
     _equations: NormalEquations
 
     def covariances(self, keys: IntArray) -> FloatArray:
@@ -123,18 +161,19 @@ class LocalFrame:
         return motion_covariances(self._equations, self.trajectory.poses, keys)
 
 
-def smooth_window(data: LogData, errors: FloatArray, config: GraphConfig, share: float) -> LocalFrame | None:
+def smooth_window(data: LogData, errors: OdometryErrors, config: GraphConfig, share: float) -> LocalFrame | None:
     """Smooth a window of driving; None if it holds no two key poses or no points.
 
-    ``errors`` (5,) are the constant errors of odometry that are known, and ``share`` is the share of driving in the
-    window that was in no earlier window.
+    ``share`` is the share of driving in the window that was in no earlier window.
     """
-    config = replace(config, smoothing=_ITERATIONS)
-    data = corrected(data, errors)
+    config = replace(config, motion=errors.prior(config.motion), smoothing=_ITERATIONS)
+    data = corrected(data, errors.mean)
     keys = choose_keys(data, config.keys)
     if len(keys) < 2 or not len(keys.point_key):
         return None
     trajectory = smooth_locally(keys, odometry_trajectory(keys, np.zeros(3)), config, data.range_std)
     equations = cautious_equations(keys, trajectory, config, data.range_std)
-    known = joined_bias(errors, share * trajectory.bias)
-    return LocalFrame(keys, trajectory, event_poses(keys, trajectory), known, equations)
+    columns = 3 * len(keys) + np.arange(ERRORS)
+    information = np.linalg.inv(equations.covariances(columns[None], np.eye(ERRORS)[None])[0])
+    after = errors.after(trajectory.bias, information, share)
+    return LocalFrame(keys, trajectory, event_poses(keys, trajectory), after, equations)
