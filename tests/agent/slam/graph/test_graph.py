@@ -419,7 +419,7 @@ def test_the_covariance_stays_symmetric_and_positive_over_many_loops():
     blank = [LocalMap(2.5 * n, np.zeros((0, 2)), np.zeros((2, 2), np.int8), 0.1) for n in range(len(truth))]
     graph = ChunkGraph(blank[0], truth[0])
     for newest in range(1, len(truth)):
-        graph.add(blank[newest], hops.motions[newest - 1], hops.covariances[newest - 1])
+        graph.add(blank[newest], hops.motions[newest - 1 : newest], hops.covariances[newest - 1])
         graph.close(loops_of(truth, [(old, newest) for old in range(newest % 24, newest - 12, 24)]))
     covariance = graph.covariance
     assert np.allclose(covariance, covariance.T, atol=1e-9)
