@@ -17,10 +17,10 @@ from limslam_agent.cli.terminal import progress_bar
 from limslam_agent.measurements.processes import Processes
 from limslam_agent.measurements.store import open_store
 from limslam_agent.output.export import plain
-from limslam_agent.output.provenance import commit
+from limslam_agent.output.provenance import commit, versions
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.record import Episode
-from limslam_agent.runs.results import cost, score, versions
+from limslam_agent.runs.results import cost, score
 from limslam_agent.runs.run_config import RunConfig
 from limslam_env.worlds.formats.loading import WorldSource, load_world
 

@@ -22,11 +22,10 @@ from torch.nn import functional
 
 import limslam_env  # noqa: F401 (registers the environments)
 from benchmarks.training.explore_env import VIEW, ExploreVectorEnv
-from limslam_agent.output.provenance import commit
+from limslam_agent.output.provenance import commit, versions
 from limslam_agent.policies.learned.learned import HOLD, TEMPERATURE
 from limslam_agent.policies.learned.network import COMPASS, LAYERS, SPREAD, DirectionNetwork, save_network
 from limslam_agent.policies.learned.polar_view import ViewConfig
-from limslam_agent.runs.results import versions
 from limslam_env.config import RewardConfig
 from limslam_env.envs.sb3 import Sb3VecEnv
 

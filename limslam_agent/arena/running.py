@@ -20,7 +20,7 @@ from limslam_agent.arena.tracks import Plan
 from limslam_agent.measurements.processes import Failure, Processes
 from limslam_agent.measurements.store import open_store
 from limslam_agent.output.export import plain
-from limslam_agent.output.provenance import commit
+from limslam_agent.output.provenance import commit, versions
 from limslam_agent.policies.policy import Policy
 from limslam_agent.runs.actor_checks import is_policy
 from limslam_agent.runs.actors import ActorPolicy
@@ -28,7 +28,7 @@ from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.policy_file import made_by_file, naming_lines_of
 from limslam_agent.runs.record import Episode
 from limslam_agent.runs.results import cost as cost_of
-from limslam_agent.runs.results import score, versions
+from limslam_agent.runs.results import score
 from limslam_agent.runs.run_config import RunConfig
 from limslam_env.envs.parallel_env import LimSlamParallelEnv
 from limslam_env.messages import one_line

@@ -10,8 +10,7 @@ from limslam_agent.arena.results import FORMAT, Row, Stamp, digest_of, plans_dig
 from limslam_agent.arena.running import Job, results_of
 from limslam_agent.arena.tracks import PUBLIC_SEED, Plan, plans_of
 from limslam_agent.measurements.store import BaseStamp, read_stamp
-from limslam_agent.output.provenance import commit
-from limslam_agent.runs.results import versions
+from limslam_agent.output.provenance import commit, versions
 
 BOUNDS = {
     "plan_time_to_80_s": 30.0, "plan_time_to_95_s": 30.0, "correct_coverage": 0.05, "ate_final_m": 0.05,

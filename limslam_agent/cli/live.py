@@ -55,7 +55,6 @@ def carry_out(options: LiveOptions, config: "AgentConfig", wired: "Wired") -> No
     from limslam_agent.output.run_folder import new_folder
     from limslam_agent.runs.policies import policies_by_belief
     from limslam_agent.runs.policy_file import naming_lines_of
-    from limslam_agent.runs.results import versions
 
     target = options.out or Path("runs") / "live"
     with new_folder(target, force=options.force, numbered=options.out is None) as folder:
@@ -76,7 +75,7 @@ def carry_out(options: LiveOptions, config: "AgentConfig", wired: "Wired") -> No
             if not len(recording):
                 raise NoRobotError(f"the robot {hello.name} has said hello, but has sent no telemetry that fits it")
             typer.echo("smoothing   and writing the map", err=True)
-            result = write_session(folder.beside, session, f"live {hello.name}", reason, versions())
+            result = write_session(folder.beside, session, f"live {hello.name}", reason)
             write_live_settings(folder.beside, options, config)
     say(*session_lines(result), f"results     {folder.target}")
 

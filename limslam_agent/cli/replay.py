@@ -72,7 +72,6 @@ def _carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec |
     from limslam_agent.places.saved_map import read_saved_map
     from limslam_agent.replay.plausibility import log_warnings, map_warnings
     from limslam_agent.replay.replay import replay_log, write_replay
-    from limslam_agent.runs.results import versions
 
     if options.log is None:
         raise ValueError("a log is needed: limslam replay LOG")
@@ -83,7 +82,7 @@ def _carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec |
         result = replay_log(job.log, job.config, advance, report, prior_map)
         scores = _scores_of(job, result, options.relations)
         figures = job.calibration.figures if job.calibration else {}
-        content = write_replay(folder.beside, result, job.source, {**scores, **figures}, versions())
+        content = write_replay(folder.beside, result, job.source, {**scores, **figures})
         write_replay_settings(folder.beside, options, agent, robot)
     calibrated = [f"calibrated  {found.words}" for found in (job.calibration, result.self_calibration) if found]
     _tell(content, calibrated, folder.target, map_warnings(result))
@@ -92,7 +91,6 @@ def _carry_out(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec |
 def _carry_out_both(options: ReplayOptions, agent: "AgentConfig", robot: "RobotSpec | None") -> None:
     """Replay two logs, join them if they fit, write their folder, and print its summary."""
     from limslam_agent.replay.plausibility import log_warnings
-    from limslam_agent.runs.results import versions
     from limslam_agent.two_logs.joining import check_logs, replay_logs
     from limslam_agent.two_logs.output import write_joint_replay
 
@@ -117,7 +115,7 @@ def _carry_out_both(options: ReplayOptions, agent: "AgentConfig", robot: "RobotS
         own = [_scores_of(*each) for each in zip(jobs, joint.replays, asked, strict=True)]
         relations = jobs[0].relations, jobs[0 if options.other_relations is None else 1].relations
         scores = own[0], own[1], _scores_of_both(joint, relations)
-        content = write_joint_replay(folder.beside, joint, (jobs[0].source, jobs[1].source), scores, versions())
+        content = write_joint_replay(folder.beside, joint, (jobs[0].source, jobs[1].source), scores)
         write_replay_settings(folder.beside, options, agent, robot)
     _tell(content, [], folder.target, [])
 

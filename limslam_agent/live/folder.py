@@ -9,7 +9,7 @@ from limslam_agent.output.summary import record_summary, replay_summary
 from limslam_agent.replay.replay import replay_log, write_replay
 
 
-def write_session(folder: Path, session: Session, title: str, reason: str, versions: dict[str, str]) -> dict[str, Any]:
+def write_session(folder: Path, session: Session, title: str, reason: str) -> dict[str, Any]:
     """Write log, map, trajectories, picture and result of a session that has ended for a reason, into an existing
     folder. Returns the content of ``result.json``.
 
@@ -19,7 +19,7 @@ def write_session(folder: Path, session: Session, title: str, reason: str, versi
     session.recording.save(folder / LOG)
     replay = replay_log(session.recording.log(), session.agent.config)
     scores = {**session.figures, "stop_reason": reason}
-    return write_replay(folder, replay, {"log": title}, scores, versions)
+    return write_replay(folder, replay, {"log": title}, scores)
 
 
 def session_lines(result: dict[str, Any]) -> list[str]:

@@ -1,6 +1,8 @@
-"""The origin of results: the commit of the checkout."""
+"""The origin of results: the commit of the checkout, and the versions of libraries."""
 
 import subprocess
+import sys
+from importlib.metadata import version
 from pathlib import Path
 
 CHECKOUT = Path(__file__).resolve().parents[2]
@@ -18,6 +20,12 @@ def commit() -> str:
         )
     except (OSError, subprocess.CalledProcessError):
         return "unknown"
+
+
+def versions() -> dict[str, str]:
+    """Versions of everything that a result depends on."""
+    packages = ("limslam", "gymnasium", "pymunk", "numpy", "scipy", "numba", "filterpy", "opencv-python-headless")
+    return {"python": sys.version.split()[0], **{name: version(name) for name in packages}}
 
 
 def _git(*arguments: str) -> str:

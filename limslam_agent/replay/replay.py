@@ -15,6 +15,7 @@ from limslam_agent.logs.relations import Relations, relation_errors, summary
 from limslam_agent.mapping.mapper import Mapper
 from limslam_agent.output.export import map_content, write_covariances, write_json, write_map
 from limslam_agent.output.finished_run import COVARIANCES, UNPLACED
+from limslam_agent.output.provenance import versions
 from limslam_agent.output.summary import place_records, record_of, run_cost, turn_records
 from limslam_agent.output.tum import write_paths
 from limslam_agent.places.saved_map import SavedMap
@@ -144,9 +145,7 @@ def _hand_over(replay: Replay) -> dict[str, float]:
     return {} if event is None else {"online_graph_from_s": float(time[event] - time[0])}
 
 
-def write_replay(
-    folder: Path, replay: Replay, source: dict[str, str | None], scores: dict[str, Any], versions: dict[str, str]
-) -> dict[str, Any]:
+def write_replay(folder: Path, replay: Replay, source: dict[str, str | None], scores: dict[str, Any]) -> dict[str, Any]:
     """Write trajectory, map, picture and result of a replay into a folder. Returns the content of ``result.json``.
 
     Parameters
@@ -159,8 +158,6 @@ def write_replay(
         Names of the files that the replay used, such as ``log`` and ``relations``.
     scores
         Metrics of the trajectory.
-    versions
-        Versions of the libraries.
     """
     log, smoothed = replay.log, replay.smoothed
     _write_trajectories(folder, replay)
@@ -191,7 +188,7 @@ def write_replay(
             "beam_turns": turn_records(replay.beam_turns),
             "places": place_records(log.time, replay.places.records),
         },
-        "versions": versions,
+        "versions": versions(),
         "seed": None,
     }
     write_json(folder / "result.json", result)

@@ -3,10 +3,8 @@
 The estimate is compared with the truth only here, after the run is over.
 """
 
-import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, replace
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -16,6 +14,7 @@ from limslam_agent.logs.recorded_log import write_npz
 from limslam_agent.mapping.joining import NOT_YET_CONFIRMED
 from limslam_agent.output.export import WallsAndGrid, map_content, plain, write_covariances, write_json, write_map
 from limslam_agent.output.finished_run import COVARIANCES, UNPLACED, WORLD, run_title
+from limslam_agent.output.provenance import versions
 from limslam_agent.output.summary import calibration_record, place_records, record_of, run_cost, turn_records
 from limslam_agent.output.tum import write_paths
 from limslam_agent.policies.policy import NOT_EXPLORED
@@ -306,12 +305,6 @@ def _draw(path: Path, episode: Episode) -> None:
         online=[] if episode.smoothed is None else estimated,
     )  # fmt: skip
     draw_map(path, picture)
-
-
-def versions() -> dict[str, str]:
-    """Versions of everything that a result depends on."""
-    packages = ("limslam", "gymnasium", "pymunk", "numpy", "scipy", "numba", "filterpy", "opencv-python-headless")
-    return {"python": sys.version.split()[0], **{name: version(name) for name in packages}}
 
 
 def _events(episode: Episode) -> list[AssociationEvent]:

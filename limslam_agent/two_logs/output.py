@@ -9,6 +9,7 @@ import numpy as np
 from limslam_agent.logs.relations import RelationErrors, Relations, relation_errors, summary
 from limslam_agent.output.export import map_content, write_json, write_map
 from limslam_agent.output.finished_run import UNPLACED
+from limslam_agent.output.provenance import versions
 from limslam_agent.output.summary import run_cost
 from limslam_agent.output.tum import write_tum
 from limslam_agent.replay.replay import write_replay
@@ -63,7 +64,6 @@ def write_joint_replay(
     joint: JointReplay,
     sources: tuple[Source, Source],
     scores: tuple[dict[str, Any], dict[str, Any], dict[str, Any]],
-    versions: dict[str, str],
 ) -> dict[str, Any]:
     """Write the results of two logs into a folder. Returns the content of ``result.json``.
 
@@ -77,13 +77,11 @@ def write_joint_replay(
         Names of the files that each log used.
     scores
         Metrics of each log by itself, and of both together.
-    versions
-        Versions of the libraries.
     """
     own = []
     for name, replay, source, each in zip(LOG_FOLDERS, joint.replays, sources, scores[:2], strict=True):
         (folder / name).mkdir()
-        own.append(write_replay(folder / name, replay, source, each, versions))
+        own.append(write_replay(folder / name, replay, source, each))
     for number, replay in enumerate(joint.replays):
         for kind, paths in joint.paths().items():
             write_tum(folder / f"trajectory_{kind}_{number}.tum", replay.log.time, paths[number])
@@ -97,7 +95,7 @@ def write_joint_replay(
     if joint.loops is not None:
         write_json(folder / "loops.json", joint.loops)
     _draw(folder / "map.png", joint, sources)
-    result = _result(joint, sources, scores[2], own, versions)
+    result = _result(joint, sources, scores[2], own)
     write_json(folder / "result.json", result)
     return result
 
@@ -107,7 +105,6 @@ def _result(
     sources: tuple[Source, Source],
     scores: dict[str, Any],
     own: list[dict[str, Any]],
-    versions: dict[str, str],
 ) -> dict[str, Any]:
     replays = joint.replays
     duration = sum(float(np.ptp(each.log.time)) for each in replays)
@@ -135,7 +132,7 @@ def _result(
             "driven_m": sum(each["driven_m"] for each in records),
             "places": [{"step": 0, "time_s": 0.0, **joint.record}],
         },
-        "versions": versions,
+        "versions": versions(),
         "seed": None,
     }
 

@@ -201,7 +201,7 @@ def test_the_map_is_drawn_from_the_smoothed_path(smoothed):
 
 def test_the_folder_holds_both_paths_and_the_loops(smoothed, tmp_path):
     replay, _ = smoothed
-    write_replay(tmp_path, replay, {"log": "corridor", "relations": None}, {}, {})
+    write_replay(tmp_path, replay, {"log": "corridor", "relations": None}, {})
     result = json.loads((tmp_path / "result.json").read_text())
     loops = json.loads((tmp_path / "loops.json").read_text())
     graph = json.loads((tmp_path / "graph.json").read_text())

@@ -22,8 +22,7 @@ from benchmarks.suite.store import STAMP, read_rows
 from benchmarks.suite.suite import Suite, load_suite
 from limslam_agent.measurements.processes import Failure, Processes
 from limslam_agent.measurements.store import RESULTS
-from limslam_agent.output.provenance import commit
-from limslam_agent.runs.results import versions
+from limslam_agent.output.provenance import commit, versions
 
 TINY = """
 name = "tiny"
