@@ -63,97 +63,56 @@ class SelfCalibration:
 
 @dataclass(frozen=True, eq=False)
 class Smoothed:
-    """What is known at the end of a log.
+    """What is known at the end of a log."""
 
-    Attributes
-    ----------
-    poses
-        (n, 3) of all events.
-    figures
-        For ``result.json``: counts of loops, and what odometry was found to be wrong by.
-    loops
-        For ``loops.json``: each loop that was found, with the reason why it was kept or left out. None from the line
-        smoother, which finds loops by merging lines.
-    seconds
-        CPU time of the smoothing, s.
-    covariances
-        Covariances of the poses (n, 3, 3). None from the graph of local maps.
-    status
-        Whether the smoothed path and map can be trusted. None from the graph, whose status is in ``figures``.
-    basis
-        What two logs are joined from: the graph of local maps, or the run of the line smoother.
-    data
-        What the graph of local maps has used of the log. None from the line smoother.
-    graph
-        For ``graph.json``: the times of the key poses and of the middles of the local maps. None from the line
-        smoother.
-    """
-
-    poses: FloatArray
-    figures: dict[str, Any]
+    poses: FloatArray  # (n, 3) of all events
+    figures: dict[str, Any]  # for ``result.json``: counts of loops, and what odometry was found to be wrong by
+    # For ``loops.json``: each loop that was found, with the reason why it was kept or left out. None from the line
+    # smoother, which finds loops by merging lines.
     loops: list[dict[str, Any]] | None
-    seconds: float
-    covariances: FloatArray | None = None
+    seconds: float  # CPU time of the smoothing, s
+    covariances: FloatArray | None = None  # (n, 3, 3), of the poses; None from the graph of local maps
+    # Whether the smoothed path and map can be trusted. None from the graph, whose status is in ``figures``.
     status: Status | None = None
+    # What two logs are joined from: the graph of local maps, or the run of the line smoother
     basis: "GraphResult | FilteredRun | None" = field(default=None, repr=False)
+    # What the graph of local maps has used of the log. None from the line smoother.
     data: "LogData | None" = field(default=None, repr=False)
+    # For ``graph.json``: the times of the key poses and of the middles of the local maps. None from the line
+    # smoother.
     graph: dict[str, list[float]] | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Replay:
-    """The result of a replay, with a pose for every event of the log.
-
-    Attributes
-    ----------
-    log
-        The log that was replayed.
-    config
-        Settings.
-    estimated, odometry
-        Poses (n, 3): the estimate, and odometry alone, corrected for its known bias.
-    covariances
-        Covariances of the estimated poses (n, 3, 3).
-    levels, status
-        Status of the estimate at each event (n,), as an index into ``status.LEVELS``, and at the end of the log.
-    landmarks, segments, grid
-        The map.
-    refused_readings
-        Number of readings that were skipped: no readings (NaN), and negative numbers.
-    self_calibration
-        Systematic odometry errors that the filter has estimated. None if this was not asked for.
-    beam_turns
-        By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad; None if no beam is.
-    sensor
-        How the sensor measures, as the filter has found out; None if it estimates nothing of the kind.
-    slam_ms, job_ms, wall_clock
-        Cost of the SLAM for each event (n,), and of the jobs of the online graph beside it (n,), ms; and cost of the
-        whole replay, s.
-    places
-        What happened when the robot was lost.
-    smoothed
-        What is known at the end of the log. None if the settings do not smooth it.
-    handed_over
-        The event from which on the online graph gives the estimate, since the filter is lost. None if there is none.
-    """
+    """The result of a replay, with a pose for every event of the log."""
 
     log: RecordedLog
     config: AgentConfig
+    # estimated, odometry: poses (n, 3): the estimate, and odometry alone, corrected for its known bias
     estimated: FloatArray
     odometry: FloatArray
-    covariances: FloatArray
+    covariances: FloatArray  # (n, 3, 3), of the estimated poses
+    # levels, status: status of the estimate at each event (n,), as an index into ``status.LEVELS``, and at the end of
+    # the log
     levels: IntArray
     status: Status
     landmarks: list[Landmark]
     segments: FloatArray
     grid: GridView
-    refused_readings: int
+    refused_readings: int  # number of readings that were skipped: no readings (NaN), and negative numbers
+    # Systematic odometry errors that the filter has estimated. None if this was not asked for.
     self_calibration: SelfCalibration | None
+    # slam_ms, job_ms, wall_clock: cost of the SLAM for each event (n,), and of the jobs of the online graph beside it
+    # (n,), ms; and cost of the whole replay, s
     slam_ms: FloatArray
     job_ms: FloatArray
     wall_clock: float
-    places: PlaceHistory
-    smoothed: Smoothed | None = None
+    places: PlaceHistory  # what happened when the robot was lost
+    smoothed: Smoothed | None = None  # what is known at the end of the log. None if the settings do not smooth it.
+    # The event from which on the online graph gives the estimate, since the filter is lost. None if there is none.
     handed_over: int | None = None
+    # By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad; None if no beam is
     beam_turns: FloatArray | None = None
+    # How the sensor measures, as the filter has found out; None if it estimates nothing of the kind
     sensor: RangeSensor | None = None

@@ -40,84 +40,50 @@ class FinalMap:
 
 @dataclass(frozen=True, eq=False)
 class Episode:
-    """The record of a run, with one row for each step. Row 0 is the moment of the reset.
-
-    Attributes
-    ----------
-    config, world
-        Settings and world of the run.
-    time
-        (t,), s.
-    ranges, wheels
-        Observations of the n robots: (t, n, n_beams), m, and (t, n, 2), m.
-    actions
-        Answer to each observation (t, n, 2). The action of a row leads to the next row.
-    true, estimated, odometry
-        Poses (t, n, 3): the truth, the estimate, and odometry alone.
-    covariances
-        Covariances of the estimated poses (t, n, 3, 3).
-    levels
-        Status of each robot's estimate (t, n), as an index into ``status.LEVELS``: 0 ok, 1 unsure, 2 lost.
-    wall_seen
-        What each beam truly hit (t, n, n_beams).
-    dropped
-        Beams that were ignored because they may have hit another robot (t, n, n_beams).
-    coverage, contact
-        True coverage by all robots together (t,), and whether each robot touches something (t, n).
-    associations, closures
-        The association of each observed line, and the loops that were closed.
-    calibrations
-        Each robot's odometry calibration and its covariance (3, 3) at the end; None where none was needed.
-    sensor
-        How the range sensors measure, as the SLAM takes it at the end. None if it estimates nothing of the kind.
-    beam_turns
-        By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad, as the SLAM takes it at
-        the end; None if it takes no beam to be turned.
-    snapshot
-        What is believed at the end.
-    coverage_grid
-        The cells that count for coverage.
-    places
-        What happened when the robot was lost.
-    in_prior_map
-        Whether the robot's place in an earlier map was found. The poses are in the frame of that map then.
-    stop_reason, is_finished
-        Why the run ended, and whether the agent itself said so.
-    slam_ms, decide_ms, wall_clock
-        Cost of a step: the SLAM alone (t,), ms, and the grid with the policies (t,), ms. Cost of the whole loop, s.
-    is_joined
-        Whether the robots share a frame at the end.
-    """
+    """The record of a run, with one row for each step. Row 0 is the moment of the reset."""
 
     config: RunConfig
     world: World
-    time: FloatArray
+    time: FloatArray  # (t,), s
+    # ranges, wheels: observations of the n robots: (t, n, n_beams), m, and (t, n, 2), m
     ranges: FloatArray
     wheels: FloatArray
-    actions: FloatArray
+    actions: FloatArray  # answer to each observation (t, n, 2). The action of a row leads to the next row.
+    # true, estimated, odometry: poses (t, n, 3): the truth, the estimate, and odometry alone
     true: FloatArray
     estimated: FloatArray
     odometry: FloatArray
-    covariances: FloatArray
+    covariances: FloatArray  # (t, n, 3, 3), of the estimated poses
+    # Status of each robot's estimate (t, n), as an index into ``status.LEVELS``: 0 ok, 1 unsure, 2 lost
     levels: IntArray
-    wall_seen: IntArray
-    dropped: BoolArray
+    wall_seen: IntArray  # what each beam truly hit (t, n, n_beams)
+    dropped: BoolArray  # beams that were ignored because they may have hit another robot (t, n, n_beams)
+    # coverage, contact: true coverage by all robots together (t,), and whether each robot touches something (t, n)
     coverage: FloatArray
     contact: BoolArray
+    # associations, closures: the association of each observed line, and the loops that were closed
     associations: list[AssociationRecord]
     closures: list[Closure]
+    # Each robot's odometry calibration and its covariance (3, 3) at the end; None where none was needed
     calibrations: list[tuple[OdometryCalibration, FloatArray] | None]
-    places: PlaceHistory
+    places: PlaceHistory  # what happened when the robot was lost
+    # Whether the robot's place in an earlier map was found. The poses are in the frame of that map then.
     in_prior_map: bool
-    snapshot: Snapshot
-    coverage_grid: CoverageGrid
+    snapshot: Snapshot  # what is believed at the end
+    coverage_grid: CoverageGrid  # the cells that count for coverage
+    # stop_reason, is_finished: why the run ended, and whether the agent itself said so
     stop_reason: str
     is_finished: bool
+    # slam_ms, decide_ms, wall_clock: cost of a step: the SLAM alone (t,), ms, and the grid with the policies (t,),
+    # ms. Cost of the whole loop, s.
     slam_ms: FloatArray
     decide_ms: FloatArray
     wall_clock: float
-    is_joined: bool = True
+    is_joined: bool = True  # whether the robots share a frame at the end
+    # How the range sensors measure, as the SLAM takes it at the end. None if it estimates nothing of the kind.
     sensor: RangeSensor | None = None
+    # By what each beam is turned to the left, and its standard deviation (n_beams, 2), rad, as the SLAM takes it at
+    # the end; None if it takes no beam to be turned
     beam_turns: FloatArray | None = None
 
     @property

@@ -17,38 +17,20 @@ Replays = tuple[Replay, Replay]
 
 @dataclass(frozen=True, eq=False)
 class JointReplay:
-    """The result of two logs.
+    """The result of two logs."""
 
-    Attributes
-    ----------
-    replays
-        Each log by itself.
-    poses
-        Smoothed poses (n, 3) and (m, 3) of all events: in the frame of the first log, or each in its own frame.
-    landmarks, segments, grid
-        The map; that of the first log if the logs were not joined.
-    status
-        Whether map and paths can be trusted.
-    record
-        The joining, or why the logs were not joined.
-    figures
-        For the metrics of ``result.json``.
-    loops
-        For ``loops.json``. None without the graph of local maps.
-    seconds
-        CPU time of the joining, s.
-    """
-
-    replays: Replays
+    replays: Replays  # each log by itself
+    # Smoothed poses (n, 3) and (m, 3) of all events: in the frame of the first log, or each in its own frame
     poses: tuple[FloatArray, FloatArray]
+    # landmarks, segments, grid: the map; that of the first log if the logs were not joined
     landmarks: list[Landmark]
     segments: FloatArray
     grid: GridView
-    status: Status
-    record: dict[str, Any]
-    figures: dict[str, Any] = field(default_factory=dict)
-    loops: list[dict[str, Any]] | None = None
-    seconds: float = 0.0
+    status: Status  # whether map and paths can be trusted
+    record: dict[str, Any]  # the joining, or why the logs were not joined
+    figures: dict[str, Any] = field(default_factory=dict)  # for the metrics of ``result.json``
+    loops: list[dict[str, Any]] | None = None  # for ``loops.json``. None without the graph of local maps.
+    seconds: float = 0.0  # CPU time of the joining, s
 
     @property
     def is_joined(self) -> bool:

@@ -42,37 +42,23 @@ _SHARPER = np.clip((np.arange(256) - 96) * 4, 0, 255).astype(np.uint8)
 
 @dataclass(frozen=True, eq=False)
 class RenderState:
-    """Everything that a picture shows.
+    """Everything that a picture shows."""
 
-    Attributes
-    ----------
-    world, robot
-        What is drawn.
-    poses
-        (n, 3), m and rad.
-    hits, ranges
-        (n, n_beams): the wall that a beam hit, -1 for nothing and -2 for a robot; and the readings, m.
-    paths
-        For each robot its past positions (k, 2), m.
-    time, coverage
-        s, and 0 to 1.
-    seen, seen_low
-        (rows, columns), which cells of the coverage grid have been seen; and its lower left corner (2,), m.
-    overlay
-        The agents' estimates; each has the colour of the robot with the same number.
-    """
-
+    # world, robot: what is drawn
     world: World
     robot: RobotSpec
-    poses: FloatArray
+    poses: FloatArray  # (n, 3), m and rad
+    # hits, ranges: (n, n_beams): the wall that a beam hit, -1 for nothing and -2 for a robot; and the readings, m
     hits: IntArray
     ranges: NDArray[np.floating]
-    paths: Sequence[FloatArray]
+    paths: Sequence[FloatArray]  # for each robot its past positions (k, 2), m
+    # time, coverage: s, and 0 to 1
     time: float
     coverage: float
+    # seen, seen_low: which cells (rows, columns) of the coverage grid have been seen; its lower left corner (2,), m
     seen: BoolArray
     seen_low: FloatArray
-    overlay: Sequence[Overlay] = ()
+    overlay: Sequence[Overlay] = ()  # the agents' estimates; each has the colour of the robot with the same number
 
 
 @dataclass(frozen=True, eq=False)

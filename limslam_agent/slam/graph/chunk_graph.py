@@ -51,28 +51,15 @@ KEPT = "kept"
 
 @dataclass(frozen=True, eq=False)
 class Loop:
-    """A relative pose between two chunks.
+    """A relative pose between two chunks."""
 
-    Attributes
-    ----------
-    first, second
-        The chunk whose grid was searched, and the chunk whose points were matched.
-    relative
-        Pose (3,) of the second chunk in the frame of the first chunk.
-    information
-        Inverse (3, 3) of the covariance of the relative pose.
-    score
-        Score of the match.
-    reason
-        ``KEPT``, or why the loop is no part of the result.
-    """
-
+    # first, second: the chunk whose grid was searched, and the chunk whose points were matched
     first: int
     second: int
-    relative: FloatArray
-    information: FloatArray
-    score: float
-    reason: str = ""
+    relative: FloatArray  # pose (3,) of the second chunk in the frame of the first chunk
+    information: FloatArray  # inverse (3, 3) of the covariance of the relative pose
+    score: float  # score of the match
+    reason: str = ""  # ``KEPT``, or why the loop is no part of the result
 
 
 @dataclass(frozen=True, eq=False)

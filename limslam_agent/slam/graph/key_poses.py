@@ -38,71 +38,48 @@ APART = 1000.0
 
 @dataclass(frozen=True, eq=False)
 class LogData:
-    """A recorded log with one row for each event.
+    """A recorded log with one row for each event."""
 
-    Attributes
-    ----------
-    time
-        Times (n,), s.
-    odometry
-        Absolute odometry poses (n, 3) in the frame of odometry; m, m, rad.
-    ranges, hit
-        Ranges (n, b), m, and whether each beam has measured a wall.
-    origins, angles
-        Origins (b, 2), m, and directions (b,), rad, of the beams in the robot's frame.
-    max_range
-        Longest range, m.
-    range_std
-        Specified standard deviation of a range, m.
-    """
-
-    time: FloatArray
-    odometry: FloatArray
+    time: FloatArray  # (n,), s
+    odometry: FloatArray  # absolute odometry poses (n, 3) in the frame of odometry; m, m, rad
+    # ranges, hit: ranges (n, b), m, and whether each beam has measured a wall
     ranges: FloatArray
     hit: BoolArray
+    # origins, angles: origins (b, 2), m, and directions (b,), rad, of the beams in the robot's frame
     origins: FloatArray
     angles: FloatArray
-    max_range: float
-    range_std: float = 0.0
+    max_range: float  # longest range, m
+    range_std: float = 0.0  # specified standard deviation of a range, m
 
 
 @dataclass(frozen=True, eq=False)
 class KeyPoses:
-    """The constant part of the problem: m key poses, n events, p points.
+    """The constant part of the problem: m key poses, n events, p points."""
 
-    Attributes
-    ----------
-    event_key, first_event
-        The key pose (n,) of each event, and the first event (m,) of each key pose.
-    offset, offset_forward
-        Odometry pose (n, 3) of each event in the frame of its key pose; distance (n,) driven forward since the key
-        pose, m.
-    step, step_forward, step_variances
-        Odometry motion (m - 1, 3) from each key pose to the next; its distance (m - 1,), m, and its variances (m - 1,
-        3).
-    offset_rate, step_rate
-        Derivatives (n, 3) and (m - 1, 3) of ``offset`` and ``step`` by the delay of the ranges, per s.
-    travel
-        Length (n,) of the path up to each event, m.
-    point_event, point_key, point_travel
-        Event, key pose and travel (p,) of each point; points are in the order of events.
-    in_robot, origin_in_robot
-        Each point (p, 2) and the origin of its beam (p, 2), in the robot's frame at its event, m.
-    """
-
+    # event_key, first_event: the key pose (n,) of each event, and the first event (m,) of each key pose
     event_key: IntArray
     first_event: IntArray
+    # offset, offset_forward: odometry pose (n, 3) of each event in the frame of its key pose; distance (n,) driven
+    # forward since the key pose, m
     offset: FloatArray
     offset_forward: FloatArray
+    # step, step_forward, step_variances: odometry motion (m - 1, 3) from each key pose to the next; its distance (m -
+    # 1,), m, and its variances (m - 1, 3)
     step: FloatArray
     step_forward: FloatArray
     step_variances: FloatArray
+    # offset_rate, step_rate: derivatives (n, 3) and (m - 1, 3) of ``offset`` and ``step`` by the delay of the ranges,
+    # per s
     offset_rate: FloatArray
     step_rate: FloatArray
-    travel: FloatArray
+    travel: FloatArray  # length (n,) of the path up to each event, m
+    # point_event, point_key, point_travel: event, key pose and travel (p,) of each point; points are in the order of
+    # events
     point_event: IntArray
     point_key: IntArray
     point_travel: FloatArray
+    # in_robot, origin_in_robot: each point (p, 2) and the origin of its beam (p, 2), in the robot's frame at its
+    # event, m
     in_robot: FloatArray
     origin_in_robot: FloatArray
 

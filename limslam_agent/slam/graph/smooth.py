@@ -46,28 +46,15 @@ _SYNCHRONISATIONS, _SYNCHRONOUS = 3, 0.02
 
 @dataclass(frozen=True, eq=False)
 class GraphResult:
-    """A smoothed log, or two logs that were smoothed as one.
+    """A smoothed log, or two logs that were smoothed as one."""
 
-    Attributes
-    ----------
-    kind
-        What the path follows: ``loops``, ``local`` (odometry and the walls along the way) or ``odometry``.
-    keys, trajectory
-        The key poses and their trajectory.
-    errors
-        The estimated constant errors (5,) of odometry, as in :class:`Trajectory`.
-    loops
-        All loops that were found.
-    chunk_keys
-        The key poses (c,) in the middle of the chunks.
-    """
-
-    kind: str
+    kind: str  # what the path follows: ``loops``, ``local`` (odometry and the walls along the way) or ``odometry``
+    # keys, trajectory: the key poses and their trajectory
     keys: KeyPoses = field(repr=False)
     trajectory: Trajectory = field(repr=False)
-    errors: FloatArray
-    loops: list[Loop]
-    chunk_keys: IntArray
+    errors: FloatArray  # the estimated constant errors (5,) of odometry, as in :class:`Trajectory`
+    loops: list[Loop]  # all loops that were found
+    chunk_keys: IntArray  # the key poses (c,) in the middle of the chunks
 
     @property
     def poses(self) -> FloatArray:

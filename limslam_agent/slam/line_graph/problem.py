@@ -65,38 +65,22 @@ class Readings:
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """The measurements of n robots in t steps, and their standard deviations.
+    """The measurements of n robots in t steps, and their standard deviations."""
 
-    Attributes
-    ----------
-    robot
-        Body and beams of each robot. The beams are those that are assumed.
-    starts
-        Known poses (n, 3) of the first step, m and rad.
-    wheels, roots
-        Reported motions (n, t - 1, 3), m, of which the last column is the motion aside, and roots (n, t - 1, 3, 3) of
-        their inverse covariances.
-    readings, looks
-        The readings of walls; and these with the beams that met no wall, each with the length of its free path.
-    sensor
-        How the ranges are measured. A calibration estimates their bias from that of the sensor on.
-    prior
-        Inverse covariance of a robot's calibration, or None.
-    ticks
-        The ticks (n, 2) of the wheels' encoders, m, as ``encoder_ticks.tick_by`` finds them.
-    jumps
-        Motions (n, t - 1, 3) of carried robots, m, of which the wheels say nothing; None if no robot was carried.
-    """
-
-    robot: RobotSpec
-    starts: FloatArray
+    robot: RobotSpec  # body and beams of each robot. The beams are those that are assumed.
+    starts: FloatArray  # known poses (n, 3) of the first step, m and rad
+    # wheels, roots: reported motions (n, t - 1, 3), m, of which the last column is the motion aside, and roots (n, t
+    # - 1, 3, 3) of their inverse covariances
     wheels: FloatArray
     roots: FloatArray
+    # readings, looks: the readings of walls; and these with the beams that met no wall, each with the length of its
+    # free path
     readings: Readings
     looks: Readings
-    sensor: RangeSensor
-    ticks: FloatArray
-    prior: FloatArray | None = None
+    sensor: RangeSensor  # how the ranges are measured. A calibration estimates their bias from that of the sensor on.
+    ticks: FloatArray  # the ticks (n, 2) of the wheels' encoders, m, as ``encoder_ticks.tick_by`` finds them
+    prior: FloatArray | None = None  # inverse covariance of a robot's calibration, or None
+    # Motions (n, t - 1, 3) of carried robots, m, of which the wheels say nothing; None if no robot was carried
     jumps: FloatArray | None = None
 
     @property

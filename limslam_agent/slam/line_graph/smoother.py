@@ -41,48 +41,33 @@ _FOUND_STDS = np.array([0.3, 0.3, math.radians(10.0)])
 
 @dataclass(frozen=True, eq=False)
 class FilteredRun:
-    """A run of n robots in t steps: the observations and the filter's estimates.
+    """A run of n robots in t steps: the observations and the filter's estimates."""
 
-    Attributes
-    ----------
-    robot, noise
-        Body and beams of each robot, and the specified noise.
-    wheels, ranges
-        Observations (t, n, 2) and (t, n, n_beams), m; row 0 is the observation at the reset.
-    usable
-        Mask (t, n, n_beams) of the readings that are of walls, without readings that may be of other robots.
-    poses, covariances
-        The filter's estimates at each step (t, n, 3) and (t, n, 3, 3); the first poses are the known starts.
-    associations, closures
-        The associations of the observed lines, and the merged landmarks, in order.
-    first_step
-        Step of the drive that row 0 belongs to, if the run is a part of a drive.
-    breaks
-        Robots and steps before which a robot was carried away. The poses before and after say where to.
-    slips
-        Robots and parts of the drive, from a step to before another one, in one step of which a robot has slipped.
-    sensor
-        How the sensor measures, as the filter has found out. None if it is as ``robot`` and ``noise`` state.
-    ticks
-        The ticks (n, 2) of the encoders, m, as the filter has found them; by ``wheels`` if left out.
-    waiting
-        Travel (t, n, 2) that waits for late ranges, m. With it, each pose is that of the readings of its step.
-    """
-
+    # robot, noise: body and beams of each robot, and the specified noise
     robot: RobotSpec
     noise: NominalNoise
+    # wheels, ranges: observations (t, n, 2) and (t, n, n_beams), m; row 0 is the observation at the reset
     wheels: FloatArray
     ranges: FloatArray
+    # Mask (t, n, n_beams) of the readings that are of walls, without readings that may be of other robots
     usable: BoolArray
+    # poses, covariances: the filter's estimates at each step (t, n, 3) and (t, n, 3, 3); the first poses are the
+    # known starts
     poses: FloatArray
     covariances: FloatArray
+    # associations, closures: the associations of the observed lines, and the merged landmarks, in order
     associations: list[AssociationRecord]
     closures: list[Closure]
-    first_step: int = 0
+    first_step: int = 0  # step of the drive that row 0 belongs to, if the run is a part of a drive
+    # Robots and steps before which a robot was carried away. The poses before and after say where to.
     breaks: tuple[tuple[int, int], ...] = ()
+    # Robots and parts of the drive, from a step to before another one, in one step of which a robot has slipped
     slips: tuple[tuple[int, int, int], ...] = ()
+    # How the sensor measures, as the filter has found out. None if it is as ``robot`` and ``noise`` state.
     sensor: RangeSensor | None = None
+    # The ticks (n, 2) of the encoders, m, as the filter has found them; by ``wheels`` if left out
     ticks: FloatArray | None = None
+    # Travel (t, n, 2) that waits for late ranges, m. With it, each pose is that of the readings of its step.
     waiting: FloatArray | None = None
 
     @property
@@ -114,36 +99,23 @@ class FilteredRun:
 
 @dataclass(frozen=True, eq=False)
 class SmoothedRun:
-    """The smoothed estimate of a run.
+    """The smoothed estimate of a run."""
 
-    Attributes
-    ----------
-    poses, covariances
-        Poses (t, n, 3), m and rad, and covariances (t, n, 3, 3).
-    read_at
-        The poses (t, n, 3) at which the ranges were read: others than ``poses`` if these are late.
-    landmarks, segments
-        The walls of the map: their lines as landmarks with covariances, and their segments (k, 4), m.
-    associations
-        The readings of each robot that lie on each landmark, by its place in ``landmarks``.
-    calibration
-        Calibration (n, 4): relative excess of left wheel, right wheel and axle over their specified values, and the
-        bias of all ranges, m. None where the robots are taken to be as specified, and no bias is known.
-    contradictions
-        Share of all looks that passed through a wall of the solution.
-    robot
-        The robot with its beams as they are mounted.
-    """
-
+    # poses, covariances: poses (t, n, 3), m and rad, and covariances (t, n, 3, 3)
     poses: FloatArray
     covariances: FloatArray
-    read_at: FloatArray
+    read_at: FloatArray  # the poses (t, n, 3) at which the ranges were read: others than ``poses`` if these are late
+    # landmarks, segments: the walls of the map: their lines as landmarks with covariances, and their segments (k, 4),
+    # m
     landmarks: list[Landmark]
     segments: FloatArray
+    # The readings of each robot that lie on each landmark, by its place in ``landmarks``
     associations: list[AssociationRecord]
+    # Calibration (n, 4): relative excess of left wheel, right wheel and axle over their specified values, and the
+    # bias of all ranges, m. None where the robots are taken to be as specified, and no bias is known.
     calibration: FloatArray | None
-    contradictions: float
-    robot: RobotSpec
+    contradictions: float  # share of all looks that passed through a wall of the solution
+    robot: RobotSpec  # the robot with its beams as they are mounted
 
 
 def smooth_run(
