@@ -20,50 +20,33 @@ Kind = Literal["drive", "exploration", "log", "made-up log"]
 
 @dataclass(frozen=True)
 class Row:
-    """A row of the scoreboard.
+    """A row of the scoreboard."""
 
-    Attributes
-    ----------
-    name
-        Name of the row.
-    kind
-        ``drive``: a drive that depends on the seed alone, replayed. ``exploration``: in closed loop. ``log``: a log in
-        the folder of recorded data, replayed. ``made-up log``: a log of few points, of those of
-        :mod:`benchmarks.scoreboard.made_up_logs`, smoothed.
-    worlds, seeds
-        Worlds as in a suite, or ``pillars:seed``; and the number of seeds for each of them.
-    noise
-        Standard deviation of the ranges that the estimator is told, m.
-    true_noise
-        The simulator's noise. Its ``sensor_noise`` is ``noise`` unless it is given here.
-    seconds
-        How long a drive lasts, or the longest time of an exploration, s; after it was kidnapped, if it is.
-    bumps
-        Whether the robot of a drive drives straight on until it hits something, instead of from place to place.
-    fault
-        A fault that the estimator is not told of, one of ``DRIVE_FAULTS`` of
-        :mod:`benchmarks.suite.faults`, from the start on
-        (``delayed``: in the second half of the drive).
-    robots, unknown_starts, kidnapped
-        Number of robots of an exploration, whether the second one's start is unknown, and the earliest and the latest
-        time at which the robot is kidnapped, s.
-    file, relations, beams, max_range
-        A log and its relations in the folder of recorded data, the directions of its beams, deg, and their longest
-        range, m.
-    """
-
-    name: str
+    name: str  # name of the row
+    # ``drive``: a drive that depends on the seed alone, replayed. ``exploration``: in closed loop. ``log``: a log in
+    # the folder of recorded data, replayed. ``made-up log``: a log of few points, of those of
+    # :mod:`benchmarks.scoreboard.made_up_logs`, smoothed.
     kind: Kind
+    # worlds, seeds: worlds as in a suite, or ``pillars:seed``; and the number of seeds for each of them
     worlds: tuple[str, ...] = ("",)
     seeds: int = 1
-    noise: float = 0.02
+    noise: float = 0.02  # standard deviation of the ranges that the estimator is told, m
+    # The simulator's noise. Its ``sensor_noise`` is ``noise`` unless it is given here.
     true_noise: NoiseConfig = field(default_factory=NoiseConfig)
+    # How long a drive lasts, or the longest time of an exploration, s; after it was kidnapped, if it is
     seconds: float = 150.0
+    # Whether the robot of a drive drives straight on until it hits something, instead of from place to place
     bumps: bool = False
+    # A fault that the estimator is not told of, one of ``DRIVE_FAULTS`` of :mod:`benchmarks.suite.faults`, from the
+    # start on (``delayed``: in the second half of the drive)
     fault: str | None = None
+    # robots, unknown_starts, kidnapped: number of robots of an exploration, whether the second one's start is
+    # unknown, and the earliest and the latest time at which the robot is kidnapped, s
     robots: int = 1
     unknown_starts: bool = False
     kidnapped: tuple[float, float] | None = None
+    # file, relations, beams, max_range: a log and its relations in the folder of recorded data, the directions of its
+    # beams, deg, and their longest range, m
     file: str = ""
     relations: str = ""
     beams: tuple[float, ...] = ()

@@ -31,26 +31,14 @@ Metric: TypeAlias = float | int | str | None
 
 @dataclass(frozen=True)
 class Job:
-    """One run of a suite. The seed is a field of the job, so that engine and order do not change the result.
+    """One run of a suite. The seed is a field of the job, so that engine and order do not change the result."""
 
-    Attributes
-    ----------
-    world
-        Name of a shipped world, a world file, ``random:17`` (the floor plan of seed 17) or ``plan:NAME`` (a wall list
-        in the data folder). ``random:seed`` becomes the floor plan of the job's seed.
-    noise
-        Standard deviation of the ranges, m.
-    robots, preset, policy, ablation, laps, seed, max_time, limit, until
-        As in ``limslam_agent.runs.run_config.RunConfig``.
-    fault
-        A fault of :mod:`benchmarks.suite.faults` that begins in the middle of the run; None for a healthy robot.
-    fault_time, after_fault
-        The earliest and the latest time at which the fault begins, s (the seed chooses), and how long the robot drives
-        after that, s, in place of ``max_time``.
-    """
-
+    # Name of a shipped world, a world file, ``random:17`` (the floor plan of seed 17) or ``plan:NAME`` (a wall list
+    # in the data folder). ``random:seed`` becomes the floor plan of the job's seed.
     world: str
-    noise: float
+    noise: float  # standard deviation of the ranges, m
+    # robots, preset, policy, ablation, laps, seed, max_time, limit, until: as in
+    # ``limslam_agent.runs.run_config.RunConfig``
     robots: int = 1
     preset: str = "paper"
     policy: str = "frontier"
@@ -60,7 +48,10 @@ class Job:
     max_time: float = 1800.0
     limit: bool = False
     until: str = "seen"
+    # A fault of :mod:`benchmarks.suite.faults` that begins in the middle of the run; None for a healthy robot
     fault: str | None = None
+    # fault_time, after_fault: the earliest and the latest time at which the fault begins, s (the seed chooses), and
+    # how long the robot drives after that, s, in place of ``max_time``
     fault_time: tuple[float, float] = (80.0, 120.0)
     after_fault: float = 40.0
 

@@ -39,48 +39,33 @@ _TRIAL = 240.0  # s: duration of each episode of a trial
 
 @dataclass(frozen=True)
 class TrainConfig:
-    """The settings of a training by PPO (Schulman et al. 2017).
+    """The settings of a training by PPO (Schulman et al. 2017)."""
 
-    Attributes
-    ----------
-    decisions
-        The budget: number of decisions of all robots together.
-    plans, held_out
-        Seeds of the floor plans for training, and of those for periodic evaluation. The suite ``explore`` uses others.
-    noise
-        Standard deviation of the ranges, m.
-    robots, rollout
-        Number of robots that drive at once, and number of decisions of each robot in a rollout.
-    batch, epochs, learning_rate, gamma, entropy
-        Parameters of PPO. Learning rate and entropy weight decrease to a twentieth.
-    coverage_goal, max_time
-        An episode ends at this coverage, or after this time, s.
-    time_cost, collision_cost
-        Costs that are subtracted from the reward (new area in m^2) for each step of 0.1 s, and for each such step in
-        contact. A touch of a few steps costs as much as seeing a square metre gains.
-    try_every
-        Number of decisions between two evaluations on the held-out plans.
-    seed
-        Seed of all random numbers.
-    """
-
-    decisions: int = 300_000
+    decisions: int = 300_000  # the budget: number of decisions of all robots together
+    # plans, held_out: seeds of the floor plans for training, and of those for periodic evaluation. The suite
+    # ``explore`` uses others.
     plans: Sequence[int] = range(100_000, 101_000)
     held_out: Sequence[int] = range(200_000, 200_030)
-    noise: float = 0.02
+    noise: float = 0.02  # standard deviation of the ranges, m
+    # robots, rollout: number of robots that drive at once, and number of decisions of each robot in a rollout
     robots: int = 64
     rollout: int = 64
+    # batch, epochs, learning_rate, gamma, entropy: parameters of PPO. Learning rate and entropy weight decrease to a
+    # twentieth.
     batch: int = 512
     epochs: int = 3
     learning_rate: float = 7e-4
     gamma: float = 0.985
     entropy: float = 0.01
+    # coverage_goal, max_time: an episode ends at this coverage, or after this time, s
     coverage_goal: float = 0.9
     max_time: float = 200.0
+    # time_cost, collision_cost: costs that are subtracted from the reward (new area in m^2) for each step of 0.1 s,
+    # and for each such step in contact. A touch of a few steps costs as much as seeing a square metre gains.
     time_cost: float = 0.02
     collision_cost: float = 0.3
-    try_every: int = 70_000
-    seed: int = 0
+    try_every: int = 70_000  # number of decisions between two evaluations on the held-out plans
+    seed: int = 0  # seed of all random numbers
 
 
 def train(config: TrainConfig, folder: Path) -> Path:

@@ -131,27 +131,14 @@ def known_before(copies: Sequence[KnownFrame], first: int, margin: int) -> Known
 
 
 class Placed(NamedTuple):
-    """A place that was found and has to be confirmed.
+    """A place that was found and has to be confirmed."""
 
-    Attributes
-    ----------
-    at
-        Distance since the robot was lost at which it found its place, m.
-    rays
-        The rays (n, 7) in the map by which it did so.
-    place
-        The map in which the readings have to fit; None if it is the map in which the robot goes on.
-    has_drifted
-        Whether the robot was not carried away, but has drifted, and is near.
-    has_slipped
-        Whether it is not where its odometry says, and its covariance does not explain that.
-    """
-
-    at: float
-    rays: FloatArray
+    at: float  # distance since the robot was lost at which it found its place, m
+    rays: FloatArray  # the rays (n, 7) in the map by which it did so
+    # The map in which the readings have to fit; None if it is the map in which the robot goes on
     place: KnownPlaces | None
-    has_drifted: bool = False
-    has_slipped: bool = False
+    has_drifted: bool = False  # whether the robot was not carried away, but has drifted, and is near
+    has_slipped: bool = False  # whether it is not where its odometry says, and its covariance does not explain that
 
 
 @dataclass(eq=False)

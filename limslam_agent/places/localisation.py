@@ -127,31 +127,18 @@ class KnownPlaces(KnownMap):
 
 @dataclass(frozen=True, eq=False)
 class Localisation:
-    """The best place of a drive in a map, and whether it counts.
+    """The best place of a drive in a map, and whether it counts."""
 
-    Attributes
-    ----------
-    fit
-        The best place; None if there is none.
-    runner_up
-        The largest evidence of another place, at least 0, which is that of a random place. It is larger by so much as
-        the best place counts for less.
-    middle
-        Middle (2,) of the drive, m, in its own frame.
-    refusal
-        Why the place does not count, in words. Empty if it counts.
-    open
-        The best places that the readings have not refuted. With more readings, each of them may be the right one.
-    is_near
-        Whether the best place is near the believed pose, and the robot has probably drifted. Ground that the map does
-        not have is unlikely then, and the contradictions need only not speak against the place.
-    """
-
-    fit: PlaceFit | None
+    fit: PlaceFit | None  # the best place; None if there is none
+    # The largest evidence of another place, at least 0, which is that of a random place. It is larger by so much as
+    # the best place counts for less.
     runner_up: float
-    middle: FloatArray
-    refusal: str
+    middle: FloatArray  # middle (2,) of the drive, m, in its own frame
+    refusal: str  # why the place does not count, in words. Empty if it counts.
+    # The best places that the readings have not refuted. With more readings, each of them may be the right one.
     open: Sequence[PlaceFit] = ()
+    # Whether the best place is near the believed pose, and the robot has probably drifted. Ground that the map does
+    # not have is unlikely then, and the contradictions need only not speak against the place.
     is_near: bool = False
 
     @property

@@ -57,30 +57,19 @@ class Unplaced:
 
 @dataclass(frozen=True, eq=False)
 class PlaceHistory:
-    """What happened to a robot that was lost during a run.
+    """What happened to a robot that was lost during a run."""
 
-    Attributes
-    ----------
-    revisions
-        Poses of earlier steps as they became known when the robot had found its place.
-    breaks
-        The steps before which the robot was carried away, as far as it has found its place again.
-    slips
-        Parts of the drive, from a step to before another one, in one step of which the robot has slipped.
-    unplaced
-        The local map of a robot that is still lost at the end; None otherwise.
-    records
-        When the robot was lost and found, and the matches that decided it.
-    is_suspicious
-        Whether the robot may have been carried away before the end. The smoother, which believes the wheels, cannot see
-        that.
-    """
-
+    # Poses of earlier steps as they became known when the robot had found its place
     revisions: list[Revision] = field(default_factory=list)
+    # The steps before which the robot was carried away, as far as it has found its place again
     breaks: list[int] = field(default_factory=list)
+    # Parts of the drive, from a step to before another one, in one step of which the robot has slipped
     slips: list[tuple[int, int]] = field(default_factory=list)
-    unplaced: Unplaced | None = None
+    unplaced: Unplaced | None = None  # the local map of a robot that is still lost at the end; None otherwise
+    # When the robot was lost and found, and the matches that decided it
     records: list[dict[str, Any]] = field(default_factory=list)
+    # Whether the robot may have been carried away before the end. The smoother, which believes the wheels, cannot see
+    # that.
     is_suspicious: bool = False
 
     @property

@@ -43,24 +43,12 @@ _MOST_VIEWS = 3
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """A part of a stretch to look at, and from where.
+    """A part of a stretch to look at, and from where."""
 
-    Attributes
-    ----------
-    faces
-        The faces of the part.
-    stand
-        The place to look from (2,), m.
-    path
-        Path to that place (k, 2), m.
-    cell
-        Length of a face, m.
-    """
-
-    faces: Faces
-    stand: FloatArray
-    path: FloatArray
-    cell: float
+    faces: Faces  # the faces of the part
+    stand: FloatArray  # the place to look from (2,), m
+    path: FloatArray  # path to that place (k, 2), m
+    cell: float  # length of a face, m
 
     @property
     def middle(self) -> FloatArray:

@@ -29,28 +29,15 @@ _LARGEST_SCALE = 2.0
 
 @dataclass(frozen=True)
 class OdometryBias:
-    """The constant errors of odometry.
+    """The constant errors of odometry."""
 
-    Attributes
-    ----------
-    turn_per_metre
-        True minus reported heading for each metre driven, rad per metre.
-    distance_scale
-        True distance over reported distance.
-    turn_std, scale_std
-        Their standard deviations under the assumed noise.
-    relations
-        Number of relations that they were estimated from.
-    driven
-        Distance driven in these relations by odometry, m.
-    """
-
-    turn_per_metre: float
-    distance_scale: float
+    turn_per_metre: float  # True minus reported heading for each metre driven, rad per metre
+    distance_scale: float  # True distance over reported distance
+    # turn_std, scale_std: their standard deviations under the assumed noise
     turn_std: float
     scale_std: float
-    relations: int
-    driven: float
+    relations: int  # number of relations that they were estimated from
+    driven: float  # distance driven in these relations by odometry, m
 
     def applied_to(self, odometry: OdometryConfig) -> OdometryConfig:
         """Settings that correct the bias."""

@@ -25,24 +25,14 @@ if TYPE_CHECKING:
 
 
 class Estimate(NamedTuple):
-    """What is believed after an event.
+    """What is believed after an event."""
 
-    Attributes
-    ----------
-    pose, covariance
-        The pose (3,), and its covariance (3, 3).
-    odometry
-        The pose (3,) by odometry alone.
-    level
-        The status, as an index into ``status.LEVELS``.
-    slam_ms, job_ms
-        Time that the step took, ms, and that of a job beside it.
-    """
-
+    # pose, covariance: the pose (3,), and its covariance (3, 3)
     pose: FloatArray
     covariance: FloatArray
-    odometry: FloatArray
-    level: int
+    odometry: FloatArray  # the pose (3,) by odometry alone
+    level: int  # the status, as an index into ``status.LEVELS``
+    # slam_ms, job_ms: time that the step took, ms, and that of a job beside it
     slam_ms: float
     job_ms: float
 

@@ -29,31 +29,18 @@ _ENOUGH = 0.5  # of the confirmed points: of a path that never meets itself, non
 
 @dataclass(frozen=True)
 class PathSignals:
-    """What speaks for or against a path.
+    """What speaks for or against a path."""
 
-    Attributes
-    ----------
-    driven
-        Length of the path, m.
-    points
-        Number of the readings of walls that were used.
-    confirmed, contradicted
-        Shares of the points that other visits of their place confirm and contradict.
-    position_std
-        Expected root mean square error of the positions after rigid alignment, m.
-    loose
-        Begin and end of the longest stretch that no loop spans, s from the beginning of the log. None if it has not
-        been looked for.
-    doubtful_times
-        Times around which other visits contradict more than they confirm, s from the beginning of the log.
-    """
-
-    driven: float
-    points: int
+    driven: float  # length of the path, m
+    points: int  # number of the readings of walls that were used
+    # confirmed, contradicted: shares of the points that other visits of their place confirm and contradict
     confirmed: float
     contradicted: float
-    position_std: float
+    position_std: float  # expected root mean square error of the positions after rigid alignment, m
+    # Begin and end of the longest stretch that no loop spans, s from the beginning of the log. None if it has not
+    # been looked for.
     loose: tuple[float, float] | None = None
+    # Times around which other visits contradict more than they confirm, s from the beginning of the log
     doubtful_times: tuple[float, ...] = ()
 
     @property

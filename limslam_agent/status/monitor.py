@@ -37,23 +37,12 @@ MAYBE_CARRIED = Status("unsure", CARRIED.reason)
 
 
 class Loss(NamedTuple):
-    """Why a robot is lost, and since when.
+    """Why a robot is lost, and since when."""
 
-    Attributes
-    ----------
-    status
-        The status.
-    ago
-        Number of steps for which the estimate has been doubtful; 0 if the doubt began in this step.
-    is_carried
-        Whether the readings of that step say that the robot was carried away before it.
-    known
-        The map before that step, near to which the readings since then fit: the robot has slipped.
-    """
-
-    status: Status
-    ago: int
-    is_carried: bool = False
+    status: Status  # the status
+    ago: int  # number of steps for which the estimate has been doubtful; 0 if the doubt began in this step
+    is_carried: bool = False  # whether the readings of that step say that the robot was carried away before it
+    # The map before that step, near to which the readings since then fit: the robot has slipped
     known: KnownMap | None = None
 
     @property

@@ -29,24 +29,13 @@ LASTING = 4
 
 
 class Sight(NamedTuple):
-    """What a robot believed and read in one step. Each step makes one, so it has to be cheap.
+    """What a robot believed and read in one step. Each step makes one, so it has to be cheap."""
 
-    Attributes
-    ----------
-    pose
-        Estimated pose (3,), m and rad.
-    ranges
-        Readings (n_beams,), m. They are NaN where there is no new reading.
-    motion
-        The motion (3,) that the odometry reports for this step, in the frame of the robot before it, m and rad.
-    observation
-        What the robot observed, if the step is to be processed again.
-    """
-
-    pose: FloatArray
-    ranges: FloatArray
+    pose: FloatArray  # estimated pose (3,), m and rad
+    ranges: FloatArray  # readings (n_beams,), m. They are NaN where there is no new reading.
+    # The motion (3,) that the odometry reports for this step, in the frame of the robot before it, m and rad
     motion: FloatArray = np.zeros(3)
-    observation: Observation = Observation()
+    observation: Observation = Observation()  # what the robot observed, if the step is to be processed again
 
     @classmethod
     def of(cls, front: FrontEnd, pose: FloatArray, motion: FloatArray, observation: Observation) -> "Sight":

@@ -14,23 +14,15 @@ TRIES = 10_000
 
 @dataclass(frozen=True, eq=False)
 class StartingPlaces:
-    """The known start poses, and the cells in which the other robots may start.
+    """The known start poses, and the cells in which the other robots may start."""
 
-    Attributes
-    ----------
-    given
-        Poses (g, 3) of the first robots, m and rad.
-    cells, space
-        Numbers (k,) of the free cells, row by row, for robots without a pose, none if each robot has one; and their
-        grid (4,): lower left corner x, y and side of the cells, m, and columns.
-    is_pocket
-        (k,), which of the cells lie in a pocket (:meth:`limslam_env.worlds.free_space.FreeSpace.pockets`). No robot is
-        put there, since it could hardly get out.
-    """
-
-    given: FloatArray
+    given: FloatArray  # poses (g, 3) of the first robots, m and rad
+    # cells, space: numbers (k,) of the free cells, row by row, for robots without a pose, none if each robot has one;
+    # and their grid (4,): lower left corner x, y and side of the cells, m, and columns
     cells: IntArray
     space: FloatArray
+    # (k,), which of the cells lie in a pocket (:meth:`limslam_env.worlds.free_space.FreeSpace.pockets`). No robot is
+    # put there, since it could hardly get out.
     is_pocket: BoolArray
 
     @property

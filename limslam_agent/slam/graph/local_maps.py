@@ -21,24 +21,12 @@ Cells = NDArray[np.int8]
 
 @dataclass(frozen=True, eq=False)
 class LocalMap:
-    """A chunk of driving, in the frame of the key pose in its middle.
+    """A chunk of driving, in the frame of the key pose in its middle."""
 
-    Attributes
-    ----------
-    travel
-        Distance driven up to this key pose, m.
-    points
-        Points (k, 2), thinned to one point in each cell, m.
-    grid
-        Cells (n, n), first index along x. The origin of the frame is in the middle.
-    cell
-        Side of a cell, m.
-    """
-
-    travel: float
-    points: FloatArray
-    grid: Cells
-    cell: float
+    travel: float  # distance driven up to this key pose, m
+    points: FloatArray  # points (k, 2), thinned to one point in each cell, m
+    grid: Cells  # cells (n, n), first index along x. The origin of the frame is in the middle.
+    cell: float  # side of a cell, m
 
     @property
     def low(self) -> float:

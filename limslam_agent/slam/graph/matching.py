@@ -38,28 +38,15 @@ Sums = NDArray[np.int16]
 
 @dataclass(frozen=True, eq=False)
 class SearchGrid:
-    """A chunk's grid, prepared for searches.
+    """A chunk's grid, prepared for searches."""
 
-    Attributes
-    ----------
-    padded
-        Cells (n, n), padded on all sides by the size of the window.
-    largest
-        The largest cell (b, b, k, k) of a square of b cells, by the first cell of the square: its rest and its quotient
-        by b, along x and y each.
-    low
-        Lowest x and y of the padded grid, m.
-    cell
-        Side of a cell, m.
-    margin
-        Largest shift that can be searched, cells.
-    """
-
-    padded: Cells
+    padded: Cells  # cells (n, n), padded on all sides by the size of the window
+    # The largest cell (b, b, k, k) of a square of b cells, by the first cell of the square: its rest and its quotient
+    # by b, along x and y each
     largest: Cells
-    low: float
-    cell: float
-    margin: int
+    low: float  # lowest x and y of the padded grid, m
+    cell: float  # side of a cell, m
+    margin: int  # largest shift that can be searched, cells
 
 
 @dataclass(frozen=True)

@@ -30,25 +30,14 @@ _MAX_OFFSET = 0.7  # largest distance from the line of points that are linked al
 
 @dataclass(frozen=True, eq=False)
 class PointCloud:
-    """The points of a trajectory in the world: p points in the order of driving.
+    """The points of a trajectory in the world: p points in the order of driving."""
 
-    Attributes
-    ----------
-    key, travel
-        Key pose (p,) and distance driven (p,), m, of each point.
-    places
-        Points (p, 2), m.
-    normals
-        Unit vectors (p, 2) towards the sensor.
-    good
-        Whether each normal (p,) is reliable.
-    """
-
+    # key, travel: key pose (p,) and distance driven (p,), m, of each point
     key: IntArray
     travel: FloatArray
-    places: FloatArray
-    normals: FloatArray
-    good: BoolArray
+    places: FloatArray  # points (p, 2), m
+    normals: FloatArray  # unit vectors (p, 2) towards the sensor
+    good: BoolArray  # whether each normal (p,) is reliable
 
 
 def point_cloud(keys: KeyPoses, trajectory: Trajectory, range_std: float) -> PointCloud:

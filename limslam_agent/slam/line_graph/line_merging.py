@@ -48,27 +48,18 @@ _MOST_MOVED = (0.10, 0.05)  # m and rad: the largest change of a line by merging
 
 
 class Pairs(NamedTuple):
-    """Pairs of lines (k,) that are near each other.
+    """Pairs of lines (k,) that are near each other."""
 
-    Attributes
-    ----------
-    first, second
-        Indices of the lines.
-    seen
-        Ends (k, 2, 2) of the parts of the first line that were read from each side, as sides of the second line and
-        places along it, m.
-    own, opposite
-        The longest stretches that both lines share: read from the same side, and from opposite sides, m.
-    side
-        The side of the second line that the opposite stretch was read from.
-    """
-
+    # first, second: indices of the lines
     first: IntArray
     second: IntArray
+    # Ends (k, 2, 2) of the parts of the first line that were read from each side, as sides of the second line and
+    # places along it, m
     seen: FloatArray
+    # own, opposite: the longest stretches that both lines share: read from the same side, and from opposite sides, m
     own: FloatArray
     opposite: FloatArray
-    side: IntArray
+    side: IntArray  # the side of the second line that the opposite stretch was read from
 
 
 class Difference(NamedTuple):
@@ -105,23 +96,15 @@ class Lines:
     """Lines with their joint covariance, which are merged one pair after the other.
 
     Every merged pair is a constraint that updates all other lines through their joint covariance.
-
-    Attributes
-    ----------
-    lines, anchors
-        Lines (m, 2) and their anchors (m, 2).
-    seen
-        Ends (m, 2, 2) of the parts that were read from each side, m; (inf, -inf) where there is no such part.
-    covariance
-        Joint covariance (2 m, 2 m) of the lines.
-    merged_into
-        For each line (m,), the line that it was merged into, or the line itself.
     """
 
+    # lines, anchors: lines (m, 2) and their anchors (m, 2)
     lines: FloatArray
     anchors: FloatArray
+    # Ends (m, 2, 2) of the parts that were read from each side, m; (inf, -inf) where there is no such part
     seen: FloatArray
-    covariance: FloatArray
+    covariance: FloatArray  # joint covariance (2 m, 2 m) of the lines
+    # For each line (m,), the line that it was merged into, or the line itself
     merged_into: IntArray = field(init=False)
 
     def __post_init__(self) -> None:

@@ -32,25 +32,15 @@ _REVISED = 2
 
 @dataclass(frozen=True, eq=False)
 class Anchor:
-    """A smoothed event, from which the steps go on.
+    """A smoothed event, from which the steps go on."""
 
-    Attributes
-    ----------
-    ridden
-        Pose (3,) of the event by corrected odometry alone.
-    variances
-        Sums (3,) of the variances of all motions by odometry up to the event (along, across, heading), m^2 and rad^2.
-    pose, covariance
-        Pose (3,) and covariance (3, 3) in the world.
-    errors
-        The constant errors (5,) of odometry that are known.
-    """
-
-    ridden: FloatArray
+    ridden: FloatArray  # pose (3,) of the event by corrected odometry alone
+    # Sums (3,) of the variances of all motions by odometry up to the event (along, across, heading), m^2 and rad^2
     variances: FloatArray
+    # pose, covariance: pose (3,) and covariance (3, 3) in the world
     pose: FloatArray
     covariance: FloatArray
-    errors: FloatArray
+    errors: FloatArray  # the constant errors (5,) of odometry that are known
 
 
 class OnlineGraph:
