@@ -1,4 +1,4 @@
-"""Straight pieces: a wall stays one whatever odometry does; corners, curves and ends of other walls are cut.
+"""Straight pieces: a wall stays one whatever odometry does; corners, curves and loose ends are cut.
 
 The robot drives past obstacles that it sees to its left; what it believes of its way is bent by its wheels' noise.
 """
@@ -140,7 +140,7 @@ def test_a_straight_wall_stays_one_piece_whatever_odometry_makes_of_it(noise: fl
         counts[len(pieces)] += 1
         lost.append(1.0 - sum(len(piece.members) for piece in pieces) / len(drive.hits))
     assert counts[1] >= 58
-    # And hardly a reading is lost.
+    # And hardly a reading is taken for a loose end.
     assert np.mean(lost) < 0.01
 
 
