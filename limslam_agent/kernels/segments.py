@@ -21,6 +21,8 @@ from limslam_agent.kernels.tables import (
     BENT,
     CURVE_GATE,
     DEEPEST,
+    END_GATE,
+    END_ZONE,
     EXTENT,
     FEWEST,
     FEWEST_FOR_SHAPE,
@@ -35,21 +37,21 @@ from limslam_agent.kernels.tables import (
     THETA,
 )
 from limslam_agent.kernels.updates import covariance_of, gathered, involved
-from limslam_env.geometry import FloatArray, IntArray
+from limslam_env.geometry import BoolArray, FloatArray, IntArray
 
 
 @algebra
 def fit_segment(
     x: FloatArray, start: int, block: FloatArray, begins: IntArray, places: IntArray, readings: FloatArray,
     points: FloatArray, members: IntArray, line: tuple[float, float], std: float, variances: FloatArray,
-    segment: FloatArray, along: FloatArray,
+    segment: FloatArray, along: FloatArray, loose: BoolArray,
 ) -> tuple[FloatArray, IntArray]:  # fmt: skip
     """Fit a line to readings by generalised least squares, and test whether they are straight.
 
     The fit of the ``members`` (n,) of all readings begins at a ``line`` (r, theta). ``block`` is the covariance of the
     clones that they were taken from, in which the clone of each begins at ``begins`` (n,); ``variances`` (n,) are those
-    of their ranges, m^2, and ``std`` is the standard deviation of a short range, m. Filled are the ``segment`` (7,)
-    and the position of each member ``along`` it (n,), m.
+    of their ranges, m^2, and ``std`` is the standard deviation of a short range, m. Filled are the ``segment`` (7,),
+    the position of each member ``along`` it (n,), m, and which of them are ``loose`` ends (n,).
 
     Returned are residuals (k,), in standard deviations, and the members (k,) that they belong to: those that do not
     graze the line. If there are too few, none, and nothing is filled.
@@ -89,6 +91,7 @@ def fit_segment(
     sort_with(ordered, chosen, count)
     describe(along, len(members), own, foot, theta, std, segment)
     segment[BENT] = bend(own, ordered, expected, left, basis, factor, segment)
+    mark_loose_ends(own, ordered, expected, left, basis, factor, clear, len(members), loose)
     return left, clear[:count]
 
 
@@ -210,23 +213,58 @@ def strongest_kink(shapes: FloatArray, left: FloatArray, kinks: int) -> tuple[fl
 
 
 @algebra
-def cut_part(
-    order: IntArray, first: int, number: int, bend_at: float, along: FloatArray, rest: IntArray
+def mark_loose_ends(
+    along: FloatArray, ordered: FloatArray, expected: FloatArray, left: FloatArray, basis: FloatArray,
+    factor: FloatArray, clear: IntArray, number: int, loose: BoolArray,
 ) -> None:  # fmt: skip
-    """Cut a part of ``order`` where it is bent: set where the two parts begin, and their lengths (2, 2).
+    """Mark readings at either end that all lie on one side of the line: they belong to another object."""
+    count, shape = len(along), np.empty((len(along), 1))
+    for i in range(number):
+        loose[i] = False
+    for end in (ordered[0], ordered[count - 1]):
+        inside = 0
+        for i in range(count):
+            is_in = abs(along[i] - end) < END_ZONE
+            inside += is_in
+            shape[i, 0] = (1.0 if is_in else 0.0) / expected[i, 6]
+        whiten(factor, shape, count, 1)
+        leave_beside(shape, 0, 1, basis, count)
+        square, product = dot(shape, 0, 0, count), 0.0
+        for i in range(count):
+            product += left[i] * shape[i, 0]
+        if inside < count and square > LEAST_DIVISOR and product * product > END_GATE * square:
+            for i in range(count):
+                if abs(along[i] - end) < END_ZONE:
+                    loose[clear[i]] = True
 
-    The last one is to be processed first.
+
+@algebra
+def cut_part(
+    order: IntArray, first: int, number: int, segment: FloatArray, along: FloatArray, loose: BoolArray, rest: IntArray
+) -> int:
+    """Cut a part of ``order`` where it is bent, or cut off its loose ends; into how many parts, 0 if it is straight.
+
+    Fills where these parts begin in ``order``, and their lengths: ``rest`` (2, 2). The last one is to be processed
+    first.
     """
-    part, before, behind = order[first : first + number].copy(), 0, 0
+    part, before, behind, firm = order[first : first + number].copy(), 0, 0, 0
+    if segment[BENT] > 0.0:
+        for i in range(number):
+            if along[i] < segment[BEND_AT] - AROUND_KINK:
+                order[first + before] = part[i]
+                before += 1
+        for i in range(number):
+            if along[i] > segment[BEND_AT] + AROUND_KINK:
+                order[first + before + behind] = part[i]
+                behind += 1
+        rest[0, 0], rest[0, 1], rest[1, 0], rest[1, 1] = first + before, behind, first, before
+        return 2
     for i in range(number):
-        if along[i] < bend_at - AROUND_KINK:
-            order[first + before] = part[i]
-            before += 1
-    for i in range(number):
-        if along[i] > bend_at + AROUND_KINK:
-            order[first + before + behind] = part[i]
-            behind += 1
-    rest[0, 0], rest[0, 1], rest[1, 0], rest[1, 1] = first + before, behind, first, before
+        if not loose[i]:
+            order[first + firm] = part[i]
+            firm += 1
+    rest[0, 0], rest[0, 1] = first, firm
+    return 1 if firm < number else 0
 
 
 @entry
@@ -234,7 +272,7 @@ def cut_at_bends(
     x: FloatArray, P: FloatArray, start: int, places: IntArray, readings: FloatArray, points: FloatArray,
     members: IntArray, line: FloatArray, std: float, variances: FloatArray,
 ) -> tuple[FloatArray, IntArray, FloatArray]:  # fmt: skip
-    """Cut readings near one line into straight segments, at bends.
+    """Cut readings near one line into straight segments: at bends, and at ends that bend away.
 
     Parameters
     ----------
@@ -259,7 +297,8 @@ def cut_at_bends(
     columns, begins = involved(places, members, (len(x) - start) // POSE, start, -1)
     block, size, count, waiting = dense_block(P, columns), len(members), 0, int(len(members) >= FEWEST)
     segments, ends, owner, residuals = np.empty((2**DEEPEST, 7)), np.empty((2, 2)), np.full(size, -1), np.empty(size)
-    along, order, rest = np.empty(size), np.arange(size), np.empty((2, 2), dtype=np.int64)
+    along, loose, order = np.empty(size), np.empty(size, dtype=np.bool_), np.arange(size)
+    rest = np.empty((2, 2), dtype=np.int64)
     # Parts that wait: where they begin in ``order``, their lengths, how often they may be cut, and their lines.
     parts, lines = np.empty((DEEPEST + 1, 3), dtype=np.int64), np.empty((DEEPEST + 1, 2))
     parts[0, 0], parts[0, 1], parts[0, 2], lines[0, 0], lines[0, 1] = 0, size, DEEPEST, line[0], line[1]
@@ -271,21 +310,19 @@ def cut_at_bends(
         read = gathered(members, these)
         left, clear = fit_segment(
             x, start, block, gathered(begins, these), places, readings, points, read,
-            (lines[waiting, 0], lines[waiting, 1]), std, gathered(variances, read), segment, along,
+            (lines[waiting, 0], lines[waiting, 1]), std, gathered(variances, read), segment, along, loose,
         )  # fmt: skip
         if not len(clear):
             continue
-        is_cut = depth > 0 and segment[BENT] > 0.0
-        if is_cut:
-            cut_part(order, first, number, segment[BEND_AT], along, rest)
-        for k in range(2 if is_cut else 0):
+        shorter = cut_part(order, first, number, segment, along, loose, rest) if depth else 0
+        for k in range(shorter):
             begin, length = rest[k, 0], rest[k, 1]
             if length >= FEWEST:
                 r, theta = fit_line(points, gathered(members, order[begin : begin + length]), ends)
                 parts[waiting, 0], parts[waiting, 1], parts[waiting, 2] = begin, length, depth - 1
                 lines[waiting, 0], lines[waiting, 1] = r, theta
                 waiting += 1
-        if not is_cut:
+        if not shorter:
             for i in range(number):
                 owner[these[i]] = count
             for i in range(len(clear)):

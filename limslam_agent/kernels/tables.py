@@ -55,6 +55,10 @@ CURVE_GATE = 14.0
 AROUND_KINK, DEEPEST = 0.02, 4
 """Readings within this distance of a kink, m, are in neither half; a line is cut at most this many times in a row."""
 
+END_ZONE, END_GATE = 0.10, 6.0
+"""Points within this distance of an end, m, belong to another wall if chi-square falls by more than this without them.
+"""
+
 NOTHING = 0.45
 """Likelihood that a beam sees nothing at a random place."""
 
