@@ -227,7 +227,7 @@ def test_a_closed_loop_moves_the_map_and_raises_no_doubt():
             watched.check(SURE, before)
     assert watched.status == Status()
     watched.forget_map()
-    assert set(drive(watched, 60, begin=44)) == {"ok"}
+    assert set(watched_levels(watched, 60, begin=44)) == {"ok"}
 
 
 def test_a_jump_of_the_odometry_is_noticed_in_the_same_step():
