@@ -145,7 +145,7 @@ def test_a_straight_wall_stays_one_piece_whatever_odometry_makes_of_it(noise: fl
         counts[len(pieces)] += 1
         lost.append(1.0 - sum(len(piece.members) for piece in pieces) / len(drive.hits))
     assert counts[1] >= 58
-    # And hardly a reading is lost.
+    # And hardly a reading is taken for a loose end.
     assert np.mean(lost) < 0.01
 
 
