@@ -33,7 +33,7 @@ class Row:
     versions: dict[str, str] = field(default_factory=dict)
     commit: str = "unknown"
     config: str = ""
-    key: str = ""
+    key: str = field(kw_only=True)
     error: str | None = None
 
 

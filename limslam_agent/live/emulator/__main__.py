@@ -26,7 +26,9 @@ app = typer.Typer(pretty_exceptions_enable=False, add_completion=False)
 
 @app.command()
 def emulate(
-    udp: Annotated[int | None, typer.Option(help="Send to this UDP port of the host.", show_default=False)] = None,
+    udp: Annotated[
+        int | None, typer.Option(min=1, max=65535, help="Send to this UDP port of the host.", show_default=False)
+    ] = None,
     host: Annotated[str, typer.Option(help="Address of the host.")] = "127.0.0.1",
     *,
     pty: Annotated[bool, typer.Option("--pty", help="Make a serial port, and print its name.")] = False,

@@ -2,6 +2,7 @@
 
 import json
 import socket
+import subprocess
 import sys
 import threading
 import time
@@ -411,3 +412,11 @@ def test_ctrl_c_stops_the_robot_and_writes_the_folder(emulator, tmp_path):
     # The robot has obeyed the stop, and has said so, before the session ended.
     assert np.abs(log.wheels[20:35]).min() > 0.0
     assert log.wheels[-1].tolist() == [0.0, 0.0]
+
+
+def test_an_emulator_refuses_a_number_that_no_port_has():
+    command = [sys.executable, "-m", "limslam_agent.live.emulator", "--udp", "99999"]
+    finished = subprocess.run(command, check=False, capture_output=True, text=True, timeout=60)
+    assert finished.returncode == 2
+    assert finished.stderr.startswith("emulator: ")
+    assert finished.stderr.count("\n") == 1, finished.stderr

@@ -1,13 +1,14 @@
 """Tables: what is in them, what is missing in them, and that failures are never dropped."""
 
+import json
 import re
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
 from benchmarks.analysis.tables import sheets, table
-from benchmarks.suite.store import Row
+from benchmarks.suite.store import Row, read_rows
 from limslam_agent.measurements.statistics import MISSING
 
 
@@ -26,13 +27,13 @@ def row(
         "time_to_95_s": 90.0, "path_m": 30.0, "collisions": 0,
     }  # fmt: skip
     fields = {name: other.pop(name) for name in list(other) if name in Row.__dataclass_fields__}
+    key = f"{world}-{noise}-{robots}-{preset}-{policy}-{ablation}-{laps}-{seed}".replace(":", "_")
     made = Row(
         world=world, noise=noise, robots=robots, preset=preset, policy="laps" if laps else policy, ablation=ablation,
         laps=laps, seed=seed, metrics=metrics | other, cost={"job_s": 1.5, "slam_ms_median": 0.1},
-        versions={"python": "3.11", "numpy": "2.0"}, commit="0123456789abcdef",
+        versions={"python": "3.11", "numpy": "2.0"}, commit="0123456789abcdef", key=key,
     )  # fmt: skip
-    key = f"{world}-{noise}-{robots}-{preset}-{policy}-{ablation}-{laps}-{seed}".replace(":", "_")
-    return replace(made, key=key, **fields)
+    return replace(made, **fields)
 
 
 def failed(made, reason="RuntimeError: <boom> & 100% | over_there"):
@@ -105,6 +106,13 @@ def test_policies_and_random_plans_have_their_tables():
 def test_no_rows_are_refused_in_one_line():
     with pytest.raises(ValueError, match=r"^no results: [^\n]*$"):
         table([])
+
+
+def test_rows_without_the_keys_of_their_jobs_are_refused_by_their_line(tmp_path):
+    lines = [{name: value for name, value in asdict(each).items() if name != "key"} for each in grid(seeds=2)]
+    (tmp_path / "old.jsonl").write_text("".join(json.dumps(line) + "\n" for line in lines))
+    with pytest.raises(ValueError, match=r"old.jsonl, line 1: is no row of results: [^\n]*key[^\n]*$"):
+        read_rows(tmp_path / "old.jsonl")
 
 
 def test_outcomes_show_the_worst_runs_and_failures():
