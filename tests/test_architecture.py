@@ -291,6 +291,8 @@ def loaded_by(names: list[str], suspects: set[str]) -> set[str]:
 
 def test_importing_the_env_loads_no_heavy_library():
     assert loaded_by(["limslam_env"], {"pymunk", "numba", "cv2", "pygame"}) == set()
+    # What an agent draws is made of arrays.
+    assert loaded_by(["limslam_env.rendering.painter"], {"pymunk", "numba", "cv2", "pygame"}) == set()
 
 
 def test_an_environment_needs_no_library_that_takes_long_to_load():

@@ -10,10 +10,10 @@ from gymnasium.error import DependencyNotInstalled
 from numpy.typing import NDArray
 
 from limslam_env.geometry import FloatArray, no_rows
-from limslam_env.simulation.simulation import Readings, Simulation, Truth
 
 if TYPE_CHECKING:
     from limslam_env.rendering.window import Window
+    from limslam_env.simulation.simulation import Readings, Simulation, Truth
 
 RENDER_MODES = ("rgb_array", "human")
 RENDER_FPS = 10
@@ -101,7 +101,7 @@ class Painter:
         self._paths: list[list[FloatArray]] = []
         self.overlay: Sequence[Overlay] = ()
 
-    def follow(self, simulation: Simulation, readings: Readings, truth: Truth) -> None:
+    def follow(self, simulation: "Simulation", readings: "Readings", truth: "Truth") -> None:
         """Remember the state for a later picture; with a window, show it now."""
         if self.mode is None:
             return
@@ -109,7 +109,7 @@ class Painter:
             self._paths = [[] for _ in truth.poses]
         # The caller may change these arrays, and the picture must not change with them.
         self._last = (
-            Readings(readings.ranges.copy(), readings.wheels),
+            readings._replace(ranges=readings.ranges.copy()),
             truth._replace(poses=truth.poses.copy(), wall_seen=truth.wall_seen.copy()),
         )
         for path, pose in zip(self._paths, self._last[1].poses, strict=True):
@@ -117,7 +117,7 @@ class Painter:
         if self.mode == "human":
             self.paint(simulation)
 
-    def paint(self, simulation: Simulation) -> NDArray[np.uint8] | None:
+    def paint(self, simulation: "Simulation") -> NDArray[np.uint8] | None:
         """The picture (height, width, 3); None before a reset, and when it is shown in the window."""
         if self._last is None:
             return None
