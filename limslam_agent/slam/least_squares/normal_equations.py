@@ -146,7 +146,7 @@ class NormalEquations:
         """The matrix of the unknowns that are not fixed."""
         places, count = (np.concatenate(self._rows), np.concatenate(self._columns)), len(self._free)
         whole = coo_matrix((np.concatenate(self._values), places), shape=(self.size, self.size))
-        # Sorting by rows and then by columns is faster than what scipy does to sum: it sorts each column by comparisons.
+        # Sorting by rows and then by columns is faster than the sum of scipy, which sorts each column by comparisons.
         whole.has_canonical_format = True
         matrix = whole.tocsr().tocsc()
         matrix.has_sorted_indices, matrix.has_canonical_format = True, False
