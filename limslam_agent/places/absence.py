@@ -148,7 +148,7 @@ class Absence:
     Attributes
     ----------
     loss
-        Why the robot is lost, or unsure of its place, and what the readings have said of that.
+        Why the robot was lost at first, or is unsure of its place, and whether the readings said in which step.
     first, since
         First step in the local frame, and that of the first one of several local frames.
     search
@@ -158,6 +158,8 @@ class Absence:
         anew.
     steps
         The steps before ``since`` as they were believed when the robot was lost.
+    is_carried
+        Whether the readings have said that the robot was carried away, at first or later in a local frame.
     jump, driven
         Standard deviation of the position at the beginning, m, and distance since then, m.
     covariance, left
@@ -174,6 +176,7 @@ class Absence:
     search: PlaceSearch
     known: KnownFrame | None = None
     steps: Sequence[Sight] = ()
+    is_carried: bool = False
     jump: float = 0.0
     covariance: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))
     left: FloatArray = field(default_factory=lambda: np.zeros(3))
@@ -184,7 +187,7 @@ class Absence:
     @property
     def was_moved(self) -> bool:
         """Whether something says that the robot has moved otherwise than its odometry reports."""
-        return self.loss.is_carried or self.jump > 0.0
+        return self.is_carried or self.jump > 0.0
 
     def covariance_at(self, pose: FloatArray) -> FloatArray:
         """What has to be added to the covariance (3, 3) at a pose (3,) of the local frame.
@@ -192,7 +195,7 @@ class Absence:
         The pose at which the robot was lost stays as uncertain as it was in the earlier frame. An error of its heading
         moves the poses that are far from there.
         """
-        since = covariance_of_lost(self.jump, self.driven, knows_heading=not self.loss.is_carried)
+        since = covariance_of_lost(self.jump, self.driven, knows_heading=not self.is_carried)
         by_left, _ = compose_jacobians(self.left, between(self.left, pose))
         return by_left @ self.covariance @ by_left.T + since
 

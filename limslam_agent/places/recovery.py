@@ -169,7 +169,7 @@ class Recovery:
             first, before.placed = before.since, None
             self.log.steps[: len(before.steps)] = before.steps
         else:
-            before.loss = before.loss._replace(is_carried=before.loss.is_carried or loss.is_carried)
+            before.is_carried |= loss.is_carried  # the step in which that was remains unknown if it was so
         before.first = max(first, self.log.begin + 1)
         before.search.begin_anew()
         self._copies = []
@@ -184,7 +184,7 @@ class Recovery:
         self.log.forget_before(known.step)
         jump, since = max(jump, known.spread) if loss.is_carried else jump, max(first, self.log.begin + 1)
         search, steps = PlaceSearch(known.places), self.log.before(since)
-        return Absence(loss, since, since, search, known, steps, jump, slam.covariance, slam.pose)
+        return Absence(loss, since, since, search, known, steps, loss.is_carried, jump, slam.covariance, slam.pose)
 
     def begin_anew(self) -> bool:
         """Whether a lost robot begins a new map where it believes to be, since it cannot be found in its earlier map.
@@ -230,7 +230,7 @@ class Recovery:
         assert absence is not None  # noqa: S101 (only lost robots seek)
         place, rays = absence.search.place, self._rays(absence, sensor)
         place.sensor = sensor
-        if absence.loss.is_carried:
+        if absence.is_carried:
             found = absence.search.seek(rays, may_be_bent=False)
         else:  # it has drifted, and is near, where a search of the whole map may miss its place
             near = drift_fit(place, rays, absence.covariance).fit

@@ -55,7 +55,7 @@ class Laps:
         self._robot, self._corners = robot, corners
         self._remaining = laps * len(corners)
         self._next: int | None = None
-        self._progress = Progress()
+        self._progress, self._frame = Progress(), 0
         self.stop_reason: str | None = None
         self.plan: FloatArray = corners
 
@@ -67,6 +67,8 @@ class Laps:
         if np.linalg.norm(self._corners[self._next] - belief.pose[:2]) < ARRIVED:
             self._next = (self._next + 1) % len(self._corners)
             self._remaining, self._progress = self._remaining - 1, Progress()
+        if belief.frame != self._frame:  # the corner is as near or far as the new frame says
+            self._frame, self._progress = belief.frame, Progress()
         if self._remaining <= 0:
             self.stop_reason = "all laps driven"
         if self.stop_reason is not None:

@@ -12,6 +12,7 @@ from limslam_env.interface import RobotSpec
 
 # Steps without progress after which the robot gives up. It has seen its surroundings anew by then.
 _MOST_IDLE = 4 * PATIENCE
+_LONGER = 5  # points: a way home with so many more than any before is another way, on which progress begins anew
 
 
 class WayHome(MapExplorer):
@@ -57,13 +58,13 @@ class WayHome(MapExplorer):
 
     def _plan_anew(self) -> None:
         self._way: FloatArray | None = None  # home (k, 2), m
-        self._progress, self._until_plan = Progress(), 0
+        self._progress, self._longest, self._until_plan = Progress(), 0, 0
 
     def _wheels(self, belief: Belief) -> FloatArray:
         if self.is_going_home and belief.status.level != "lost":
             return self._drive(belief)
         wheels, reason = self._policy.act(belief), self._policy.stop_reason
-        self.plan, self._way = self._policy.plan, None
+        self.plan, self._way, self._longest = self._policy.plan, None, 0
         if reason is not None and self.is_going_home:
             self.stop_reason = f"{self._why}; the robot is lost, and does not know the way back to the start"
         elif reason is not None and self._always:
@@ -76,7 +77,10 @@ class WayHome(MapExplorer):
         """Wheel speeds (2,) along the path home."""
         if self._way is None or self._until_plan <= 0:
             path, self._until_plan = path_to(belief, self._home, self.robot), REPLAN_PERIOD
-            self._way = self._way if path is None else np.vstack((path, self._home))
+            way = self._way if path is None else np.vstack((path, self._home))
+            if way is not None and len(way) > self._longest + _LONGER:
+                self._longest, self._progress = len(way), Progress()
+            self._way = way
         if self._way is None:
             self.stop_reason = f"{self._why}; the map shows no way back to the start"
             return np.zeros(2)

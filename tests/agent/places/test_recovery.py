@@ -8,14 +8,18 @@ import pytest
 from support.drives import ROBOT, along, drive, room
 from support.smoother_runs import state_from_motions
 
-from limslam_agent import Mapper, preset, with_until
+from limslam_agent import LineSlam, Mapper, preset, with_until
+from limslam_agent.grid.occupancy import OccupancyGrid
 from limslam_agent.output.summary import record_summary
+from limslam_agent.places.recovery import Recovery
 from limslam_agent.places.revisions import BEGUN_ANEW, NOT_CONFIRMED, PlaceHistory
 from limslam_agent.runs.episode import run_episode
 from limslam_agent.runs.results import final_status, score, write_episode
 from limslam_agent.runs.run_config import RunConfig
 from limslam_agent.slam.line_graph.problem import make_problem
 from limslam_agent.slam.line_graph.smoother import FilteredRun, with_breaks, with_slips
+from limslam_agent.status.monitor import CARRIED, Loss
+from limslam_agent.status.rays import Sight
 from limslam_agent.status.status import Status
 from limslam_env import NominalNoise, RobotSpec
 from limslam_env.geometry import se2
@@ -179,3 +183,15 @@ def test_a_robot_that_is_lost_before_its_map_has_walls_begins_a_new_map(episode,
     assert revision.begin == 20
     mapper.finish()
     assert mapper.places.unplaced is None
+
+
+def test_a_robot_that_is_carried_while_it_is_lost_may_have_been_carried_before_that():
+    config = preset("graph", NominalNoise(NOISE))
+    slam, grid, recovery = LineSlam(ROBOT, config), OccupancyGrid(config.grid), Recovery(ROBOT, config)
+    for _ in range(5):
+        recovery.note(Sight(np.zeros(3), ROBOT.max_ranges), slam, grid)
+    recovery.lose(Loss(CARRIED, 1), 0.0, slam, grid)
+    assert not recovery.absence.was_moved
+    recovery.lose(Loss(CARRIED, 0, is_carried=True), 0.0, slam, grid)
+    assert recovery.absence.was_moved
+    assert not recovery.absence.loss.is_dated, "the readings did not say in which step it was lost at first"

@@ -17,6 +17,7 @@ from support.beliefs import (
     ROBOT,
     actions_until_stopped,
     belief_of,
+    drive,
     explored,
     grid_of,
     place,
@@ -275,6 +276,15 @@ def test_laps_that_are_blocked_stop_and_name_the_corner(corner: int) -> None:
     assert policy.stop_reason == f"stopped: something is in the way to corner {corner + 1} of the loop"
     assert PATIENCE < len(actions) < PATIENCE + 3
     np.testing.assert_allclose(actions, 0.0, atol=1e-9)
+
+
+def test_laps_go_on_in_another_frame_in_which_the_corner_is_farther_away() -> None:
+    policy, pose = Laps(ROBOT, SQUARE, 1), np.array([1.9, 0.1, 0.5 * math.pi])
+    policy.act(belief_of(pose, CLOSED))
+    pose = np.array([0.1, -1.0, 0.0])
+    for _ in range(400):
+        pose = drive(pose, policy.act(replace(belief_of(pose, CLOSED), frame=1)))
+    assert policy.stop_reason is None or policy.stop_reason == "all laps driven"
 
 
 def test_a_wall_follower_goes_round() -> None:

@@ -235,6 +235,18 @@ def test_while_the_robot_is_lost_its_policy_drives_and_the_way_is_planned_anew_a
     assert policy.stop_reason == "asked to drive home; the robot is back at its start"
 
 
+def test_the_robot_comes_home_although_the_short_way_is_closed_before_it():
+    wide, narrow = "#" + "." * 38 + "#", "#" + "." * 7 + "#" * 24 + "." * 7 + "#"
+    rows = ["#" * 40, *[wide] * 7, *[narrow] * 14, *[wide] * 7, "#" * 40]
+    closed = grid_of(*(f"{row[:9]}#{row[10:]}" for row in rows[:8]), *rows[8:])
+    policy, pose, grid = WayHome(Stands(9999), ROBOT, CONFIG, home=place(4, 4)[:2]), place(4, 35), grid_of(*rows)
+    policy.go_home()
+    for _ in range(1500):
+        pose = drive(pose, policy.act(belief_of(pose, grid)))
+        grid = closed if pose[0] < 1.4 else grid
+    assert policy.stop_reason == "asked to drive home; the robot is back at its start"
+
+
 def test_a_robot_in_a_world_comes_back_to_its_start():
     simulation = Simulation(load_world("env1"), ROBOT)
     readings, truth = simulation.reset(np.random.SeedSequence(3), NoiseConfig(sensor_noise=0.02))

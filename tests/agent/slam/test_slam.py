@@ -236,3 +236,24 @@ def test_coarse_encoders_make_laps_about_as_wrong_as_believed() -> None:
 def test_laps_are_not_much_more_wrong_than_believed(noise: float, most: float) -> None:
     """The bars of the project; at 4 cm the mean lies at the upper end of the 95 % band of chi-square."""
     assert 0.5 < mean_nees(noise, 30) < most
+
+
+class Counting(LineSlam):
+    """A user's subclass, which counts its steps."""
+
+    count = 0
+
+    def step(self, *observations: Observation) -> None:
+        self.count += 1
+        super().step(*observations)
+
+
+@pytest.mark.parametrize("name", ["graph", "paper"])
+def test_a_subclass_is_one_of_the_estimator_that_the_settings_choose(name: str) -> None:
+    slam = Counting(ROBOT, preset(name, NominalNoise(0.02)))
+    for _ in range(2):
+        slam.step({"ranges": ROBOT.max_ranges, "wheels": np.array([0.01, 0.01])})
+        slam = slam.copied()
+    slam = pickle.loads(pickle.dumps(slam))  # noqa: S301 (made here)
+    assert (type(slam).__name__, slam.count) == ("Counting", 2)
+    np.testing.assert_allclose(slam.pose, [0.02, 0.0, 0.0], atol=1e-12)
