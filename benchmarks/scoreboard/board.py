@@ -39,9 +39,8 @@ ESTIMATOR = (
     "slam", "places", "status", "kernels",
     "mapping/mapper.py", "mapping/frames.py", "mapping/frame_mapper.py", "mapping/renewal.py", "mapping/joining.py",
     "dropouts.py",
-    "replay/calibration.py", "replay/filter_estimate.py", "replay/hand_over.py", "replay/plausibility.py",
-    "replay/smoothing.py", "replay/trust.py", "two_logs/by_graph.py", "two_logs/by_lines.py", "two_logs/joining.py",
-    "two_logs/joint.py", "two_logs/place.py",
+    "replay/calibration.py", "replay/hand_over.py", "replay/plausibility.py", "replay/smoothing.py", "replay/trust.py",
+    "two_logs/by_graph.py", "two_logs/joining.py", "two_logs/joint.py", "two_logs/place.py",
 )  # fmt: skip
 """The folders and files of the estimation side, in ``limslam_agent``. What does not exist is left out."""
 

@@ -114,7 +114,8 @@ class FrontierPolicy(MapExplorer):
         self._progress.count(left, is_new=known > self._known + _NEW_CELLS)
         if self._progress.idle == 0:
             self._known = max(known, self._known)
-        if self._progress.is_stuck:
+        # The map may change the way, and turning takes time.
+        if self._progress.idle > 3 * PATIENCE:
             self._failed.append(target.goal)
             self._drop()
         return action

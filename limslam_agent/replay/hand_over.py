@@ -24,6 +24,9 @@ if TYPE_CHECKING:
     from limslam_agent.slam.online_graph.online_graph import OnlineGraph
 
 
+_MOST_STD = 0.3  # m: the position is then more than 0.5 m off with a chance of exp(-(0.5 / 0.3)^2), 6 %
+
+
 class Estimate(NamedTuple):
     """What is believed after an event."""
 
@@ -71,10 +74,8 @@ class LogEstimate:
         """Whether the pose can be trusted: by the filter, or by the covariance of the online graph."""
         if self._graph is None or self.handed_over is None:
             return self._mapper.statuses[0]
-        from limslam_agent.replay.trust import MOST_STD
-
         std = self._graph.position_std
-        return Status("unsure", f"the position in the map may be {std:.1f} m off") if std > MOST_STD else Status()
+        return Status("unsure", f"the position in the map may be {std:.1f} m off") if std > _MOST_STD else Status()
 
     @property
     def places(self) -> PlaceHistory:
