@@ -19,7 +19,9 @@ TURN_RATE = 2.0
 STOP_DISTANCE = 0.06
 """Free distance ahead of the rim below which the robot only turns, m."""
 PATIENCE = 30
-"""Number of steps without progress after which the way to a place is given up."""
+"""Number of steps without progress after which a look or the corner of a tour is given up. Frontiers, the way
+home and turns on the spot have a multiple of it.
+"""
 _LOOKAHEAD = 0.25  # m
 ARRIVED = 0.08
 """Distance at which a place is reached, m."""
