@@ -151,10 +151,10 @@ def weigh_ray(
     longer, shorter, cosine_longer, cosine_shorter = math.inf, math.inf, 1.0, 1.0
     for wall in range(len(walls)):
         distance, beyond, cosine = crossing(ray, walls, wall)
-        if distance < 0.0:
+        if distance < 0.0 or beyond >= _OVER:
             continue
         distance *= read_share(cosine, cone)
-        if distance < longer and beyond < _OVER:
+        if distance < longer:
             longer, cosine_longer = distance, cosine
         if distance < shorter and beyond < -_INSET:
             shorter, cosine_shorter = distance, cosine
@@ -172,11 +172,12 @@ def weigh_ray(
 
 
 @compiled
-def placed_ray(pose: FloatArray, rays: FloatArray, number: int) -> tuple[float, float, float, float]:
-    """Origin, m, and direction of a ray, moved by a pose (3,)."""
-    cos, sin = math.cos(pose[2]), math.sin(pose[2])
+def placed_ray(
+    x0: float, y0: float, cos: float, sin: float, rays: FloatArray, number: int
+) -> tuple[float, float, float, float]:
+    """Origin, m, and direction of a ray, moved by a pose at (x0, y0), m, with this cosine and sine of its heading."""
     x, y, ux, uy = rays[number, RAY_X], rays[number, RAY_Y], rays[number, RAY_TO_X], rays[number, RAY_TO_Y]
-    return pose[0] + cos * x - sin * y, pose[1] + sin * x + cos * y, cos * ux - sin * uy, sin * ux + cos * uy
+    return x0 + cos * x - sin * y, y0 + sin * x + cos * y, cos * ux - sin * uy, sin * ux + cos * uy
 
 
 @lean_entry
@@ -195,9 +196,10 @@ def weigh_poses(
     fill_table(segments, walls)
     for number in range(len(poses)):
         total, against, tested = 0.0, 0, 0
+        x, y, cos, sin = poses[number, 0], poses[number, 1], math.cos(poses[number, 2]), math.sin(poses[number, 2])
         for i in range(len(rays)):
             found, distance, is_tested = weigh_ray(
-                placed_ray(poses[number], rays, i), rays[i, RAY_LENGTH], rays[i, RAY_REACH], walls, values, low, cell,
+                placed_ray(x, y, cos, sin, rays, i), rays[i, RAY_LENGTH], rays[i, RAY_REACH], walls, values, low, cell,
                 spread, cone,
             )  # fmt: skip
             total += found
@@ -250,8 +252,9 @@ def add_residuals(
 
     The lower triangle of the matrix counts.
     """
+    x0, y0, cos, sin = pose[0], pose[1], math.cos(pose[2]), math.sin(pose[2])
     for number in range(len(rays)):
-        from_x, from_y, to_x, to_y = placed_ray(pose, rays, number)
+        from_x, from_y, to_x, to_y = placed_ray(x0, y0, cos, sin, rays, number)
         length = rays[number, RAY_LENGTH]
         end_x, end_y = from_x + length * to_x, from_y + length * to_y
         normal_x, normal_y, offset = nearest_offset(end_x, end_y, walls, most)
@@ -260,7 +263,7 @@ def add_residuals(
             length /= read_share(normal_x * to_x + normal_y * to_y, cone)
             end_x, end_y = from_x + length * to_x, from_y + length * to_y
             normal_x, normal_y, offset = nearest_offset(end_x, end_y, walls, most)
-        x, y = end_x - pose[0], end_y - pose[1]
+        x, y = end_x - x0, end_y - y0
         row = normal_x, normal_y, normal_y * x - normal_x * y
         for i in range(3):
             vector[i] += row[i] * offset
